@@ -1,0 +1,145 @@
+"""Sections of an axis file: control law, envelope, loop, profile, recording. Each key states its range and meaning."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ..documents import Record
+
+Rps = Annotated[float, Field(gt=0, le=1000)]
+Amperes = Annotated[float, Field(gt=0, le=1000)]
+Reaction = Literal["coast", "quick_stop"]
+
+
+class ObserverSection(Record):
+    """Friction observer."""
+
+    toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")] = "ff"
+    gain_nm_per_rev: Annotated[float, Field(ge=0, le=1e4, description="L of lambda(e) = L e")] = 5.0
+    clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
+    feedback_band_rps: Annotated[
+        float, Field(ge=0, le=10, description="measured velocity reverses the model only beyond this")
+    ] = 0.1
+
+
+class ControllerSection(Record):
+    """PI with friction observer."""
+
+    proportional_a_per_rps: Annotated[float, Field(gt=0, le=1e4, description="Kp")]
+    integral_a_per_rev: Annotated[float, Field(ge=0, le=1e6, description="Ki = Kp / Ti")]
+    current_limit_a: Amperes
+    observer: ObserverSection = ObserverSection()
+    phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
+    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
+    accept_unproven: Annotated[
+        bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
+    ] = False
+
+
+class EnvelopeSection(Record):
+    """Limits that stand last before the wire."""
+
+    current_limit_a: Amperes
+    slew_a_per_s: Annotated[float, Field(gt=0, le=1e7)] = 20_000.0
+    speed_limit_rps: Rps
+    continuous_current_a: Amperes
+    i2t_time_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+    i2t_action: Literal["trip", "limit"] = "trip"
+    position_window_rev: Annotated[
+        tuple[float, float] | None, Field(description="[low, high]; null: the axis may turn for ever")
+    ] = None
+    following_error_rps: Rps
+    following_error_s: Annotated[float, Field(gt=0, le=60)] = 0.2
+    feedback_missing_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10
+    status_missing_ticks: Annotated[int, Field(ge=1, le=100_000)] = 100
+    heartbeat_timeout_s: Annotated[float, Field(ge=0, le=60, description="of the drive; 0: not watched")] = 0.5
+    reactions: Annotated[dict[str, Reaction], Field(description="overrides, by the name of the trip")] = Field(
+        default_factory=dict
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> EnvelopeSection:
+        if self.continuous_current_a > self.current_limit_a:
+            raise ValueError("continuous_current_a must not exceed current_limit_a")
+        if self.position_window_rev is not None and self.position_window_rev[0] >= self.position_window_rev[1]:
+            raise ValueError("position_window_rev must be [low, high] with low < high")
+        return self
+
+
+class LoopSection(Record):
+    """The tick."""
+
+    rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
+    cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
+    late_share: Annotated[float, Field(gt=0, le=1, description="lateness of a late tick, of the period")] = 0.2
+    minimum_gap_share: Annotated[float, Field(ge=0.5, le=1, description="no two SYNCs are closer")] = 0.8
+    tail_s: Annotated[float, Field(ge=0, le=60, description="standstill under control after a profile")] = 0.25
+    longest_profile_s: Annotated[float, Field(gt=0, le=86_400)] = 600.0
+
+    @property
+    def period_s(self) -> float:
+        """Length of a tick."""
+        return 1.0 / self.rate_hz
+
+
+class RealtimeSection(Record):
+    """Properties of the loop's thread."""
+
+    priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
+    cpu: Annotated[int | Literal["last", "any"], Field(description="CPU of the loop")] = "last"
+    lock_memory: bool = True
+    required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
+
+
+class RecordingSection(Record):
+    """Where runs are written."""
+
+    directory: str = "runs"
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
+
+
+class PaperProfile(Record):
+    """Multi-sine under a biased sigmoid envelope (Fig. 7)."""
+
+    kind: Literal["paper"]
+    duration_s: Annotated[float, Field(gt=0, le=86_400)] = 60.0
+    low_rps: Annotated[float, Field(ge=0, le=1000)] = 0.2
+    high_rps: Rps = 15.0
+    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
+    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    lines: Annotated[int, Field(ge=1, le=1000)] = 31
+    slope: Annotated[float, Field(ge=-4, le=4, description="amplitude of a line is f^slope")] = -0.5
+    seed: Annotated[int, Field(ge=0, le=2**31)] = 1
+
+
+class SineProfile(Record):
+    """One sine."""
+
+    kind: Literal["sine"]
+    mode: Literal["velocity", "current"] = "velocity"
+    duration_s: Annotated[float, Field(gt=0, le=86_400)]
+    amplitude: Annotated[float, Field(gt=0, le=1000, description="rps or A, by mode")]
+    frequency_hz: Annotated[float, Field(gt=0, le=1000)]
+
+
+class PointsProfile(Record):
+    """Straight lines between points: steps, ramps, staircases, dwells."""
+
+    kind: Literal["points"]
+    mode: Literal["velocity", "current"] = "velocity"
+    points: Annotated[list[tuple[float, float]], Field(min_length=2, description="[time_s, rps or A] each")]
+
+    @model_validator(mode="after")
+    def _rising(self) -> PointsProfile:
+        times = [time for time, _ in self.points]
+        if times[0] != 0 or any(b <= a for a, b in zip(times, times[1:], strict=False)):
+            raise ValueError("times must start at 0 and rise from point to point")
+        if not all(math.isfinite(level) for _, level in self.points):
+            raise ValueError("levels must be finite numbers")
+        return self
+
+
+ProfileSection = Annotated[PaperProfile | SineProfile | PointsProfile, Field(discriminator="kind")]

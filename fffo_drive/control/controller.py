@@ -1,0 +1,137 @@
+"""PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
+
+    i = Kp e + Ki int(e) + F / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..jit import njit
+from ..model.friction import FrictionConfig, FrictionState
+from .friction_observer import (
+    TOGGLE_OFF,
+    ObserverConfig,
+    observer_start,
+    observer_step,
+    observer_velocity_rps,
+)
+from .pi import PiConfig, pi_step
+
+
+class ControllerConfig(NamedTuple):
+    """Constants of the control law; a live change replaces the whole record at a tick boundary."""
+
+    pi: PiConfig
+    observer: ObserverConfig
+    torque_constant_nm_per_a: float
+    current_limit_a: float  # of the sum; the envelope has its own
+    period_s: float
+
+
+class ControllerState(NamedTuple):
+    """Memory of the control law."""
+
+    integral_a: float
+    friction: FrictionState
+    toggle: int  # of the last step; a change hands the estimate over
+    limited: bool  # the envelope or the limit cut the last command
+
+
+class ControllerTerms(NamedTuple):
+    """What one step computed, for the row."""
+
+    error_rps: float
+    proportional_a: float
+    integral_a: float
+    friction_nm: float
+    observation_nm_per_s: float
+    requested_a: float  # sum of the terms, not limited
+    command_a: float  # limited
+    limited: bool
+
+
+@njit
+def controller_at_rest() -> ControllerState:
+    """Memory before the first step, and whenever the drive gives no torque."""
+    return ControllerState(0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False)
+
+
+@njit
+def _hand_over(
+    config: ControllerConfig, state: ControllerState, toggle: int, reference_rps: float, velocity_rps: float
+) -> ControllerState:
+    """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
+    if toggle == TOGGLE_OFF:
+        integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
+        return ControllerState(integral_a, FrictionState(0.0, 0.0, 0.0, 0.0), toggle, state.limited)
+    if state.toggle == TOGGLE_OFF:
+        driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference_rps, velocity_rps)
+        friction = observer_start(config.observer, driven_rps)
+        integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
+        return ControllerState(integral_a, friction, toggle, state.limited)
+    return ControllerState(state.integral_a, state.friction, toggle, state.limited)
+
+
+@njit
+def controller_step(
+    config: ControllerConfig, state: ControllerState, toggle: int, reference_rps: float, velocity_rps: float
+) -> tuple[ControllerTerms, ControllerState]:
+    """One period of the law. While the last command was limited the observation is frozen (lambda = 0)."""
+    if toggle != state.toggle:
+        state = _hand_over(config, state, toggle, reference_rps, velocity_rps)
+    error_rps = reference_rps - velocity_rps
+
+    friction = state.friction
+    observation_nm_per_s = 0.0
+    if toggle != TOGGLE_OFF:
+        if not state.limited:
+            observation_nm_per_s = config.observer.gain_nm_per_rev * error_rps
+        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference_rps, velocity_rps)
+        friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)
+
+    friction_a = friction.torque_nm / config.torque_constant_nm_per_a
+    limit_a = config.current_limit_a
+    proportional_a, integral_a = pi_step(
+        config.pi, state.integral_a, error_rps, friction_a, limit_a, state.limited, config.period_s
+    )
+    requested_a = proportional_a + integral_a + friction_a
+    command_a = min(max(requested_a, -limit_a), limit_a)
+    limited = command_a != requested_a
+    terms = ControllerTerms(
+        error_rps,
+        proportional_a,
+        integral_a,
+        friction.torque_nm,
+        observation_nm_per_s,
+        requested_a,
+        command_a,
+        limited,
+    )
+    return terms, ControllerState(integral_a, friction, toggle, limited)
+
+
+@njit
+def with_limited(state: ControllerState, limited: bool) -> ControllerState:
+    """The same memory, told whether the envelope cut the command as well."""
+    return ControllerState(state.integral_a, state.friction, state.toggle, state.limited or limited)
+
+
+def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The record as a flat array, for the block that the loop reads; `unpack_controller` is its inverse."""
+    return np.array([*config.pi, *config.observer.friction, *config.observer[1:], *config[2:]], dtype=np.float64)
+
+
+@njit
+def unpack_controller(block: Any) -> ControllerConfig:
+    """The record from a flat array of `CONTROLLER_BLOCK_SIZE` numbers."""
+    friction = FrictionConfig(
+        block[2], block[3], block[4], block[5], block[6], block[7], block[8], np.int64(block[9])
+    )
+    observer = ObserverConfig(friction, block[10], block[11], block[12])
+    return ControllerConfig(PiConfig(block[0], block[1]), observer, block[13], block[14], block[15])
+
+
+CONTROLLER_BLOCK_SIZE = 16

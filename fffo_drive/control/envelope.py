@@ -1,0 +1,206 @@
+"""The last word before the wire: clamp the command, or latch a trip. It knows nothing of the controller.
+
+Limits act on numbers of the wire alone: command, feedback, ages, what the drive says. A trip stays until it is reset;
+each has a reaction (coast or quick stop) in the configuration.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..jit import njit
+
+LIMIT_CONTROLLER = 1  # set by the loop: the controller's own current limit
+LIMIT_CURRENT = 2
+LIMIT_SLEW = 4
+LIMIT_I2T = 8
+LIMIT_DRIVE = 16  # statusword bit 11: the drive limits internally
+
+TRIP_NONE = 0
+TRIP_NOT_A_NUMBER = 1
+TRIP_OVERSPEED = 2
+TRIP_POSITION_WINDOW = 3
+TRIP_FOLLOWING_ERROR = 4
+TRIP_I2T = 5
+TRIP_FEEDBACK_MISSING = 6
+TRIP_STATUS_MISSING = 7
+TRIP_DRIVE_FAULT = 8
+TRIP_EMERGENCY = 9
+TRIP_BUS_OFF = 10
+TRIP_HEARTBEAT = 11
+TRIP_REBOOT = 12
+TRIP_DRIVE_LEFT = 13
+TRIP_COUNT = 14
+
+TRIP_TEXTS = {
+    TRIP_NONE: "no fault",
+    TRIP_NOT_A_NUMBER: "command or feedback is not a finite number",
+    TRIP_OVERSPEED: "velocity beyond envelope.speed_limit_rps",
+    TRIP_POSITION_WINDOW: "position outside envelope.position_window_rev",
+    TRIP_FOLLOWING_ERROR: "velocity error beyond envelope.following_error_rps for longer than following_error_s",
+    TRIP_I2T: "I2t: continuous current exceeded for too long",
+    TRIP_FEEDBACK_MISSING: "velocity feedback missing for envelope.feedback_missing_ticks periods",
+    TRIP_STATUS_MISSING: "statusword missing for envelope.status_missing_ticks periods",
+    TRIP_DRIVE_FAULT: "the drive reports a fault (statusword)",
+    TRIP_EMERGENCY: "the drive sent an emergency message (EMCY)",
+    TRIP_BUS_OFF: "the CAN controller is off the bus, or the interface is gone",
+    TRIP_HEARTBEAT: "the drive's heartbeat is missing",
+    TRIP_REBOOT: "the drive rebooted while in use",
+    TRIP_DRIVE_LEFT: "the drive left Operation Enabled by itself",
+}
+
+REACTION_COAST = 0
+REACTION_QUICK_STOP = 1
+
+STATUS_INTERNAL_LIMIT = 1 << 11  # CiA 402, 0x6041
+STATUS_FAULT = 1 << 3
+
+
+class EnvelopeConfig(NamedTuple):
+    """Limits. `reactions` (TRIP_COUNT,) int64 holds REACTION_* for each trip."""
+
+    current_limit_a: float
+    slew_a_per_s: float
+    speed_limit_rps: float
+    continuous_current_a: float  # I2t: what may flow for ever
+    i2t_time_s: float  # how long current_limit_a may flow from cold
+    i2t_trips: bool  # False: cut to the continuous current instead
+    position_low_rev: float
+    position_high_rev: float
+    following_error_rps: float
+    following_error_s: float
+    feedback_missing_ticks: int
+    status_missing_ticks: int
+    heartbeat_timeout_ns: int  # 0: the drive's heartbeat is not watched
+    period_s: float
+    reactions: Any
+
+
+class EnvelopeState(NamedTuple):
+    """Memory of the envelope."""
+
+    last_command_a: float
+    i2t_a2s: float  # heat above the continuous current, A^2 s
+    following_s: float  # how long the velocity error has been too large
+    was_enabled: bool
+
+
+class EnvelopeInputs(NamedTuple):
+    """What the envelope sees of one tick."""
+
+    requested_a: float
+    velocity_rps: float
+    position_rev: float
+    error_rps: float
+    feedback_age: int  # ticks
+    status_age: int
+    statusword: int
+    emergencies: int  # EMCY frames since the loop began
+    reboots: int  # boot-up messages since the loop began
+    bus_off: bool
+    heartbeat_age_ns: int  # -1: none has come yet
+    wanted: bool  # torque is wanted in this tick
+    enabled: bool  # the drive is in Operation Enabled
+    closed_loop: bool  # the error means something
+
+
+@njit
+def envelope_at_rest() -> EnvelopeState:
+    """Memory before the first tick and after a reset."""
+    return EnvelopeState(0.0, 0.0, 0.0, False)
+
+
+@njit
+def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs) -> int:
+    """The first reason to stop, in the order of what is most certain; TRIP_NONE when there is none."""
+    if seen.bus_off:
+        return TRIP_BUS_OFF
+    if seen.reboots > 0:
+        return TRIP_REBOOT
+    if seen.emergencies > 0:
+        return TRIP_EMERGENCY
+    if seen.statusword & STATUS_FAULT:
+        return TRIP_DRIVE_FAULT
+    if config.heartbeat_timeout_ns > 0 and seen.heartbeat_age_ns > config.heartbeat_timeout_ns:
+        return TRIP_HEARTBEAT
+    if not seen.wanted:
+        return TRIP_NONE
+    # from here on: reasons that only a driven axis has
+    if state.was_enabled and not seen.enabled:
+        return TRIP_DRIVE_LEFT
+    if not (math.isfinite(seen.requested_a) and math.isfinite(seen.velocity_rps) and math.isfinite(seen.position_rev)):
+        return TRIP_NOT_A_NUMBER
+    if seen.feedback_age >= config.feedback_missing_ticks:
+        return TRIP_FEEDBACK_MISSING
+    if seen.status_age >= config.status_missing_ticks:
+        return TRIP_STATUS_MISSING
+    if abs(seen.velocity_rps) > config.speed_limit_rps:
+        return TRIP_OVERSPEED
+    if not config.position_low_rev <= seen.position_rev <= config.position_high_rev:
+        return TRIP_POSITION_WINDOW
+    if state.following_s > config.following_error_s:
+        return TRIP_FOLLOWING_ERROR
+    if config.i2t_trips and state.i2t_a2s > i2t_capacity_a2s(config):
+        return TRIP_I2T
+    return TRIP_NONE
+
+
+@njit
+def i2t_capacity_a2s(config: EnvelopeConfig) -> float:
+    """Heat that may gather above the continuous current, A^2 s: the current limit for `i2t_time_s` from cold."""
+    continuous_a2 = config.continuous_current_a * config.continuous_current_a
+    return (config.current_limit_a * config.current_limit_a - continuous_a2) * config.i2t_time_s
+
+
+@njit
+def clamp_command(config: EnvelopeConfig, state: EnvelopeState, requested_a: float) -> tuple[float, int]:
+    """Current, I2t and slew limits. Returns (command_a, LIMIT_* bits)."""
+    limits = 0
+    limit_a = config.current_limit_a
+    if not config.i2t_trips and state.i2t_a2s > i2t_capacity_a2s(config):
+        limit_a = config.continuous_current_a
+        if abs(requested_a) > limit_a:
+            limits |= LIMIT_I2T
+    command_a = min(max(requested_a, -limit_a), limit_a)
+    if command_a != requested_a:
+        limits |= LIMIT_CURRENT
+    step_a = config.slew_a_per_s * config.period_s
+    slewed_a = min(max(command_a, state.last_command_a - step_a), state.last_command_a + step_a)
+    if slewed_a != command_a:
+        limits |= LIMIT_SLEW
+    return slewed_a, limits
+
+
+@njit
+def envelope_step(
+    config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
+) -> tuple[float, int, int, EnvelopeState]:
+    """Returns (command_a, limits, trip, state). With a trip, or when no torque is wanted, the command is 0."""
+    following_s = 0.0
+    if seen.wanted and seen.closed_loop and abs(seen.error_rps) > config.following_error_rps:
+        following_s = state.following_s + config.period_s
+    state = EnvelopeState(state.last_command_a, state.i2t_a2s, following_s, state.was_enabled)
+
+    trip = find_trip(config, state, seen)
+    command_a = 0.0
+    limits = 0
+    if trip == TRIP_NONE and seen.wanted:
+        command_a, limits = clamp_command(config, state, seen.requested_a)
+        if seen.statusword & STATUS_INTERNAL_LIMIT:
+            limits |= LIMIT_DRIVE
+
+    excess_a2 = command_a * command_a - config.continuous_current_a * config.continuous_current_a
+    i2t_a2s = max(0.0, state.i2t_a2s + excess_a2 * config.period_s)
+    was_enabled = seen.wanted and seen.enabled
+    return command_a, limits, trip, EnvelopeState(command_a, i2t_a2s, following_s, was_enabled)
+
+
+def default_reactions() -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Quick stop where the drive can still brake, coast where nothing that it says can be trusted."""
+    reactions = np.full(TRIP_COUNT, REACTION_QUICK_STOP, dtype=np.int64)
+    for trip in (TRIP_NOT_A_NUMBER, TRIP_DRIVE_FAULT, TRIP_EMERGENCY, TRIP_REBOOT):
+        reactions[trip] = REACTION_COAST
+    return reactions

@@ -1,0 +1,141 @@
+"""The border between the loop and a drive: what every backend offers, compiled side and Python side.
+
+The compiled side is a NamedTuple (a *port*) for which the generic functions below are registered; the loop calls only
+these. Its memory is a one-element array of `FEEDBACK`, written by the port and read by the loop. The Python side is the
+`Drive` protocol: bring-up before the loop, and what only needs ordinary threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ..jit import generic
+
+FEEDBACK = np.dtype(
+    [
+        # measured values as last received, in the units of signals.py
+        ("velocity_rps", "<f8"),
+        ("position_rev", "<f8"),  # multi-turn: the port unwraps the drive's counter
+        ("current_a", "<f8"),
+        ("true_velocity_rps", "<f8"),  # NaN where the port cannot know it
+        ("true_friction_nm", "<f8"),
+        ("received_ns", "<i8"),  # when this SYNC's feedback came
+        ("velocity_tick", "<i8"),  # tick of the last fresh velocity; -1 before the first
+        ("status_tick", "<i8"),  # tick of the last fresh statusword; -1 before the first
+        ("statusword", "<i8"),
+        # from the drive, outside the cycle
+        ("emergency_code", "<i8"),  # error code of the last EMCY, 0 after a reset message
+        ("emergency_count", "<i8"),  # EMCY frames with a non-zero code
+        ("heartbeat_ns", "<i8"),  # when the drive's last heartbeat came; -1 before the first
+        ("boot_count", "<i8"),  # boot-up messages seen
+        ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
+        # statistics of the exchange, counted since the port was made
+        ("late_feedback", "<i8"),  # answers to an older SYNC: counted, never used
+        ("bad_frames", "<i8"),  # short, over-long, remote or extended frames: counted, never used
+        ("error_frames", "<i8"),  # CAN error frames
+        ("bus_off", "<i8"),  # 1 while the controller is off the bus or the interface is gone
+        ("send_errors", "<i8"),
+        ("dropped_frames", "<i8"),  # frames that the socket's queue lost
+    ]
+)
+
+
+def new_feedback() -> np.ndarray[Any, np.dtype[np.void]]:
+    """The port's memory: shape (1,), nothing received yet."""
+    feedback = np.zeros(1, FEEDBACK)
+    for name in ("velocity_tick", "status_tick", "heartbeat_ns", "nmt_state"):
+        feedback[name] = -1
+    feedback["true_velocity_rps"] = np.nan
+    feedback["true_friction_nm"] = np.nan
+    return feedback
+
+
+@generic
+def port_now_ns(port: Any) -> int:
+    """The port's clock (CLOCK_MONOTONIC, or simulated time), in nanoseconds."""
+    raise NotImplementedError
+
+
+@generic
+def port_sleep_until(port: Any, deadline_ns: int) -> int:
+    """Wait for an absolute time of the port's clock. Returns 0."""
+    raise NotImplementedError
+
+
+@generic
+def port_sync(port: Any, tick: int) -> int:
+    """Empty the receive queue (what is in it is late), then send SYNC for `tick`. Returns 0, or -errno."""
+    raise NotImplementedError
+
+
+@generic
+def port_receive(port: Any, tick: int, cutoff_ns: int) -> int:
+    """Wait for the answer to this tick's SYNC until `cutoff_ns`. Returns 1 when it came, else 0.
+
+    A fresh answer updates `port.feedback[0]` and sets its velocity_tick (status_tick) to `tick`.
+    """
+    raise NotImplementedError
+
+
+@generic
+def port_command(port: Any, tick: int, controlword: int, current_a: float) -> float:
+    """Send controlword and current command. Returns the current that the wire's resolution made of it (A)."""
+    raise NotImplementedError
+
+
+@generic
+def port_housekeeping(port: Any, tick: int) -> int:
+    """The slot after the command: heartbeat when due, and at most one queued service (SDO) frame. Returns 0."""
+    raise NotImplementedError
+
+
+class DriveIdentity(NamedTuple):
+    """What the drive says that it is (0x1018, 0x1008, 0x100A)."""
+
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial_number: int
+    device_name: str
+    software_version: str
+
+
+class DriveError(Exception):
+    """The drive, or the way to it, does not do what it must. The text names object, value and remedy."""
+
+
+class BusUnavailableError(DriveError):
+    """The bus cannot be opened, or nobody answers on it."""
+
+
+class DriveRefusedError(DriveError):
+    """The drive answers, but lacks or refuses something that the service needs: it is not enabled."""
+
+
+class Drive(Protocol):
+    """A drive behind the port, seen from ordinary Python."""
+
+    def connect(self) -> DriveIdentity:
+        """Bring the drive to where the loop can start: NMT operational, mapped, verified, not enabled."""
+        ...
+
+    @property
+    def port(self) -> Any:
+        """The compiled side; valid between `connect` and `close`."""
+        ...
+
+    @property
+    def feedback(self) -> np.ndarray[Any, np.dtype[np.void]]:
+        """The port's memory, shape (1,), dtype FEEDBACK."""
+        ...
+
+    @property
+    def realtime(self) -> bool:
+        """True when the port's clock is the wall's: the loop then needs a thread and a priority of its own."""
+        ...
+
+    def close(self) -> None:
+        """Leave the drive without torque and the bus without traffic of ours. Never raises."""
+        ...

@@ -1,0 +1,128 @@
+"""The one place where numba is configured: `njit` for kernels, `generic` for dispatch on a port's type.
+
+Kernels hold no GIL, keep IEEE arithmetic (no fastmath: compiled and interpreted code agree bit for bit, so a replay
+is exact) and are cached in a directory that is named after the content of every file with a kernel in it. numba's own
+cache key knows only the file of the caller: an edited callee in another file would go unnoticed.
+
+With NUMBA_DISABLE_JIT=1 the same functions run as plain Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+import numba
+from numba import types
+from numba.extending import overload as numba_overload
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGE_DIRECTORY = Path(__file__).resolve().parent.parent
+KEPT_CACHES = 4  # older cache directories are deleted: each edit of a kernel makes a new one
+
+
+def kernel_digest() -> str:
+    """Hash over every source file of the package that holds a kernel (16 hex digits)."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(PACKAGE_DIRECTORY.rglob("*.py")):
+        content = path.read_bytes()
+        if b"njit" in content:
+            digest.update(path.relative_to(PACKAGE_DIRECTORY).as_posix().encode())
+            digest.update(content)
+    return digest.hexdigest()[:16]
+
+
+def cache_root() -> Path:
+    """Directory that holds all kernel caches: NUMBA_CACHE_DIR, the user's cache, or a temporary directory."""
+    candidates = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("CACHE_DIRECTORY")]
+    home_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    candidates.append(os.path.join(home_cache, "fffo_drive", "numba"))
+    candidates.append(os.path.join(tempfile.gettempdir(), f"fffo_drive-{os.getuid()}", "numba"))
+    for candidate in filter(None, candidates):
+        try:
+            Path(candidate).mkdir(parents=True, exist_ok=True, mode=0o700)
+        except OSError:
+            continue
+        if os.access(candidate, os.W_OK):
+            return Path(candidate)
+    raise OSError("no writable directory for compiled code: set NUMBA_CACHE_DIR to one")
+
+
+def _use_cache_directory() -> Path:
+    root = cache_root()
+    directory = root / kernel_digest()
+    if not directory.is_dir():
+        directory.mkdir(mode=0o700, exist_ok=True)
+        caches = [p for p in root.iterdir() if p.is_dir() and len(p.name) == len(directory.name)]
+        for old in sorted(caches, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_CACHES:]:
+            shutil.rmtree(old, ignore_errors=True)
+    numba.config.CACHE_DIR = str(directory)
+    return directory
+
+
+CACHE_DIRECTORY = _use_cache_directory()
+INTERPRETED = bool(numba.config.DISABLE_JIT)
+
+
+@overload
+def njit(function: F) -> F: ...
+@overload
+def njit(*, inline: str = "never") -> Callable[[F], F]: ...
+def njit(function: Any = None, *, inline: str = "never") -> Any:
+    """Compile a kernel: no GIL, no fastmath, division by zero gives inf or nan, cached on disk."""
+
+    def wrap(f: Any) -> Any:
+        return numba.njit(f, cache=True, nogil=True, error_model="numpy", fastmath=False, inline=inline)
+
+    return wrap if function is None else wrap(function)
+
+
+def generic(declaration: F) -> F:
+    """A function whose implementation is chosen by the type of its first argument, a NamedTuple.
+
+    It works alike from Python and inside a kernel, where the choice is made at compile time:
+    `@name.register(SomePort)` above a kernel gives the implementation for that type. This is how one loop function
+    drives a simulated and a CANopen drive. The body of `declaration` is never run.
+    """
+    registry: dict[type, Callable[..., Any]] = {}
+
+    def call(first: Any, *rest: Any) -> Any:
+        return registry[type(first)](first, *rest)
+
+    call.__name__ = declaration.__name__
+    call.__qualname__ = declaration.__qualname__
+    call.__module__ = declaration.__module__
+    call.__doc__ = declaration.__doc__
+
+    def register(port_type: type) -> Callable[[F], F]:
+        def add(implementation: F) -> F:
+            registry[port_type] = implementation
+            return implementation
+
+        return add
+
+    call.register = register  # type: ignore[attr-defined]
+
+    if not INTERPRETED:
+
+        def choose(first: Any, *rest: Any) -> Any:
+            if not isinstance(first, types.BaseNamedTuple):
+                return None
+            kernel = registry.get(first.instance_class)
+            if kernel is None:
+                return None
+
+            # a call, not the kernel's own Python function: that would be compiled twice under one symbol and crash
+            def implementation(first: Any, *rest: Any) -> Any:
+                return kernel(first, *rest)
+
+            return implementation
+
+        numba_overload(call, strict=False, jit_options={"nogil": True, "error_model": "numpy", "cache": True})(choose)
+    return call  # type: ignore[return-value]

@@ -1,0 +1,141 @@
+"""Model files: what is believed about an axis, with value, standard deviation, unit, provenance and a content hash.
+
+A controller runs one model file. The torque constant is declared, never fitted: current, torque and inertia scale
+together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import Field
+
+from .. import units
+from ..documents import DocumentError, Record, load
+from .axis import AxisConfig
+from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
+
+FORMAT = "fffo_drive/model/1"
+OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEGA_LITERAL}
+
+
+class Quantity(Record):
+    """One number of a model."""
+
+    value: float
+    sd: Annotated[float | None, Field(ge=0, description="standard deviation, where it was fitted")] = None
+    source: Annotated[str, Field(description="declared, fitted, or where it was taken from")] = "declared"
+
+
+Positive = Annotated[Quantity, Field(description="greater than 0")]
+
+
+class FrictionModel(Record):
+    """2SEP parameters as in Table I of the paper."""
+
+    stribeck: Annotated[Literal["classical", "literal"], Field(description="falling curve, or the sign as printed")] = (
+        "classical"
+    )
+    omega: Annotated[Literal["clipped", "signed", "literal"], Field(description="reading of (4), see model/friction")] = (
+        "clipped"
+    )
+    viscous_nm_per_rps: Quantity
+    coulomb_nm: Quantity
+    static_nm: Quantity
+    stribeck_velocity_rps: Quantity
+    stribeck_exponent: Quantity
+    stiffness_per_rev: Quantity
+    attraction_nm_per_rev: Quantity
+
+
+class Provenance(Record):
+    """Where the model came from."""
+
+    date: str = ""
+    tool: str = ""
+    runs: list[str] = Field(default_factory=list, description="SHA-256 of the runs that it was fitted on")
+    note: str = ""
+
+
+class ModelFile(Record):
+    """A model of an axis."""
+
+    format: Literal["fffo_drive/model/1"] = FORMAT
+    name: str
+    torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=100)]
+    inertia_kg_m2: Quantity
+    delay_s: Quantity
+    friction: FrictionModel
+    provenance: Provenance = Provenance()
+    content_hash: Annotated[str | None, Field(description="written by the tools; checked when it is there")] = None
+
+    def friction_config(self) -> FrictionConfig:
+        """The kernel's constants."""
+        f = self.friction
+        exponent = f.stribeck_exponent.value
+        return FrictionConfig(
+            f.coulomb_nm.value,
+            f.static_nm.value,
+            f.stribeck_velocity_rps.value,
+            abs(exponent) if f.stribeck == "classical" else exponent,
+            f.viscous_nm_per_rps.value,
+            f.stiffness_per_rev.value,
+            f.attraction_nm_per_rev.value,
+            OMEGA_FORMS[f.omega],
+        )
+
+    def axis_config(self) -> AxisConfig:
+        """The kernel's constants of the whole axis."""
+        inertia = units.inertia_nm_s2_per_rev(self.inertia_kg_m2.value)
+        return AxisConfig(inertia, self.torque_constant_nm_per_a, self.delay_s.value, self.friction_config())
+
+
+def content_hash(model: ModelFile) -> str:
+    """SHA-256 over everything but the hash itself."""
+    content = model.model_dump(mode="json", exclude={"content_hash"})
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+# quantity -> (lowest, highest) that a model may have; beyond it a unit is wrong or the model is not one of friction
+LIMITS: dict[str, tuple[float, float]] = {
+    "inertia_kg_m2": (1e-9, 1e3),
+    "delay_s": (0.0, 0.1),
+    "friction.viscous_nm_per_rps": (0.0, 1e3),
+    "friction.coulomb_nm": (1e-9, 1e5),
+    "friction.static_nm": (1e-9, 1e5),
+    "friction.stribeck_velocity_rps": (1e-6, 1e3),
+    "friction.stribeck_exponent": (-3.0, 3.0),
+    "friction.stiffness_per_rev": (1e-3, 1e8),
+    "friction.attraction_nm_per_rev": (1e-9, 1e8),
+}
+
+
+def read_model(path: str | Path) -> ModelFile:
+    """Read and check a model file. Raises DocumentError naming file and key."""
+    model = load(path, ModelFile)
+    errors = []
+    for key, (low, high) in LIMITS.items():
+        quantity: Any = model
+        for part in key.split("."):
+            quantity = getattr(quantity, part)
+        if not low <= quantity.value <= high:
+            errors.append(f"{path}: {key}.value: {quantity.value:g} is outside {low:g} .. {high:g}")
+    if model.content_hash is not None and model.content_hash != content_hash(model):
+        errors.append(
+            f"{path}: content_hash does not match the content: the file was edited by hand. Remove the line to accept "
+            "the edit, or restore the file"
+        )
+    if errors:
+        raise DocumentError("\n".join(errors))
+    return model
+
+
+def write_model(path: str | Path, model: ModelFile) -> None:
+    """Write a model file with its content hash."""
+    stamped = model.model_copy(update={"content_hash": content_hash(model)})
+    text = yaml.safe_dump(stamped.model_dump(mode="json", exclude_none=True), sort_keys=False, width=110)
+    Path(path).write_text(text, encoding="utf-8")

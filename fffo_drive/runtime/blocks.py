@@ -1,0 +1,122 @@
+"""Memory that the loop shares with ordinary threads. Nobody waits for anybody.
+
+Words are int64 with one writer each. Parameters and profiles have two slots: the writer fills the one that is not in
+use and then publishes its number; the loop makes one try to copy and otherwise keeps the last good copy.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
+from ..control.reference import Profile
+from ..jit import njit
+from ..jit.atomic import load_acquire, store_release
+
+Words = np.ndarray[Any, np.dtype[np.int64]]
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+
+# control words: written by the supervisor
+STOP = 0  # 1: leave the loop after this tick
+GOAL = 1  # drive.cia402.GOAL_*
+TOGGLE = 2  # friction_observer.TOGGLE_*
+PROFILE_NUMBER = 3  # a new number starts the profile in slot number & 1 once the drive is enabled
+PROFILE_ABORT = 4  # the number of a profile that is to end at once
+PARAMETER_NUMBER = 5  # a new number publishes the parameters in slot number & 1
+RESET_NUMBER = 6  # a new number clears the latched trip and the drive's fault
+AUTOSTOP = 7  # 1: disable the drive and leave the loop when the profile has ended
+CONTROL_WORDS = 8
+
+# status words: written by the loop
+TICK = 0
+DEADLINE_NS = 1
+MODE = 2
+TRIP = 3
+TRIP_TICK = 4
+STATUSWORD = 5
+PROFILE_SAMPLE = 6  # -1: no profile runs
+PROFILE_DONE = 7  # number of the last profile that ended
+LATE_TICKS = 8
+SKIPPED_TICKS = 9
+MISSING_FEEDBACK = 10
+STALE_BLOCKS = 11  # parameter copies that were torn and not used
+PARAMETERS_IN_USE = 12
+FINISHED = 13  # 1 when the loop has returned
+STATUS_WORDS = 14
+
+PROFILE_ROWS = 2  # value and derivative
+
+
+class Blocks(NamedTuple):
+    """All of it, as the loop takes it."""
+
+    control: Words  # (CONTROL_WORDS,)
+    status: Words  # (STATUS_WORDS,)
+    parameters: Floats  # (2, CONTROLLER_BLOCK_SIZE)
+    profile_words: Words  # (2, 2): length and mode of each slot
+    profiles: Floats  # (2, PROFILE_ROWS, capacity)
+
+
+def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
+    """Memory at rest, with these parameters in use. `profile_capacity`: samples of the longest profile."""
+    blocks = Blocks(
+        np.zeros(CONTROL_WORDS, np.int64),
+        np.zeros(STATUS_WORDS, np.int64),
+        np.zeros((2, CONTROLLER_BLOCK_SIZE)),
+        np.zeros((2, 2), np.int64),
+        np.zeros((2, PROFILE_ROWS, profile_capacity)),
+    )
+    blocks.parameters[:] = pack_controller(controller)
+    blocks.status[PROFILE_SAMPLE] = -1
+    return blocks
+
+
+def publish_controller(blocks: Blocks, controller: ControllerConfig) -> int:
+    """Hand new parameters to the loop, which takes them at a tick boundary. Returns their number."""
+    number = int(blocks.control[PARAMETER_NUMBER]) + 1
+    blocks.parameters[number & 1] = pack_controller(controller)
+    store_release(blocks.control, PARAMETER_NUMBER, number)
+    return number
+
+
+def publish_profile(blocks: Blocks, profile: Profile) -> int:
+    """Hand a profile to the loop, which starts it once the drive is enabled. Returns its number.
+
+    Raises ValueError when it is longer than the memory for it.
+    """
+    capacity = blocks.profiles.shape[2]
+    if profile.values.size > capacity:
+        raise ValueError(
+            f"profile '{profile.name}' has {profile.values.size} samples, the loop holds {capacity}: "
+            "shorten it or raise loop.longest_profile_s"
+        )
+    number = int(blocks.control[PROFILE_NUMBER]) + 1
+    slot = number & 1
+    blocks.profiles[slot, 0, : profile.values.size] = profile.values
+    blocks.profiles[slot, 1, : profile.values.size] = profile.derivatives
+    blocks.profile_words[slot, 0] = profile.values.size
+    blocks.profile_words[slot, 1] = profile.mode
+    store_release(blocks.control, PROFILE_NUMBER, number)
+    return number
+
+
+@njit
+def take_parameters(blocks: Blocks, number_in_use: int, scratch: Floats, in_use: Floats) -> int:
+    """Copy newly published parameters to `in_use`. Returns the number in use: still the old one if the copy was torn.
+
+    One try: while the copy is made the writer may publish once more (the other slot) but not twice; then the copy is
+    dropped, counted, and tried again at the next tick.
+    """
+    number = load_acquire(blocks.control, PARAMETER_NUMBER)
+    if number == number_in_use:
+        return number_in_use
+    for i in range(scratch.size):
+        scratch[i] = blocks.parameters[number & 1, i]
+    if load_acquire(blocks.control, PARAMETER_NUMBER) != number:
+        blocks.status[STALE_BLOCKS] += 1
+        return number_in_use
+    for i in range(scratch.size):
+        in_use[i] = scratch[i]
+    return number

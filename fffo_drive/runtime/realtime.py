@@ -1,0 +1,88 @@
+"""Real-time properties of the loop's thread: SCHED_FIFO, one CPU, locked pages. What is refused is said once, plainly."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from typing import NamedTuple
+
+PR_SET_TIMERSLACK = 29
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
+
+_C = ctypes.CDLL(None, use_errno=True)
+
+
+class RealtimeRequest(NamedTuple):
+    """What the configuration asks for."""
+
+    priority: int  # SCHED_FIFO priority 1..99; 0: ordinary scheduling
+    cpu: int  # CPU to pin the loop to; -1: the last one that this process may use; -2: do not pin
+    lock_memory: bool
+
+
+class RealtimeReport(NamedTuple):
+    """What the system gave. `refusals` holds one sentence for each thing that it refused."""
+
+    fifo: bool
+    cpu: int  # -1: not pinned
+    locked: bool
+    refusals: tuple[str, ...]
+
+
+class RealtimeRefusedError(Exception):
+    """Real-time properties were required by the configuration and refused by the system."""
+
+
+def enter_realtime(request: RealtimeRequest) -> RealtimeReport:
+    """Give the calling thread real-time properties. To be called by the loop's thread itself, before the first tick.
+
+    Threads that it would start fall back to ordinary scheduling (SCHED_RESET_ON_FORK): a recorder never inherits FIFO.
+    """
+    refusals: list[str] = []
+    _C.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)  # the default of 50 us is added to every sleep of an ordinary thread
+    cpu = _pin(request.cpu, refusals)
+    locked = request.lock_memory and _lock_memory(refusals)
+    fifo = request.priority > 0 and _set_fifo(request.priority, refusals)
+    return RealtimeReport(fifo, cpu, locked, tuple(refusals))
+
+
+def _pin(cpu: int, refusals: list[str]) -> int:
+    if cpu == -2:
+        return -1
+    allowed = os.sched_getaffinity(0)
+    if len(allowed) < 2 and cpu == -1:
+        return -1  # pinned to the only one anyhow
+    chosen = max(allowed) if cpu == -1 else cpu
+    try:
+        os.sched_setaffinity(0, {chosen})
+    except OSError as error:
+        refusals.append(f"CPU {chosen} for the loop: {error.strerror}; allowed here: {sorted(allowed)}")
+        return -1
+    return chosen
+
+
+def _set_fifo(priority: int, refusals: list[str]) -> bool:
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+    except OSError as error:
+        refusals.append(
+            f"SCHED_FIFO {priority}: {error.strerror}; grant it with LimitRTPRIO= in the unit or "
+            f"'rtprio {priority}' in limits.conf"
+        )
+        return False
+    return True
+
+
+def _lock_memory(refusals: list[str]) -> bool:
+    """Pages stay where they are once touched; the warm-up has touched what the loop needs."""
+    if _C.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        refusals.append(f"mlockall: {reason}; grant it with LimitMEMLOCK=infinity in the unit or 'memlock unlimited'")
+        return False
+    return True
+
+
+def unlock_memory() -> None:
+    """Undo mlockall for the process, so that what runs after the loop is not bound by it."""
+    _C.munlockall()

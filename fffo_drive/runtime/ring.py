@@ -1,0 +1,37 @@
+"""Ring of rows between the loop and the recorder: one writer that never waits, readers that notice an overrun."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..signals import ROW
+
+HEAD = 0  # words[HEAD]: rows ever written, published after the row
+
+
+class Ring(NamedTuple):
+    """`rows` (capacity,) of signals.ROW, capacity a power of two; `words` (1,) int64."""
+
+    rows: np.ndarray[Any, np.dtype[np.void]]
+    words: np.ndarray[Any, np.dtype[np.int64]]
+
+
+def new_ring(at_least: int) -> Ring:
+    """An empty ring for at least so many rows; its pages are touched."""
+    capacity = 1 << max(4, (at_least - 1).bit_length())
+    rows = np.empty(capacity, ROW)
+    rows.view(np.uint8)[:] = 0  # touches every page, so that none faults in the loop
+    return Ring(rows, np.zeros(1, np.int64))
+
+
+def drain(ring: Ring, tail: int) -> tuple[np.ndarray[Any, np.dtype[np.void]], int]:
+    """Copies of the rows since `tail` that are still whole, and the new tail. Lost rows: the step minus the count."""
+    head = int(ring.words[HEAD])
+    capacity = ring.rows.size
+    first = max(tail, head - capacity)
+    rows = ring.rows[np.arange(first, head) & (capacity - 1)]
+    # the writer did not wait: what it has reached meanwhile may be torn
+    overtaken = int(ring.words[HEAD]) - capacity + 1 - first
+    return (rows[overtaken:] if overtaken > 0 else rows), head

@@ -1,0 +1,159 @@
+"""One loop on one drive: memory, thread, start, requests and stop. The same for a bus and for a simulated drive.
+
+With a wall clock the loop runs in a thread of its own; with a simulated clock `run_profile` calls it directly and
+returns when the profile has ended, as fast as the machine allows.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import typeof
+
+from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig
+from ..control.envelope import EnvelopeConfig
+from ..control.reference import Profile
+from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
+from ..drive.port import Drive, port_now_ns
+from ..jit import INTERPRETED
+from ..jit.atomic import load_acquire, store_release
+from . import blocks as b
+from .blocks import Blocks, new_blocks, publish_controller, publish_profile
+from .loop import LoopConfig, run_loop
+from .realtime import RealtimeRefusedError, RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
+from .ring import Ring, new_ring
+
+START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
+
+
+class SessionConfig(NamedTuple):
+    """What a session is made from."""
+
+    loop: LoopConfig
+    controller: ControllerConfig
+    envelope: EnvelopeConfig
+    realtime: RealtimeRequest
+    realtime_required: bool
+    longest_profile: int  # samples
+    ring_rows: int
+
+
+class Session:
+    """A loop on a connected drive. Use as a context manager, or call `close`."""
+
+    def __init__(self, drive: Drive, config: SessionConfig) -> None:
+        self.drive = drive
+        self.config = config
+        self.blocks: Blocks = new_blocks(config.controller, config.longest_profile)
+        self.ring: Ring = new_ring(config.ring_rows)
+        self.realtime_report: RealtimeReport | None = None
+        self.error: BaseException | None = None
+        self._thread: threading.Thread | None = None
+        self._ready = threading.Event()
+        self._scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    # -- what ordinary threads may ask for -------------------------------------------------------------------------
+
+    def request(self, word: int, value: int) -> None:
+        """Write a control word (blocks.GOAL, TOGGLE, ...)."""
+        store_release(self.blocks.control, word, value)
+
+    def status(self, word: int) -> int:
+        """Read a status word (blocks.TRIP, PROFILE_DONE, ...)."""
+        return load_acquire(self.blocks.status, word)
+
+    def set_controller(self, controller: ControllerConfig) -> None:
+        """New gains and model, taken at a tick boundary."""
+        publish_controller(self.blocks, controller)
+
+    def start_profile(self, profile: Profile) -> int:
+        """Ask for a profile; it starts once the drive is enabled. Returns its number."""
+        return publish_profile(self.blocks, profile)
+
+    @property
+    def running(self) -> bool:
+        """True while the loop's thread lives."""
+        return self._thread is not None and self._thread.is_alive()
+
+    # -- running ---------------------------------------------------------------------------------------------------
+
+    def compile(self) -> None:
+        """Compile everything that the loop calls, and allow no compilation after: it would stop the tick for seconds."""
+        if INTERPRETED:
+            return
+        run_loop.disable_compile(False)
+        run_loop.compile(tuple(typeof(argument) for argument in self._arguments(0)))
+        run_loop.disable_compile()
+
+    def run_profile(self, profile: Profile, toggle: int) -> int:
+        """Enable, run the profile to its end (or to a trip), disable. For a simulated clock. Returns ticks run."""
+        self.compile()
+        self.request(b.AUTOSTOP, 1)
+        self.request(b.STOP, 0)
+        self.request(b.TOGGLE, toggle)
+        self.request(b.GOAL, GOAL_ENABLED)
+        self.start_profile(profile)
+        first_ns = port_now_ns(self.drive.port) + self.config.loop.period_ns
+        ticks = int(run_loop(*self._arguments(first_ns)))
+        self.request(b.GOAL, GOAL_DISABLED)
+        return ticks
+
+    def start(self) -> RealtimeReport:
+        """Start the loop's thread for a wall clock: SYNC runs from here on, with no torque until GOAL asks for it.
+
+        Raises RealtimeRefusedError when the configuration requires what the system refuses.
+        """
+        self.compile()
+        self._thread = threading.Thread(target=self._run, name="fffo-loop", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self.error is not None:
+            raise self.error
+        assert self.realtime_report is not None
+        return self.realtime_report
+
+    def stop(self) -> None:
+        """Ask for no torque, let the loop leave, and join its thread."""
+        self.request(b.GOAL, GOAL_DISABLED)
+        self.request(b.STOP, 1)
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+            unlock_memory()
+
+    def close(self) -> None:
+        """Stop the loop, then leave the drive without torque."""
+        self.stop()
+        self.drive.close()
+
+    def _arguments(self, first_deadline_ns: int) -> tuple[Any, ...]:
+        return (
+            self.drive.port,
+            self.config.loop,
+            self.config.envelope,
+            self.blocks,
+            self._scratch,
+            self.ring,
+            first_deadline_ns,
+        )
+
+    def _run(self) -> None:
+        try:
+            self.realtime_report = enter_realtime(self.config.realtime)
+            if self.config.realtime_required and self.realtime_report.refusals:
+                raise RealtimeRefusedError("; ".join(self.realtime_report.refusals))
+        except BaseException as error:
+            self.error = error
+            self._ready.set()
+            return
+        self._ready.set()
+        first_ns = port_now_ns(self.drive.port) + START_AHEAD_NS
+        run_loop(*self._arguments(first_ns))

@@ -1,0 +1,57 @@
+"""The row: what one tick of the loop leaves behind. Every list of fields in the package is made from `SIGNALS`.
+
+The ring buffer, the MCAP schema, the reader's columns, the live view and the signal table come from here. Fields stand
+in falling order of size, so that the NumPy dtype and the CDR encoding of the row are the same bytes, without padding.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Signal(NamedTuple):
+    """One field of the row."""
+
+    name: str
+    dtype: str  # NumPy type string, little-endian
+    unit: str  # "-" for a number without one
+    meaning: str
+
+
+SIGNALS: tuple[Signal, ...] = (
+    Signal("tick", "<u8", "-", "number of the control period since the loop began; skipped periods are missing here"),
+    Signal("deadline_ns", "<i8", "ns", "CLOCK_MONOTONIC time at which the tick was due"),
+    Signal("lateness_ns", "<i8", "ns", "how long after the deadline the loop woke"),
+    Signal("turnaround_ns", "<i8", "ns", "from SYNC sent to feedback received; -1 when none came before the cut-off"),
+    Signal("busy_ns", "<i8", "ns", "from waking to command sent"),
+    Signal("reference_rps", "<f8", "rps", "velocity reference at the deadline"),
+    Signal("reference_rps2", "<f8", "rps2", "its time derivative"),
+    Signal("velocity_rps", "<f8", "rps", "velocity feedback that the controller used"),
+    Signal("position_rev", "<f8", "rev", "position feedback, multi-turn"),
+    Signal("current_a", "<f8", "A", "torque-forming current as the drive reports it (age: status_age)"),
+    Signal("error_rps", "<f8", "rps", "reference minus velocity"),
+    Signal("proportional_a", "<f8", "A", "proportional term of the PI controller"),
+    Signal("integral_a", "<f8", "A", "integral term of the PI controller"),
+    Signal("friction_nm", "<f8", "Nm", "friction estimate F of the observer, injected through 1/Kt"),
+    Signal("observation_nm_per_s", "<f8", "Nm/s", "lambda(e), the part of dF/dt that the control error drives"),
+    Signal("requested_a", "<f8", "A", "sum of all terms, before the controller's limit and the envelope"),
+    Signal("current_command_a", "<f8", "A", "command on the wire, quantised; acts at the next SYNC"),
+    Signal("true_velocity_rps", "<f8", "rps", "shaft velocity (simulated drive in process only, else NaN)"),
+    Signal("true_friction_nm", "<f8", "Nm", "friction torque of the plant (simulated drive in process only, else NaN)"),
+    Signal("velocity_age", "<u4", "ticks", "periods since the velocity was fresh; 0 is this SYNC's answer"),
+    Signal("status_age", "<u4", "ticks", "periods since statusword and current were fresh"),
+    Signal("statusword", "<u2", "-", "CiA 402 statusword 0x6041"),
+    Signal("controlword", "<u2", "-", "CiA 402 controlword 0x6040 sent with the command"),
+    Signal("limits", "<u2", "-", "what limited the command: bits of control.envelope.LIMIT_*"),
+    Signal("trip", "<u2", "-", "latched fault of the envelope or the loop: control.envelope.TRIP_*"),
+    Signal("profile_sample", "<i4", "-", "index into the running profile; -1 when none runs"),
+    Signal("toggle", "u1", "-", "friction computed from: 0 off, 1 reference (FF), 2 measured velocity (FB)"),
+    Signal("mode", "u1", "-", "0 no torque, 1 velocity loop closed, 2 open-loop current"),
+    Signal("late", "u1", "-", "1 when the tick woke later than the configured share of the period"),
+    Signal("reserved", "u1", "-", "zero"),
+)
+
+ROW = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])
+UNITS = {signal.name: signal.unit for signal in SIGNALS}
