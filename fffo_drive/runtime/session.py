@@ -21,9 +21,10 @@ from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
 from . import blocks as b
 from .blocks import Blocks, new_blocks, publish_controller, publish_profile
-from .loop import LoopConfig, run_loop
+from .loop import run_loop
 from .realtime import RealtimeRefusedError, RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
 from .ring import Ring, new_ring
+from .tick import LoopConfig
 
 START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
 

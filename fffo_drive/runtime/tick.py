@@ -1,0 +1,207 @@
+"""The pieces of one tick, each a kernel: wake, exchange, follow the profile, apply the law, look, write the row."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ..control.controller import ControllerConfig, ControllerState, ControllerTerms, controller_at_rest, controller_step
+from ..control.envelope import EnvelopeInputs
+from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
+from ..drive.port import port_now_ns, port_receive, port_sleep_until, port_sync
+from ..jit import njit
+from ..jit.atomic import load_acquire, store_release
+from . import blocks as b
+from .blocks import Blocks, Words
+from .ring import HEAD, Ring
+
+
+class LoopConfig(NamedTuple):
+    """Times of the loop, in nanoseconds and ticks."""
+
+    period_ns: int
+    cutoff_ns: int  # after SYNC: feedback that comes later is late
+    late_ns: int  # lateness from which a tick counts as late
+    minimum_gap_ns: int  # no two SYNCs are closer than this
+    stop_ticks: int  # a drive that has not let go of its torque by then is left all the same
+    tail_ticks: int  # standstill under control after a profile, before it counts as done
+    max_ticks: int  # 0: no bound
+
+
+class Timing(NamedTuple):
+    """When a tick ran."""
+
+    tick: int
+    deadline_ns: int
+    woke_ns: int
+    turnaround_ns: int  # SYNC to feedback; -1: none came
+
+
+class ProfileCursor(NamedTuple):
+    """Where the loop is in a profile."""
+
+    number: int  # of the last profile taken
+    start_tick: int  # -1: none runs
+    length: int
+    mode: int  # reference.MODE_*; MODE_IDLE holds zero velocity
+
+
+class Law(NamedTuple):
+    """What the law asked for in this tick."""
+
+    mode: int
+    reference_rps: float
+    reference_rps2: float
+    terms: ControllerTerms
+
+
+class Baseline(NamedTuple):
+    """Counters of the drive when the loop began or a fault was reset: what comes after is news."""
+
+    emergencies: int
+    boots: int
+
+
+@njit
+def baseline_of(feedback: Any) -> Baseline:
+    """The counters now."""
+    return Baseline(feedback["emergency_count"], feedback["boot_count"])
+
+
+@njit
+def wake(port: Any, config: LoopConfig, status: Words, tick: int, deadline_ns: int, last_sync_ns: int) -> Timing:
+    """Sleep until the deadline. Missed deadlines are skipped, never caught up.
+
+    After a late SYNC the next one waits until the smallest distance is kept: later than its deadline, but not lost.
+    """
+    port_sleep_until(port, max(deadline_ns, last_sync_ns + config.minimum_gap_ns))
+    woke_ns = port_now_ns(port)
+    missed = max(0, (woke_ns - deadline_ns) // config.period_ns)
+    status[b.SKIPPED_TICKS] += missed
+    return Timing(tick + missed, deadline_ns + missed * config.period_ns, woke_ns, -1)
+
+
+@njit
+def exchange(port: Any, config: LoopConfig, status: Words, timing: Timing) -> Timing:
+    """SYNC, and its answer until the cut-off."""
+    port_sync(port, timing.tick)
+    sync_ns = port_now_ns(port)
+    turnaround_ns = -1
+    if port_receive(port, timing.tick, sync_ns + config.cutoff_ns) != 0:
+        turnaround_ns = port.feedback[0]["received_ns"] - sync_ns
+    else:
+        status[b.MISSING_FEEDBACK] += 1
+    if timing.woke_ns - timing.deadline_ns > config.late_ns:
+        status[b.LATE_TICKS] += 1
+    return Timing(timing.tick, timing.deadline_ns, timing.woke_ns, turnaround_ns)
+
+
+@njit
+def follow_profile(
+    blocks: Blocks, cursor: ProfileCursor, tick: int, active: bool, tail_ticks: int
+) -> tuple[ProfileCursor, int, float, float]:
+    """Returns (cursor, sample, reference, derivative). A new profile starts, an ended one is reported as done."""
+    number = load_acquire(blocks.control, b.PROFILE_NUMBER)
+    if number != cursor.number and active:
+        words = blocks.profile_words[number & 1]
+        cursor = ProfileCursor(number, tick, words[0], words[1])
+    if cursor.start_tick < 0:
+        return cursor, -1, 0.0, 0.0
+    sample = tick - cursor.start_tick
+    aborted = load_acquire(blocks.control, b.PROFILE_ABORT) == cursor.number
+    if sample >= cursor.length + tail_ticks or aborted or not active:
+        blocks.status[b.PROFILE_DONE] = cursor.number
+        return ProfileCursor(cursor.number, -1, 0, MODE_IDLE), -1, 0.0, 0.0
+    if sample >= cursor.length:
+        return cursor, sample, 0.0, 0.0
+    slot = cursor.number & 1
+    return cursor, sample, blocks.profiles[slot, 0, sample], blocks.profiles[slot, 1, sample]
+
+
+@njit
+def apply_law(
+    config: ControllerConfig, state: ControllerState, cursor: ProfileCursor, reference: float, derivative: float,
+    velocity_rps: float, toggle: int, active: bool,
+) -> tuple[Law, ControllerState]:  # fmt: skip
+    """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
+    if not active:
+        return Law(MODE_IDLE, 0.0, 0.0, _terms_of_current(0.0)), controller_at_rest()
+    if cursor.mode == MODE_CURRENT:
+        return Law(MODE_CURRENT, 0.0, 0.0, _terms_of_current(reference)), controller_at_rest()
+    terms, state = controller_step(config, state, toggle, reference, velocity_rps)
+    return Law(MODE_VELOCITY, reference, derivative, terms), state
+
+
+@njit
+def _terms_of_current(current_a: float) -> ControllerTerms:
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+
+
+@njit
+def look(
+    feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool
+) -> EnvelopeInputs:
+    """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
+    heartbeat_age_ns = -1
+    if feedback["heartbeat_ns"] >= 0:
+        heartbeat_age_ns = timing.woke_ns - feedback["heartbeat_ns"]
+    return EnvelopeInputs(
+        law.terms.command_a,
+        feedback["velocity_rps"],
+        feedback["position_rev"],
+        law.terms.error_rps,
+        timing.tick - feedback["velocity_tick"],
+        timing.tick - feedback["status_tick"],
+        feedback["statusword"],
+        feedback["emergency_count"] - baseline.emergencies,
+        feedback["boot_count"] - baseline.boots,
+        feedback["bus_off"] != 0,
+        heartbeat_age_ns,
+        wanted,
+        enabled,
+        law.mode == MODE_VELOCITY,
+    )
+
+
+@njit
+def write_row(
+    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, seen: EnvelopeInputs, feedback: Any
+) -> Any:
+    """Fill a row with what is known before the command is sent; the loop adds the rest and publishes it."""
+    row = ring.rows[head & (ring.rows.size - 1)]
+    lateness_ns = timing.woke_ns - timing.deadline_ns
+    row["tick"] = timing.tick
+    row["deadline_ns"] = timing.deadline_ns
+    row["lateness_ns"] = lateness_ns
+    row["turnaround_ns"] = timing.turnaround_ns
+    row["late"] = 1 if lateness_ns > config.late_ns else 0
+    row["reserved"] = 0
+    row["reference_rps"] = law.reference_rps
+    row["reference_rps2"] = law.reference_rps2
+    row["mode"] = law.mode
+    row["error_rps"] = law.terms.error_rps
+    row["proportional_a"] = law.terms.proportional_a
+    row["integral_a"] = law.terms.integral_a
+    row["friction_nm"] = law.terms.friction_nm
+    row["observation_nm_per_s"] = law.terms.observation_nm_per_s
+    row["requested_a"] = law.terms.requested_a
+    row["velocity_rps"] = seen.velocity_rps
+    row["position_rev"] = seen.position_rev
+    row["velocity_age"] = seen.feedback_age
+    row["status_age"] = seen.status_age
+    row["statusword"] = seen.statusword
+    row["current_a"] = feedback["current_a"]
+    row["true_velocity_rps"] = feedback["true_velocity_rps"]
+    row["true_friction_nm"] = feedback["true_friction_nm"]
+    return row
+
+
+@njit
+def publish_tick(ring: Ring, head: int, status: Words, timing: Timing, row: Any) -> None:
+    """The row and the status words become visible to other threads."""
+    store_release(ring.words, HEAD, head)
+    status[b.DEADLINE_NS] = timing.deadline_ns
+    status[b.MODE] = row["mode"]
+    status[b.TRIP] = row["trip"]
+    status[b.STATUSWORD] = row["statusword"]
+    status[b.PROFILE_SAMPLE] = row["profile_sample"]
+    store_release(status, b.TICK, timing.tick)

@@ -1,0 +1,138 @@
+"""PI and observer: closed forms, hand-over of the toggle, wind-up, freezing, clamping."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from fffo_drive.control.controller import (
+    ControllerConfig,
+    controller_at_rest,
+    controller_step,
+    pack_controller,
+    unpack_controller,
+    with_limited,
+)
+from fffo_drive.control.friction_observer import (
+    TOGGLE_FEEDBACK,
+    TOGGLE_FEEDFORWARD,
+    TOGGLE_OFF,
+    ObserverConfig,
+)
+from fffo_drive.control.pi import PiConfig, pi_step
+from fffo_drive.model.friction import FrictionConfig, steady_friction_nm
+
+PERIOD_S = 5e-4
+KT = 0.148
+TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
+CONFIG = ControllerConfig(PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), KT, 20.0, PERIOD_S)
+
+
+def run(config, toggles, references, velocities, state=None):
+    """Commands and states over sequences."""
+    state = state or controller_at_rest()
+    terms_list = []
+    for toggle, reference, velocity in zip(toggles, references, velocities, strict=True):
+        terms, state = controller_step(config, state, int(toggle), float(reference), float(velocity))
+        terms_list.append(terms)
+    return terms_list, state
+
+
+def test_pi_is_its_closed_form_for_a_constant_error():
+    n = 400
+    terms, _ = run(CONFIG, [TOGGLE_OFF] * n, [1.0] * n, [0.4] * n)
+    time_s = PERIOD_S * np.arange(1, n + 1)
+    np.testing.assert_allclose([t.command_a for t in terms], 0.6 * (0.975 + 9.75 * time_s), rtol=1e-12)
+
+
+def test_the_integral_stands_still_in_saturation_and_leaves_it_at_once():
+    integral_a = 0.0
+    for _ in range(2000):
+        _, integral_a = pi_step(CONFIG.pi, integral_a, 30.0, 0.0, 20.0, False, PERIOD_S)
+    assert integral_a == 0.0  # the proportional term alone is beyond the limit
+    _, lowered = pi_step(CONFIG.pi, 15.0, -1.0, 20.0, 20.0, False, PERIOD_S)
+    assert lowered < 15.0  # an error that leads back is integrated
+    _, held = pi_step(CONFIG.pi, 1.0, 0.5, 0.0, 20.0, True, PERIOD_S)
+    assert held == 1.0  # limited by the envelope, which the law cannot see
+
+
+def test_no_overshoot_of_the_command_after_a_long_saturation():
+    inertia, velocity = 9.4e-4, 0.0
+    state = controller_at_rest()
+    peak = 0.0
+    config = CONFIG._replace(current_limit_a=1.0)
+    for _ in range(4000):
+        terms, state = controller_step(config, state, TOGGLE_OFF, 10.0, velocity)
+        velocity += PERIOD_S / inertia * KT * terms.command_a
+        peak = max(peak, velocity)
+    assert peak < 10.0 * 1.35  # the zero's overshoot; with wind-up it is beyond 2
+
+
+def test_observer_in_feedforward_follows_the_model_and_is_injected_through_kt():
+    n = 4000
+    ramp = np.minimum(np.arange(n) * 1e-3, 2.0)  # switched on at rest, where there is nothing to hand over
+    terms, _ = run(CONFIG, [TOGGLE_FEEDFORWARD] * n, ramp, ramp)
+    last = terms[-1]
+    assert last.friction_nm == pytest.approx(steady_friction_nm(TABLE1, 2.0), rel=1e-6)
+    assert last.requested_a == pytest.approx(last.friction_nm / KT)
+    assert last.observation_nm_per_s == 0.0
+
+
+def test_a_persistent_error_is_learned_as_friction_up_to_the_clamp():
+    n = 4000
+    config = CONFIG._replace(pi=PiConfig(0.0, 0.0), current_limit_a=1e3)
+    terms, _ = run(config, [TOGGLE_FEEDFORWARD] * n, [0.0] * n, [-0.1] * n)
+    friction = np.array([t.friction_nm for t in terms])
+    np.testing.assert_allclose(friction[:100], 5.0 * 0.1 * PERIOD_S * np.arange(1, 101), rtol=1e-9)
+    assert friction.max() == pytest.approx(0.134)
+
+
+def test_observation_is_frozen_while_the_command_is_limited():
+    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, 0.0, -0.5)
+    assert terms.observation_nm_per_s == pytest.approx(2.5)
+    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, 0.0, -0.5)
+    assert terms.observation_nm_per_s == 0.0
+    saturated = CONFIG._replace(current_limit_a=0.1)
+    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, 5.0, 0.0)
+    assert first.limited
+    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, 5.0, 0.0)
+    assert second.observation_nm_per_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), list(itertools.permutations([TOGGLE_OFF, TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK], 2))
+)
+@pytest.mark.parametrize("reference_rps", [0.05, 1.0, -12.0])
+def test_switching_while_running_makes_no_bump(before, after, reference_rps):
+    """Across the switch the command moves no more than it does from tick to tick without one."""
+    n = 3000
+    velocities = np.full(n, reference_rps * 0.98)
+    references = np.full(n, reference_rps)
+    _, state = run(CONFIG, [before] * n, references, velocities)
+    unswitched, _ = controller_step(CONFIG, state, before, reference_rps, reference_rps * 0.98)
+    switched, after_state = controller_step(CONFIG, state, after, reference_rps, reference_rps * 0.98)
+    assert abs(switched.command_a - unswitched.command_a) < 0.02
+    second, _ = controller_step(CONFIG, after_state, after, reference_rps, reference_rps * 0.98)
+    assert abs(second.command_a - switched.command_a) < 0.02
+
+
+def test_off_hands_the_estimate_to_the_integrator():
+    _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 2000, [1.0] * 2000, [1.0] * 2000)
+    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, 1.0, 1.0)
+    assert terms.friction_nm == 0.0
+    assert after.integral_a == pytest.approx(state.integral_a + state.friction.torque_nm / KT)
+
+
+def test_feedback_reverses_only_beyond_the_band():
+    n = 2000
+    _, state = run(CONFIG, [TOGGLE_FEEDBACK] * n, [1.0] * n, [1.0] * n)
+    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, 1.0, -0.09)
+    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, 1.0, -0.11)
+    assert inside.friction.direction == 1.0
+    assert outside.friction.direction == -1.0
+
+
+def test_the_parameter_block_is_the_record():
+    assert unpack_controller(pack_controller(CONFIG)) == CONFIG
