@@ -18,7 +18,9 @@ from pydantic_core import ErrorDetails
 M = TypeVar("M", bound=BaseModel)
 Location = tuple[str | int, ...]
 
-_FLOAT = re.compile(r"^[-+]?(\d[\d_]*)(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
+_FLOAT = re.compile(
+    r"^[-+]?(\d[\d_]*)(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$"
+)
 
 
 class DocumentError(Exception):
@@ -36,7 +38,9 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in ("tag:yaml.org,2002:float", "tag:yaml.org,2002:bool")]
+    first: [
+        (tag, pattern) for tag, pattern in resolvers if tag not in ("tag:yaml.org,2002:float", "tag:yaml.org,2002:bool")
+    ]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
@@ -81,7 +85,7 @@ def parse(text: str, name: str) -> tuple[Any, dict[Location, int]]:
         line = f":{mark.line + 1}" if mark is not None else ""
         raise DocumentError(f"{name}{line}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
     finally:
-        loader.dispose()  # type: ignore[no-untyped-call]
+        loader.dispose()
     lines: dict[Location, int] = {}
     errors: list[tuple[int, str]] = []
     if node is not None:

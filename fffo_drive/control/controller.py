@@ -1,6 +1,6 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-    i = Kp e + Ki int(e) + F / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
+i = Kp e + Ki int(e) + F / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
 """
 
 from __future__ import annotations
@@ -127,9 +127,7 @@ def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.flo
 @njit
 def unpack_controller(block: Any) -> ControllerConfig:
     """The record from a flat array of `CONTROLLER_BLOCK_SIZE` numbers."""
-    friction = FrictionConfig(
-        block[2], block[3], block[4], block[5], block[6], block[7], block[8], np.int64(block[9])
-    )
+    friction = FrictionConfig(block[2], block[3], block[4], block[5], block[6], block[7], block[8], int(block[9]))
     observer = ObserverConfig(friction, block[10], block[11], block[12])
     return ControllerConfig(PiConfig(block[0], block[1]), observer, block[13], block[14], block[15])
 

@@ -78,9 +78,7 @@ def sine(name: str, mode: int, duration_s: float, period_s: float, amplitude: fl
     """One sine, starting at zero."""
     time_s = np.arange(round(duration_s / period_s)) * period_s
     omega = 2.0 * math.pi * frequency_hz
-    return Profile(
-        name, mode, period_s, amplitude * np.sin(omega * time_s), amplitude * omega * np.cos(omega * time_s)
-    )
+    return Profile(name, mode, period_s, amplitude * np.sin(omega * time_s), amplitude * omega * np.cos(omega * time_s))
 
 
 def piecewise_linear(name: str, mode: int, period_s: float, times_s: Floats, levels: Floats) -> Profile:

@@ -19,7 +19,6 @@ from ..documents import DocumentError, Record, load
 from .axis import AxisConfig
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
-FORMAT = "fffo_drive/model/1"
 OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEGA_LITERAL}
 
 
@@ -31,18 +30,15 @@ class Quantity(Record):
     source: Annotated[str, Field(description="declared, fitted, or where it was taken from")] = "declared"
 
 
-Positive = Annotated[Quantity, Field(description="greater than 0")]
-
-
 class FrictionModel(Record):
     """2SEP parameters as in Table I of the paper."""
 
     stribeck: Annotated[Literal["classical", "literal"], Field(description="falling curve, or the sign as printed")] = (
         "classical"
     )
-    omega: Annotated[Literal["clipped", "signed", "literal"], Field(description="reading of (4), see model/friction")] = (
-        "clipped"
-    )
+    omega: Annotated[
+        Literal["clipped", "signed", "literal"], Field(description="reading of (4), see model/friction")
+    ] = "clipped"
     viscous_nm_per_rps: Quantity
     coulomb_nm: Quantity
     static_nm: Quantity
@@ -64,7 +60,7 @@ class Provenance(Record):
 class ModelFile(Record):
     """A model of an axis."""
 
-    format: Literal["fffo_drive/model/1"] = FORMAT
+    format: Literal["fffo_drive/model/1"] = "fffo_drive/model/1"
     name: str
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=100)]
     inertia_kg_m2: Quantity

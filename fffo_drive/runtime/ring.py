@@ -24,14 +24,3 @@ def new_ring(at_least: int) -> Ring:
     rows = np.empty(capacity, ROW)
     rows.view(np.uint8)[:] = 0  # touches every page, so that none faults in the loop
     return Ring(rows, np.zeros(1, np.int64))
-
-
-def drain(ring: Ring, tail: int) -> tuple[np.ndarray[Any, np.dtype[np.void]], int]:
-    """Copies of the rows since `tail` that are still whole, and the new tail. Lost rows: the step minus the count."""
-    head = int(ring.words[HEAD])
-    capacity = ring.rows.size
-    first = max(tail, head - capacity)
-    rows = ring.rows[np.arange(first, head) & (capacity - 1)]
-    # the writer did not wait: what it has reached meanwhile may be torn
-    overtaken = int(ring.words[HEAD]) - capacity + 1 - first
-    return (rows[overtaken:] if overtaken > 0 else rows), head

@@ -87,12 +87,13 @@ class Session:
     # -- running ---------------------------------------------------------------------------------------------------
 
     def compile(self) -> None:
-        """Compile everything that the loop calls, and allow no compilation after: it would stop the tick for seconds."""
+        """Compile all that the loop calls, and allow no compilation after: it would stop the tick for seconds."""
         if INTERPRETED:
             return
-        run_loop.disable_compile(False)
-        run_loop.compile(tuple(typeof(argument) for argument in self._arguments(0)))
-        run_loop.disable_compile()
+        dispatcher: Any = run_loop
+        dispatcher.disable_compile(False)
+        dispatcher.compile(tuple(typeof(argument) for argument in self._arguments(0)))
+        dispatcher.disable_compile()
 
     def run_profile(self, profile: Profile, toggle: int) -> int:
         """Enable, run the profile to its end (or to a trip), disable. For a simulated clock. Returns ticks run."""

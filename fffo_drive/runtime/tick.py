@@ -137,9 +137,7 @@ def _terms_of_current(current_a: float) -> ControllerTerms:
 
 
 @njit
-def look(
-    feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool
-) -> EnvelopeInputs:
+def look(feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool) -> EnvelopeInputs:
     """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
     heartbeat_age_ns = -1
     if feedback["heartbeat_ns"] >= 0:

@@ -51,7 +51,9 @@ def test_friction_tends_to_the_steady_curve(velocity_rps):
     travel_rev = 3.0  # many times S / B
     steps = math.ceil(travel_rev / (abs(velocity_rps) * PERIOD_S))
     torque_nm, _ = run(TABLE1, np.full(min(steps, 200_000), velocity_rps))
-    assert torque_nm[-1] == pytest.approx(math.copysign(steady_friction_nm(TABLE1, velocity_rps), velocity_rps), rel=1e-6)
+    assert torque_nm[-1] == pytest.approx(
+        math.copysign(steady_friction_nm(TABLE1, velocity_rps), velocity_rps), rel=1e-6
+    )
 
 
 def test_both_readings_of_the_stribeck_curve():

@@ -27,9 +27,10 @@ from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY, Profile
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.model.friction import FrictionConfig
+from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.loop import run_loop
-from fffo_drive.runtime.ring import drain, new_ring
+from fffo_drive.runtime.ring import new_ring
 from fffo_drive.runtime.tick import LoopConfig
 
 PERIOD_NS = 500_000
@@ -54,13 +55,13 @@ class Rig:
         self.blocks.control[b.GOAL] = goal
         self.blocks.control[b.TOGGLE] = toggle
         self.ring = new_ring(4096)
+        self.reader = RingReader(self.ring)
 
     def run(self, ticks: int = 0, **changes) -> np.ndarray:
         config = LOOP._replace(max_ticks=ticks or self.port.script.shape[0])
         scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
         run_loop(self.port, config, envelope(**changes), self.blocks, scratch, self.ring, PERIOD_NS)
-        rows, _ = drain(self.ring, 0)
-        return rows
+        return self.reader.read().rows
 
     def status(self, word: int) -> int:
         return int(self.blocks.status[word])

@@ -1,0 +1,73 @@
+"""The command `fffo-drive`: one module a subcommand, imported only when it is used."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from .. import __version__
+from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
+
+# subcommand -> (module, one line for --help)
+COMMANDS = {
+    "run": ("run", "run one profile on a drive, in process or on a bus, and record it"),
+    "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
+    "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
+    "log": ("log", "read what was recorded: info, recover"),
+    "config": ("config", "check an axis file, print JSON schemas and tables"),
+}
+
+DESCRIPTION = """\
+Real-time velocity controller for BLDC servo axes over CANopen: PI plus feed-forward friction observer.
+
+Not a safety function in the sense of IEC 61800-5-2: hardware needs its own emergency stop, STO and limits in the drive.
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser with all subcommands."""
+    parser = argparse.ArgumentParser(
+        prog="fffo-drive",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="exit codes: 0 done, 2 wrong usage, 69 bus unavailable, 70 fault of the drive, 74 disk, 78 bad input",
+    )
+    parser.add_argument("--version", action="version", version=f"fffo-drive {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, (module, summary) in COMMANDS.items():
+        subparser = subparsers.add_parser(
+            name, help=summary, description=summary, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+        )
+        subparser.set_defaults(module=module)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point. Returns the exit code; every known error is one message on stderr."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    parser = build_parser()
+    command = next((word for word in words if not word.startswith("-")), None)
+    if command in COMMANDS:
+        module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
+        subparser = argparse.ArgumentParser(
+            prog=f"fffo-drive {command}",
+            description=module.__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(subparser)
+        options = subparser.parse_args(words[words.index(command) + 1 :])
+        try:
+            return int(module.execute(options))
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        except Exception as error:
+            code = exit_code_of(error)
+            if code is None:
+                raise
+            print(f"fffo-drive {command}: {message_of(error)}", file=sys.stderr)
+            return code
+    parser.parse_args(words)
+    return 2

@@ -1,0 +1,174 @@
+"""The paper's comparison, live: PI, PI+FBFO and PI+FFFO on one reference at 2 kHz over CANopen.
+
+Starts the simulated drive as a CANopen node in a process of its own on a loopback bus of its own, brings it up, runs
+the three controllers in real time, records one MCAP file a run, and prints Table II's metrics and the tick statistics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from ..can.link import free_loopback_port
+from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from ..control.reference import Profile
+from ..drive.port import Drive, DriveIdentity
+from ..evaluation.metrics import (
+    PAPER_TABLE_2,
+    ErrorMetrics,
+    TickStatistics,
+    percent_of_smallest,
+    run_metrics,
+    tick_statistics,
+)
+from ..jit import PACKAGE_DIRECTORY
+from ..recording.reader import read_run
+from ..runtime.runs import RunOutcome, record_live, timestamp_name
+from ..runtime.session import Session
+from .drives import Plan, make_plan, open_drive, plan_session, run_header
+from .exits import DriveFaultError
+from .progress import progress_bar
+from .simulated_process import SimulatedProcess
+
+CONFIGS = PACKAGE_DIRECTORY.parent / "configs"
+CONTROLLERS = {"PI": TOGGLE_OFF, "PI+FBFO": TOGGLE_FEEDBACK, "PI+FFFO": TOGGLE_FEEDFORWARD}
+QUICK_S = 10.0
+
+
+class BenchRun(NamedTuple):
+    """One controller's run."""
+
+    metrics: ErrorMetrics
+    ticks: TickStatistics
+    file: Path
+    rows_lost: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument(
+        "--quick", action="store_true", help=f"{QUICK_S:g} s a controller instead of the file's duration"
+    )
+    parser.add_argument("--bus", help="bus for drive and controller, e.g. socketcan:vcan0 (default: a loopback bus)")
+    parser.add_argument("--config", default=str(CONFIGS / "axis_bench.yaml"), help="axis file (default: %(default)s)")
+    parser.add_argument(
+        "--drive", default=str(CONFIGS / "simulated_drive.yaml"), help="simulated drive (default: %(default)s)"
+    )
+    parser.add_argument("--out", default="runs", metavar="DIR", help="directory for the recordings (default: runs)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else on stdout")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    plan = make_plan(options.config, tuple(CONTROLLERS.values()))
+    if options.quick:
+        plan = _shortened(plan)
+    bus = options.bus or f"loopback:{free_loopback_port()}"
+    out = Path(options.out) / timestamp_name("bench", time.time_ns())
+    out.mkdir(parents=True, exist_ok=True)
+    console = Console(stderr=True, quiet=options.json)
+    console.print(f"simulated drive and controller on {bus}; the first start compiles", soft_wrap=True)
+    with SimulatedProcess(Path(options.drive), bus) as process:
+        drive = open_drive(plan, bus)
+        identity = drive.connect()
+        console.print(f"drive: {identity.device_name}, serial {identity.serial_number}", soft_wrap=True)
+        runs = _compare(plan, drive, identity, out, options.json, process)
+    _report(plan, runs, options.json)
+    return 0
+
+
+def _shortened(plan: Plan) -> Plan:
+    """The same profile in QUICK_S: same lines, envelope compressed."""
+    from ..config.axis import build_profile
+
+    section = plan.axis.profile.model_copy(update={"duration_s": QUICK_S})
+    return plan._replace(profile=build_profile(section, plan.axis.loop.period_s))
+
+
+def _compare(
+    plan: Plan, drive: Drive, identity: DriveIdentity, out: Path, quiet: bool, process: SimulatedProcess
+) -> dict[str, BenchRun]:
+    """The three runs on one loop: SYNC goes on between them, without torque."""
+    runs: dict[str, BenchRun] = {}
+    with Session(drive, plan_session(plan)) as session:
+        for refusal in session.start().refusals:
+            print(f"without real-time properties: {refusal}", file=sys.stderr)
+        for name, toggle in CONTROLLERS.items():
+            process.check()
+            path = out / f"{name.lower().replace('+', '_')}.mcap"
+            header = run_header(plan, identity, toggle)
+            with progress_bar(f"{name:8}", quiet) as progress:
+                outcome = record_live(session, plan.profile, toggle, path, header, progress=progress)
+            if outcome.fault_text is not None:
+                raise DriveFaultError(f"{name}: {outcome.fault_text}; the record is in {path}")
+            runs[name] = _evaluate(plan.profile, outcome)
+    return runs
+
+
+def _evaluate(profile: Profile, outcome: RunOutcome) -> BenchRun:
+    """Metrics from what was recorded, read back from the file."""
+    file = outcome.files[-1]
+    rows = read_run(file).rows
+    metrics = run_metrics(rows, profile.period_s, profile.values.size)
+    return BenchRun(metrics, tick_statistics(rows, outcome.late_feedback), file, outcome.recorder.rows_lost)
+
+
+def _report(plan: Plan, runs: dict[str, BenchRun], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(as_object(runs), indent=2))
+        return
+    console = Console()
+    console.print(_metrics_table(runs))
+    console.print(_ticks_table(runs))
+    for run in runs.values():
+        console.print(f"{run.file}", highlight=False, soft_wrap=True)
+
+
+def as_object(runs: dict[str, BenchRun]) -> dict[str, Any]:
+    """The result for programs."""
+    return {
+        "controllers": {name: run.metrics._asdict() for name, run in runs.items()},
+        "ticks": {name: {**run.ticks._asdict(), "rows_lost": run.rows_lost} for name, run in runs.items()},
+        "files": [str(run.file) for run in runs.values()],
+    }
+
+
+METRICS = {"ise": "ISE rps² s", "mae": "MAE rps", "max": "MAX rps", "std": "STD rps"}
+
+
+def _metrics_table(runs: dict[str, BenchRun]) -> Table:
+    percent = percent_of_smallest({name: run.metrics for name, run in runs.items()})
+    table = Table(
+        title="velocity error, per cent of the smallest, (paper's Table II)", title_justify="left", box=SIMPLE
+    )
+    table.add_column("", no_wrap=True)
+    for name in runs:
+        table.add_column(name, justify="right", no_wrap=True)
+    for key, title in METRICS.items():
+        cells = [
+            f"{getattr(run.metrics, key):.3g}  {percent[name][key]:3.0f} % ({PAPER_TABLE_2[name][key]:.0f})"
+            for name, run in runs.items()
+        ]
+        table.add_row(title, *cells)
+    return table
+
+
+def _ticks_table(runs: dict[str, BenchRun]) -> Table:
+    table = Table(title="ticks, and how late they woke in µs", title_justify="left", box=SIMPLE)
+    table.add_column("", no_wrap=True)
+    for title in ("ticks", "late", "skipped", "no\nanswer", "late\nanswer", "p50", "p99", "max", "rows\nlost"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for name, run in runs.items():
+        t = run.ticks
+        counts = (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback)
+        lateness = (t.lateness_us_p50, t.lateness_us_p99, t.lateness_us_max)
+        table.add_row(name, *map(str, counts), *(f"{value:.0f}" for value in lateness), str(run.rows_lost))
+    return table

@@ -1,0 +1,79 @@
+"""Check files and print what they may hold.
+
+fffo-drive config check AXIS        every error at once; margins, the sum for the bus
+fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model
+fffo-drive config signals           the table of recorded signals
+fffo-drive config effects           the table of effects that the simulated drive can be given
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from ..config.axis import AxisFile, CanopenDriveSection
+from ..config.checks import law_margins
+from ..config.simulated import SimulatedDriveRecord
+from ..control.friction_observer import TOGGLE_OFF
+from ..model.parameters import ModelFile
+from ..signals import SIGNALS
+from ..units import NS_PER_S
+from .drives import Plan, make_plan, open_drive
+
+SCHEMAS: dict[str, Any] = {"axis": AxisFile, "simulated": SimulatedDriveRecord, "model": ModelFile}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    check = actions.add_parser("check", help="check an axis file and all that it names")
+    check.add_argument("config", metavar="AXIS", help="axis file (YAML)")
+    schema = actions.add_parser("schema", help="JSON schema of a file")
+    schema.add_argument("kind", choices=list(SCHEMAS))
+    actions.add_parser("signals", help="table of recorded signals (Markdown)")
+    actions.add_parser("effects", help="table of effects of the simulated drive (Markdown)")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    if options.action == "check":
+        _check(make_plan(options.config))
+    elif options.action == "schema":
+        print(json.dumps(SCHEMAS[options.kind].model_json_schema(), indent=2))
+    elif options.action == "signals":
+        print(signal_table())
+    else:
+        from ..drive.simulated.effects.registry import effect_table
+
+        print(effect_table())
+    return 0
+
+
+def signal_table() -> str:
+    """The recorded signals as a Markdown table."""
+    lines = ["| signal | unit | meaning |", "| --- | --- | --- |"]
+    lines += [f"| `{s.name}` | {s.unit} | {s.meaning} |" for s in SIGNALS]
+    return "\n".join(lines)
+
+
+def _check(plan: Plan) -> None:
+    axis, model = plan.axis, plan.model
+    margins = law_margins(axis, model, plan.toggle != TOGGLE_OFF)
+    print(f"{plan.path}: ok")
+    print(
+        f"  loop: {axis.loop.rate_hz} Hz, phase margin {margins.phase_deg:.1f} deg, gain margin {margins.gain:.2f}, "
+        f"crossover {margins.crossover_hz:.1f} Hz with {model.delay_s.value * 1e3:g} ms delay"
+    )
+    print(f"  profile: {plan.profile.name}, {plan.profile.duration_s:g} s, {plan.profile.values.size} samples")
+    if isinstance(axis.drive, CanopenDriveSection):
+        from ..drive.canopen.config import chain_of, load_of
+
+        config = axis.drive.drive_config(model.torque_constant_nm_per_a, NS_PER_S // axis.loop.rate_hz)
+        print(f"  bus load: {load_of(config)}")
+        print(f"  chain in one period: {chain_of(config, axis.drive.turnaround_us * 1e-6, HOST_S)}")
+    else:
+        open_drive(plan)
+
+
+HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC, for the sum of the chain

@@ -1,0 +1,47 @@
+"""Exit codes (sysexits.h), and which error has which."""
+
+from __future__ import annotations
+
+from ..documents import DocumentError
+
+EXIT_OK = 0
+EXIT_UNAVAILABLE = 69  # no bus, nobody answers
+EXIT_DRIVE_FAULT = 70  # the drive refuses or reports a fault, or the envelope tripped
+EXIT_IO = 74
+EXIT_NOT_PERMITTED = 77  # real-time properties required and refused
+EXIT_BAD_INPUT = 78  # systemd does not restart on it
+EXIT_INTERRUPTED = 130
+
+
+class DriveFaultError(Exception):
+    """A run that ended with a fault."""
+
+
+def exit_code_of(error: Exception) -> int | None:
+    """The exit code of a known error; None for a bug, which shows its traceback."""
+    from ..can.link import LinkError
+    from ..drive.canopen.object_map import MappingError
+    from ..drive.port import BusUnavailableError, DriveError
+    from ..recording.errors import RecordingError
+    from ..runtime.realtime import RealtimeRefusedError
+
+    codes: list[tuple[type[Exception], int]] = [
+        (DocumentError, EXIT_BAD_INPUT),
+        (MappingError, EXIT_BAD_INPUT),
+        (BusUnavailableError, EXIT_UNAVAILABLE),
+        (LinkError, EXIT_UNAVAILABLE),
+        (DriveError, EXIT_DRIVE_FAULT),
+        (DriveFaultError, EXIT_DRIVE_FAULT),
+        (RealtimeRefusedError, EXIT_NOT_PERMITTED),
+        (RecordingError, EXIT_BAD_INPUT),
+        (FileNotFoundError, EXIT_BAD_INPUT),
+        (OSError, EXIT_IO),
+    ]
+    return next((code for kind, code in codes if isinstance(error, kind)), None)
+
+
+def message_of(error: Exception) -> str:
+    """One message: the error's own text, and for the system's errors the file as well."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)

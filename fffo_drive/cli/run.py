@@ -1,0 +1,104 @@
+"""Run one profile on a drive, in process or on a bus, and record it.
+
+CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, law, limits, profile.
+Everything is checked before anything moves. The run is written as one MCAP file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from ..config.axis import TOGGLES
+from ..drive.port import Drive
+from ..evaluation.metrics import run_metrics, tick_statistics
+from ..recording.reader import read_run
+from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
+from ..runtime.session import Session
+from .drives import Plan, make_plan, open_drive, plan_session, run_header, toggle_name
+from .exits import DriveFaultError
+from .progress import progress_bar
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("config", metavar="CONFIG", help="axis file (YAML)")
+    parser.add_argument("--toggle", choices=list(TOGGLES), help="friction from: off, ff, fb (default: the file's)")
+    parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
+    parser.add_argument("--out", metavar="FILE", help="file to write (default: recording.directory/NAME_TIME.mcap)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    wanted = TOGGLES[options.toggle] if options.toggle else None
+    plan = make_plan(options.config, None if wanted is None else (wanted,))
+    toggle = plan.toggle if wanted is None else wanted
+    out = Path(options.out) if options.out else _default_path(plan)
+    out.parent.mkdir(parents=True, exist_ok=True)
+
+    drive = open_drive(plan, options.bus)
+    outcome = _run(plan, drive, toggle, out, quiet=options.json)
+    summary = summarise(plan, outcome, toggle)
+    if options.json:
+        print(json.dumps(summary, indent=2))
+    else:
+        _print(summary)
+    if outcome.fault_text is not None:
+        raise DriveFaultError(f"the run ended with a fault: {outcome.fault_text}")
+    return 0
+
+
+def _default_path(plan: Plan) -> Path:
+    return Path(plan.axis.recording.directory) / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
+
+
+def _run(plan: Plan, drive: Drive, toggle: int, out: Path, quiet: bool) -> RunOutcome:
+    identity = drive.connect()
+    header = run_header(plan, identity, toggle)
+    if not drive.realtime:
+        rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
+        with Session(drive, plan_session(plan, rows)) as session:
+            return record_simulated(session, plan.profile, toggle, out, header)
+    with Session(drive, plan_session(plan)) as session:
+        report = session.start()
+        for refusal in report.refusals:
+            print(f"without real-time properties: {refusal}", file=sys.stderr)
+        with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", quiet) as progress:
+            return record_live(session, plan.profile, toggle, out, header, progress=progress)
+
+
+def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
+    """The result as one JSON object, from what was recorded."""
+    summary: dict[str, Any] = {
+        "axis": plan.axis.name,
+        "toggle": toggle_name(toggle),
+        "fault": outcome.fault_text,
+        "files": [str(file) for file in outcome.files],
+        "rows_lost": outcome.recorder.rows_lost,
+    }
+    if outcome.files and outcome.started:
+        rows = read_run(outcome.files[-1]).rows
+        samples = plan.profile.values.size
+        summary["metrics"] = run_metrics(rows, plan.profile.period_s, samples)._asdict()
+        summary["ticks"] = tick_statistics(rows, outcome.late_feedback)._asdict()
+    return summary
+
+
+def _print(summary: dict[str, Any]) -> None:
+    if "metrics" in summary:
+        metrics, ticks = summary["metrics"], summary["ticks"]
+        print(
+            f"{summary['axis']}, friction {summary['toggle']}: ISE {metrics['ise']:.4g} rps^2 s, "
+            f"MAE {metrics['mae']:.4g}, MAX {metrics['max']:.4g}, STD {metrics['std']:.4g} rps"
+        )
+        print(
+            f"{ticks['ticks']} ticks, {ticks['late']} late, {ticks['skipped']} skipped, "
+            f"{ticks['missing_feedback']} without feedback; rows lost: {summary['rows_lost']}"
+        )
+    for file in summary["files"]:
+        print(file)

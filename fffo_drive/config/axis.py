@@ -1,0 +1,236 @@
+"""The axis file: drive, model, law, limits, profile. `read_axis` checks it; `build` makes the kernels' records of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..control import envelope as env
+from ..control.controller import ControllerConfig
+from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
+from ..control.pi import PiConfig
+from ..control.reference import (
+    MODE_CURRENT,
+    MODE_VELOCITY,
+    Profile,
+    paper_reference,
+    piecewise_linear,
+    sine,
+)
+from ..documents import Record, load
+from ..drive.canopen.config import CanopenDriveConfig
+from ..model.parameters import ModelFile, read_model
+from ..runtime.realtime import RealtimeRequest
+from ..runtime.session import SessionConfig
+from ..runtime.tick import LoopConfig
+from ..units import NS_PER_S, counts_per_rev
+from .sections import (
+    ControllerSection,
+    EnvelopeSection,
+    LoopSection,
+    PaperProfile,
+    ProfileSection,
+    RealtimeSection,
+    RecordingSection,
+    SineProfile,
+)
+
+STOP_S = 2.0  # how long a drive may take to let go of its torque
+RING_S = 4.0  # what the recorder may lag behind the loop on a bus
+TOGGLES = {name: toggle for toggle, name in TOGGLE_NAMES.items()}
+TRIP_NAMES = {
+    name.removeprefix("TRIP_").lower(): value
+    for name, value in vars(env).items()
+    if name.startswith("TRIP_") and isinstance(value, int) and name not in ("TRIP_COUNT", "TRIP_NONE")
+}
+REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
+
+Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
+
+
+class SimulatedDriveSection(Record):
+    """The simulated drive, in process: faster than real time, the same run from the same seed."""
+
+    kind: Literal["simulated"]
+    file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
+
+
+class CanopenDriveSection(Record):
+    """A CiA 402 drive in cyclic synchronous torque on a CAN bus."""
+
+    kind: Literal["canopen"]
+    bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
+    bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    node_id: Annotated[int, Field(ge=1, le=127)]
+    master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
+    resolver_bits: Annotated[int, Field(ge=8, le=24)] = 15
+    velocity_units_per_rps: Annotated[float, Field(gt=0, description="0x606C for one rev/s")] = 32768.0
+    rated_torque_nm: Annotated[float, Field(gt=0, le=1e5, description="0x6076; compared with the drive's")]
+    rated_current_a: Annotated[float | None, Field(gt=0, le=1e4, description="0x6075; compared with the drive's")] = (
+        None
+    )
+    inverted: bool = False
+    status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
+    heartbeat_ms: Milliseconds = 50
+    heartbeat_timeout_ms: Milliseconds = 150
+    drive_heartbeat_ms: Milliseconds = 50
+    command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
+    abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
+    eds: str | None = None
+    turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
+
+    def drive_config(
+        self, torque_constant_nm_per_a: float, period_ns: int, bus: str | None = None
+    ) -> CanopenDriveConfig:
+        """What the drive's bring-up and exchange need. Raises MappingError."""
+        return CanopenDriveConfig(
+            bus=bus or self.bus,
+            node_id=self.node_id,
+            period_ns=period_ns,
+            counts_per_rev=counts_per_rev(self.resolver_bits),
+            velocity_units_per_rps=self.velocity_units_per_rps,
+            torque_constant_nm_per_a=torque_constant_nm_per_a,
+            rated_torque_nm=self.rated_torque_nm,
+            rated_current_a=self.rated_current_a,
+            inverted=self.inverted,
+            bitrate_hz=self.bitrate_hz,
+            master_id=self.master_id,
+            status_every=self.status_every,
+            heartbeat_ms=self.heartbeat_ms,
+            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
+            drive_heartbeat_ms=self.drive_heartbeat_ms,
+            command_timeout_ms=self.command_timeout_ms,
+            abort_connection_option=self.abort_connection_option,
+            eds=self.eds,
+        )
+
+
+class AxisFile(Record):
+    """An axis: one drive, one model, one loop."""
+
+    format: Literal["fffo_drive/axis/1"] = "fffo_drive/axis/1"
+    name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
+    drive: Annotated[SimulatedDriveSection | CanopenDriveSection, Field(discriminator="kind")]
+    model: Annotated[str, Field(description="model file, relative to this file")]
+    controller: ControllerSection
+    envelope: EnvelopeSection
+    loop: LoopSection = LoopSection()
+    realtime: RealtimeSection = RealtimeSection()
+    recording: RecordingSection = RecordingSection()
+    profile: ProfileSection
+
+    @model_validator(mode="after")
+    def _consistent(self) -> AxisFile:
+        unknown = sorted(set(self.envelope.reactions) - set(TRIP_NAMES))
+        if unknown:
+            raise ValueError(f"envelope.reactions: unknown trip '{unknown[0]}'; known: {', '.join(TRIP_NAMES)}")
+        return self
+
+
+def read_axis(path: str | Path) -> AxisFile:
+    """Read and check an axis file. Raises DocumentError with every error in it."""
+    return load(path, AxisFile)
+
+
+def beside(path: str | Path, name: str) -> Path:
+    """A file named in another one: relative names are relative to that file."""
+    return Path(path).parent / name
+
+
+def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
+    """The law's constants from the file and the model."""
+    section, friction = axis.controller, model.friction_config()
+    observer = ObserverConfig(
+        friction,
+        section.observer.gain_nm_per_rev,
+        section.observer.clamp_ratio * friction.static_nm,
+        section.observer.feedback_band_rps,
+    )
+    return ControllerConfig(
+        PiConfig(section.proportional_a_per_rps, section.integral_a_per_rev),
+        observer,
+        model.torque_constant_nm_per_a,
+        section.current_limit_a,
+        axis.loop.period_s,
+    )
+
+
+def envelope_config(axis: AxisFile) -> env.EnvelopeConfig:
+    """The envelope's constants."""
+    section = axis.envelope
+    reactions = env.default_reactions()
+    for name, reaction in section.reactions.items():
+        reactions[TRIP_NAMES[name]] = REACTIONS[reaction]
+    low_rev, high_rev = section.position_window_rev or (-np.inf, np.inf)
+    return env.EnvelopeConfig(
+        section.current_limit_a,
+        section.slew_a_per_s,
+        section.speed_limit_rps,
+        section.continuous_current_a,
+        section.i2t_time_s,
+        section.i2t_action == "trip",
+        float(low_rev),
+        float(high_rev),
+        section.following_error_rps,
+        section.following_error_s,
+        section.feedback_missing_ticks,
+        section.status_missing_ticks,
+        round(section.heartbeat_timeout_s * NS_PER_S),
+        axis.loop.period_s,
+        reactions,
+    )
+
+
+def loop_config(axis: AxisFile) -> LoopConfig:
+    """Times of the loop."""
+    loop = axis.loop
+    period_ns = NS_PER_S // loop.rate_hz
+    return LoopConfig(
+        period_ns,
+        round(loop.cutoff_share * period_ns),
+        round(loop.late_share * period_ns),
+        round(loop.minimum_gap_share * period_ns),
+        round(STOP_S * loop.rate_hz),
+        round(loop.tail_s * loop.rate_hz),
+        0,
+    )
+
+
+def session_config(
+    axis: AxisFile, model: ModelFile, longest_profile: int, ring_rows: int | None = None
+) -> SessionConfig:
+    """Everything that a session is made from. `ring_rows`: None for what a recorder beside the loop needs."""
+    realtime = axis.realtime
+    cpu = {"last": -1, "any": -2}.get(str(realtime.cpu))
+    request = RealtimeRequest(realtime.priority, int(realtime.cpu) if cpu is None else cpu, realtime.lock_memory)
+    return SessionConfig(
+        loop_config(axis),
+        controller_config(axis, model),
+        envelope_config(axis),
+        request,
+        realtime.required,
+        longest_profile,
+        ring_rows or round(RING_S * axis.loop.rate_hz),
+    )
+
+
+def build_profile(section: ProfileSection, period_s: float) -> Profile:
+    """Sample the profile of a file."""
+    if isinstance(section, PaperProfile):
+        return paper_reference(
+            section.duration_s, period_s, section.low_rps, section.high_rps, section.lowest_hz, section.highest_hz,
+            section.lines, section.slope, section.seed,
+        )  # fmt: skip
+    mode = MODE_CURRENT if section.mode == "current" else MODE_VELOCITY
+    if isinstance(section, SineProfile):
+        return sine("sine", mode, section.duration_s, period_s, section.amplitude, section.frequency_hz)
+    times, levels = np.array(section.points, dtype=np.float64).T
+    return piecewise_linear("points", mode, period_s, times, levels)
+
+
+def model_of(path: str | Path, axis: AxisFile) -> ModelFile:
+    """The model file that an axis file names. Raises DocumentError."""
+    return read_model(beside(path, axis.model))

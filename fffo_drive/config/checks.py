@@ -1,0 +1,89 @@
+"""What a file must satisfy beyond each key: stability of the law, a profile inside its limits, room on the bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
+from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
+from ..documents import DocumentError
+from ..model.parameters import ModelFile
+from .axis import AxisFile
+
+
+def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
+    """Margins of the loop of this file on its model, at the smallest damping: the viscous one."""
+    config = model.axis_config()
+    linear = LinearAxis(
+        config.inertia_nm_s2_per_rev,
+        config.friction.viscous_nm_per_rps,
+        config.delay_s,
+        config.torque_constant_nm_per_a,
+    )
+    section = axis.controller
+    gain = section.observer.gain_nm_per_rev if observer_on else 0.0
+    return loop_margins(linear, section.proportional_a_per_rps, section.integral_a_per_rev, gain)
+
+
+def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[str]:
+    """What speaks against this law: condition (14) (with the observer on), phase and gain margin with the delay."""
+    section = axis.controller
+    problems = []
+    if observer_on:
+        excess = condition_14_nm_per_rev(
+            section.integral_a_per_rev,
+            model.torque_constant_nm_per_a,
+            section.observer.gain_nm_per_rev,
+            model.friction.attraction_nm_per_rev.value,
+        )
+        if excess < 0:
+            needed = section.observer.gain_nm_per_rev - excess
+            problems.append(
+                f"controller.observer.gain_nm_per_rev: {section.observer.gain_nm_per_rev:g} breaks condition (14), "
+                f"Ki Kt + L >= 2 B: at least {needed:.3g} Nm/rev is needed with this integral gain"
+            )
+    margins = law_margins(axis, model, observer_on)
+    if margins.phase_deg < section.phase_margin_deg:
+        problems.append(
+            f"controller: phase margin {margins.phase_deg:.1f} deg with {model.delay_s.value * 1e3:g} ms delay is below "
+            f"phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, integral_a_per_rev or "
+            "proportional_a_per_rps"
+        )
+    if margins.gain < section.gain_margin:
+        problems.append(
+            f"controller: gain margin {margins.gain:.2f} is below gain_margin {section.gain_margin:g}: lower "
+            "proportional_a_per_rps"
+        )
+    return problems
+
+
+def profile_problems(axis: AxisFile, profile: Profile) -> list[str]:
+    """What of a profile the envelope would not let pass."""
+    bounds = profile_bounds(profile)
+    limits = axis.envelope
+    problems = []
+    if profile.mode == MODE_VELOCITY:
+        if bounds.value > limits.speed_limit_rps:
+            problems.append(
+                f"profile: peak of {bounds.value:.4g} rps is beyond envelope.speed_limit_rps {limits.speed_limit_rps:g}"
+            )
+        window = limits.position_window_rev
+        if window is not None and bounds.travel > max(-window[0], window[1]):
+            problems.append(
+                f"profile: travels {bounds.travel:.4g} rev from its start, envelope.position_window_rev is {window}"
+            )
+    elif bounds.value > limits.current_limit_a:
+        problems.append(
+            f"profile: peak of {bounds.value:.4g} A is beyond envelope.current_limit_a {limits.current_limit_a:g}"
+        )
+    if profile.duration_s > axis.loop.longest_profile_s:
+        problems.append(
+            f"profile: lasts {profile.duration_s:g} s, loop.longest_profile_s is {axis.loop.longest_profile_s:g}"
+        )
+    return problems
+
+
+def require(path: str | Path, problems: list[str]) -> None:
+    """Raise DocumentError with one line for each problem, if there is one."""
+    if problems:
+        raise DocumentError("\n".join(f"{path}: {problem}" for problem in problems))

@@ -1,0 +1,46 @@
+"""The file of a simulated drive: plant, effects, device, node. For `fffo-drive sim`, and as the drive of an axis file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import create_model
+
+from ..documents import DocumentError, Location, Record, check, parse, read_text
+from ..drive.simulated.node.config import NodeConfig
+from ..drive.simulated.parameters import PlantConfigError
+from .mirror import dataclass_of, record_of
+
+
+class _Head(Record):
+    format: Literal["fffo_drive/simulated/1"] = "fffo_drive/simulated/1"
+
+
+SimulatedDriveRecord: type[Record] = create_model(
+    "SimulatedDrive",
+    __base__=(record_of(NodeConfig), _Head),
+    __doc__="A simulated drive: plant, effects, device, node.",
+)
+
+
+def read_simulated(path: str | Path) -> NodeConfig:
+    """Read and check the file of a simulated drive. Raises DocumentError with every error in it."""
+    data, lines = parse(read_text(Path(path)), str(path))
+    record: Any = check(data, SimulatedDriveRecord, str(path), lines)
+    config = dataclass_of(NodeConfig, record)
+    try:
+        return config.validate()
+    except PlantConfigError as error:
+        found = [line.split(": ", 1) for line in str(error).splitlines()]
+    raise DocumentError("\n".join(_sentence(str(path), lines, key.removeprefix("node."), text) for key, text in found))
+
+
+def _sentence(name: str, lines: dict[Location, int], key: str, text: str) -> str:
+    """FILE:LINE: key: text, for a dotted key with [index] parts; the line of the innermost part that is in the file."""
+    parts: list[str | int] = []
+    for part in key.replace("]", "").replace("[", ".").split("."):
+        parts.append(int(part) if part.isdigit() else part)
+    location = tuple(parts)
+    line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
+    return f"{name}:{line}: {key}: {text}"

@@ -1,0 +1,107 @@
+"""The paper's metrics of a velocity error (Table II), and the statistics of the ticks."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Rows = np.ndarray[Any, np.dtype[np.void]]
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+
+# Table II in per cent of the smallest; shown beside what is measured
+PAPER_TABLE_2 = {
+    "PI": {"ise": 442.0, "mae": 222.0, "max": 159.0, "std": 210.0},
+    "PI+FBFO": {"ise": 146.0, "mae": 122.0, "max": 114.0, "std": 120.0},
+    "PI+FFFO": {"ise": 100.0, "mae": 100.0, "max": 100.0, "std": 100.0},
+}
+
+
+class ErrorMetrics(NamedTuple):
+    """ISE is the integral of the squared error: the paper's e'e times the period, so that rates compare."""
+
+    ise: float  # rps^2 s
+    mae: float  # rps
+    max: float  # rps
+    std: float  # rps
+
+
+class TickStatistics(NamedTuple):
+    """How the loop kept time, over the rows of a run."""
+
+    ticks: int
+    late: int
+    skipped: int
+    missing_feedback: int
+    late_feedback: int
+    lateness_us_p50: float
+    lateness_us_p99: float
+    lateness_us_max: float
+    turnaround_us_p50: float
+
+
+def error_metrics(error_rps: Floats, period_s: float) -> ErrorMetrics:
+    """Metrics of an error record (n,). Raises ValueError for an empty or non-finite one."""
+    if error_rps.size == 0:
+        raise ValueError("no sample to evaluate: the profile did not run")
+    if not np.isfinite(error_rps).all():
+        raise ValueError("the error holds values that are not finite")
+    return ErrorMetrics(
+        float(np.dot(error_rps, error_rps) * period_s),
+        float(np.abs(error_rps).mean()),
+        float(np.abs(error_rps).max()),
+        float(error_rps.std()),
+    )
+
+
+def profile_rows(rows: Rows, samples: int | None = None) -> Rows:
+    """The rows in which the profile ran; `samples` cuts off the standstill after it."""
+    index = rows["profile_sample"]
+    inside = index >= 0
+    if samples is not None:
+        inside &= index < samples
+    return rows[inside]
+
+
+def run_metrics(rows: Rows, period_s: float, samples: int | None = None) -> ErrorMetrics:
+    """Metrics against the measured velocity, over the rows in which the profile ran."""
+    inside = profile_rows(rows, samples)
+    return error_metrics(inside["reference_rps"] - inside["velocity_rps"], period_s)
+
+
+def true_metrics(rows: Rows, period_s: float, samples: int | None = None) -> ErrorMetrics:
+    """Metrics against the shaft's velocity, which only a simulated drive in process knows."""
+    inside = profile_rows(rows, samples)
+    return error_metrics(inside["reference_rps"] - inside["true_velocity_rps"], period_s)
+
+
+def tick_statistics(rows: Rows, late_feedback: int = 0) -> TickStatistics:
+    """Timing over rows. `late_feedback` is the port's count, which is not in the rows."""
+    if rows.size == 0:
+        raise ValueError("no row to evaluate: the loop did not run")
+    lateness_us = rows["lateness_ns"] / 1e3
+    answered = rows["turnaround_ns"][rows["turnaround_ns"] >= 0]
+    p50, p99 = np.percentile(lateness_us, [50, 99])
+    return TickStatistics(
+        int(rows.size),
+        int(rows["late"].sum()),
+        int(rows["tick"][-1] - rows["tick"][0] + 1 - rows.size),
+        int(np.count_nonzero(rows["turnaround_ns"] < 0)),
+        late_feedback,
+        float(p50),
+        float(p99),
+        float(lateness_us.max()),
+        float(np.median(answered) / 1e3) if answered.size else float("nan"),
+    )
+
+
+def percent_of_smallest(metrics: dict[str, ErrorMetrics]) -> dict[str, dict[str, float]]:
+    """Each metric in per cent of the smallest among the controllers, as Table II has it."""
+    smallest = [min(values) for values in zip(*metrics.values(), strict=True)]
+    return {
+        name: {
+            key: 100.0 * value / least if least > 0 else float("nan")
+            for key, value, least in zip(ErrorMetrics._fields, values, smallest, strict=True)
+        }
+        for name, values in metrics.items()
+    }

@@ -1,0 +1,144 @@
+"""One recorded run: a profile on a session, in simulated or wall-clock time, with what a file needs to stand alone."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from .. import __version__
+from ..control.envelope import TRIP_NONE, TRIP_TEXTS
+from ..control.friction_observer import TOGGLE_NAMES
+from ..control.reference import Profile
+from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
+from ..drive.port import DriveIdentity
+from ..jit import kernel_digest
+from ..recording.recorder import Recorder
+from ..recording.settings import RecorderSettings, RecorderStatistics, RunHeader
+from ..recording.writer import wall_clock_offset_ns
+from ..units import NS_PER_S
+from . import blocks as b
+from .session import Session
+
+POLL_S = 0.05
+ENABLE_TIMEOUT_S = 5.0  # from the request to the first sample of the profile
+
+
+class RunOutcome(NamedTuple):
+    """What a run left behind."""
+
+    files: tuple[Path, ...]
+    trip: int  # envelope.TRIP_*; TRIP_NONE for a run that ended as planned
+    started: bool  # False: the drive never reached Operation Enabled
+    late_feedback: int  # answers to an older SYNC, counted by the port during the run
+    recorder: RecorderStatistics
+
+    @property
+    def fault_text(self) -> str | None:
+        """Why the run is no good; None when it is."""
+        if not self.started:
+            return "the drive did not reach Operation Enabled in time"
+        return None if self.trip == TRIP_NONE else TRIP_TEXTS[self.trip]
+
+
+def run_metadata(
+    name: str, identity: DriveIdentity, toggle: int, profile: Profile, extra: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """What stands in the metadata record of a run."""
+    return {
+        "axis": name,
+        "controller": TOGGLE_NAMES[toggle],
+        "profile": profile.name,
+        "profile_samples": str(profile.values.size),
+        "period_s": repr(profile.period_s),
+        "fffo_drive": __version__,
+        "kernels": kernel_digest(),
+        "python": platform.python_version(),
+        "system": " ".join(os.uname()),
+        "drive": f"{identity.device_name} {identity.software_version}".strip(),
+        "drive_vendor": f"0x{identity.vendor_id:08X}",
+        "drive_product": f"0x{identity.product_code:08X}",
+        "drive_revision": f"0x{identity.revision:08X}",
+        "drive_serial": f"0x{identity.serial_number:08X}",
+        **(extra or {}),
+    }
+
+
+def record_simulated(
+    session: Session, profile: Profile, toggle: int, path: Path, header: RunHeader,
+    settings: RecorderSettings | None = None,
+) -> RunOutcome:  # fmt: skip
+    """Run in simulated time, then write all rows. The session's ring must hold the whole run."""
+    # opened before anything moves: a path that cannot be written is an error now
+    recorder = Recorder(session.ring, path, _with_offset(header, time.time_ns()), settings)
+    late_before = _late_feedback(session)
+    before = session.status(b.PROFILE_DONE)
+    session.run_profile(profile, toggle)
+    started = session.status(b.PROFILE_DONE) != before
+    return _finish(session, recorder, started, late_before)
+
+
+def record_live(
+    session: Session, profile: Profile, toggle: int, path: Path, header: RunHeader,
+    settings: RecorderSettings | None = None, progress: Callable[[float], None] | None = None,
+) -> RunOutcome:  # fmt: skip
+    """Run in wall-clock time on a started session: enable, profile, disable. `progress` gets the share done.
+
+    An exception (Ctrl-C, say) disables the drive before it goes on.
+    """
+    header = _with_offset(header, wall_clock_offset_ns())
+    recorder = Recorder(session.ring, path, header, settings, from_now=True)
+    late_before = _late_feedback(session)
+    recorder.start()
+    try:
+        session.request(b.TOGGLE, toggle)
+        number = session.start_profile(profile)
+        session.request(b.GOAL, GOAL_ENABLED)
+        started = _follow(session, profile, number, progress)
+    finally:
+        session.request(b.GOAL, GOAL_DISABLED)
+        recorder.stop({"trip": TRIP_TEXTS[session.status(b.TRIP)]})
+    return _finish(session, recorder, started, late_before)
+
+
+def _follow(session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None) -> bool:
+    """Wait until the profile is done, or the loop has tripped. False when the drive was never enabled."""
+    deadline = time.monotonic() + ENABLE_TIMEOUT_S
+    started = False
+    while session.running and session.status(b.TRIP) == TRIP_NONE and session.status(b.PROFILE_DONE) != number:
+        sample = session.status(b.PROFILE_SAMPLE)
+        started = started or sample >= 0
+        if not started and time.monotonic() > deadline:
+            return False
+        if progress is not None and sample >= 0:
+            progress(min(1.0, sample / profile.values.size))
+        time.sleep(POLL_S)
+    return started or session.status(b.PROFILE_DONE) == number
+
+
+def _with_offset(header: RunHeader, offset_ns: int) -> RunHeader:
+    return RunHeader(header.metadata, header.attachments, offset_ns)
+
+
+def _late_feedback(session: Session) -> int:
+    return int(session.drive.feedback["late_feedback"][0])
+
+
+def _finish(session: Session, recorder: Recorder, started: bool, late_before: int) -> RunOutcome:
+    trip = session.status(b.TRIP)
+    late = _late_feedback(session) - late_before
+    statistics = recorder.close({"trip": TRIP_TEXTS[trip], "late_feedback": str(late)})
+    return RunOutcome(statistics.files, trip, started or trip != TRIP_NONE, late, statistics)
+
+
+def simulated_ring_rows(profile: Profile, tail_s: float, stop_s: float = 3.0) -> int:
+    """Rows that a run in simulated time can leave: profile, tail, enabling and stopping."""
+    return profile.values.size + round((tail_s + stop_s) / profile.period_s)
+
+
+def timestamp_name(prefix: str, now_ns: int) -> str:
+    """NAME_YYYYMMDD_HHMMSS for a file, in local time."""
+    return f"{prefix}_{time.strftime('%Y%m%d_%H%M%S', time.localtime(now_ns / NS_PER_S))}"

@@ -1,0 +1,80 @@
+"""The house: who may import whom, how long a file may be, and that names carry their units."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "fffo_drive"
+FLOORS = {
+    "units": 0, "signals": 0, "jit": 0, "documents": 0,
+    "model": 0.5,
+    "control": 1, "can": 1, "recording": 1,
+    "drive": 2,
+    "runtime": 3, "identification": 3,
+    "evaluation": 4, "diagnosis": 4,
+    "config": 5, "report": 5, "cli": 6,
+}  # fmt: skip
+LONGEST_FILE = 400
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+def part_of(path: Path) -> str:
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0].removesuffix(".py")
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Absolute names of the modules of this package that a file imports, relative imports resolved."""
+    package = ["fffo_drive", *path.relative_to(PACKAGE).parent.parts]
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            names.add(module)
+            names.update(f"{module}.{alias.name}" for alias in node.names)
+    return {name for name in names if name.startswith("fffo_drive.")}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_a_module_imports_from_floors_below_and_its_own_package_only(path):
+    own = part_of(path)
+    if own in ("__init__", "__main__"):
+        return
+    for name in imported_modules(path):
+        other = name.split(".")[1]
+        if other in FLOORS and other != own:
+            assert FLOORS[other] < FLOORS[own], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_every_part_of_the_package_has_a_floor():
+    assert {part_of(path) for path in SOURCES} - {"__init__", "__main__"} <= set(FLOORS)
+
+
+def test_the_simulated_drive_shares_nothing_with_the_model():
+    for path in (PACKAGE / "drive" / "simulated").rglob("*.py"):
+        for name in imported_modules(path):
+            assert not name.startswith(("fffo_drive.model", "fffo_drive.control")), f"{path} imports {name}"
+
+
+def test_the_envelope_knows_none_of_the_controllers():
+    own = {name for name in imported_modules(PACKAGE / "control" / "envelope.py") if ".control" in name}
+    assert own == set()
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_file_is_longer_than_one_concept(path):
+    assert len(path.read_text().splitlines()) <= LONGEST_FILE
+
+
+def test_numba_is_configured_in_one_place():
+    for path in SOURCES:
+        text = path.read_text()
+        if path.parent.name != "jit":
+            assert "numba.njit" not in text
+            assert "from numba import njit" not in text
