@@ -24,7 +24,7 @@ _FLOAT = re.compile(
 
 
 class DocumentError(Exception):
-    """A file that cannot be used. The text has one line for each error: FILE:LINE: KEY: what is wrong, what is allowed."""
+    """A file that cannot be used: one line for each error, FILE:LINE: KEY: what is wrong, what is allowed."""
 
 
 class Record(BaseModel):
@@ -76,16 +76,16 @@ def _walk(node: yaml.Node, path: Location, lines: dict[Location, int], errors: l
 
 def parse(text: str, name: str) -> tuple[Any, dict[Location, int]]:
     """Data and the line of every key. Raises DocumentError for text that is not YAML or has a key twice."""
-    loader = _Loader(text)
     try:
+        loader = _Loader(text)
         node = loader.get_single_node()
         data = loader.construct_document(node) if node is not None else {}
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
         raise DocumentError(f"{name}{line}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
-    finally:
-        loader.dispose()
+    except (ValueError, RecursionError) as error:  # an impossible date, say, or thousands of brackets
+        raise DocumentError(f"{name}: not valid YAML: {error}") from None
     lines: dict[Location, int] = {}
     errors: list[tuple[int, str]] = []
     if node is not None:

@@ -1,7 +1,7 @@
 """Units, and the only place where one becomes another.
 
-Rotation is in revolutions, as the paper and the drive have it: `_rev _rps _rps2`; torque in `_nm`, current in `_a`, time
-in `_s` or `_ns`, frequency in `_hz`. Counts and per mille exist only on the wire; the factors for them are made here.
+Rotation is in revolutions, as the paper and the drive have it: `_rev _rps _rps2`; torque in `_nm`, current in `_a`,
+time in `_s` or `_ns`, frequency in `_hz`. Counts and per mille exist only on the wire; their factors are made here.
 """
 
 from __future__ import annotations

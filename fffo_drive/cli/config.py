@@ -12,13 +12,13 @@ import argparse
 import json
 from typing import Any
 
+from ..can.load import Step
 from ..config.axis import AxisFile, CanopenDriveSection
-from ..config.checks import law_margins
+from ..config.checks import bus_sum, law_margins
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
 from ..model.parameters import ModelFile
 from ..signals import SIGNALS
-from ..units import NS_PER_S
 from .drives import Plan, make_plan, open_drive
 
 SCHEMAS: dict[str, Any] = {"axis": AxisFile, "simulated": SimulatedDriveRecord, "model": ModelFile}
@@ -67,13 +67,17 @@ def _check(plan: Plan) -> None:
     )
     print(f"  profile: {plan.profile.name}, {plan.profile.duration_s:g} s, {plan.profile.values.size} samples")
     if isinstance(axis.drive, CanopenDriveSection):
-        from ..drive.canopen.config import chain_of, load_of
-
-        config = axis.drive.drive_config(model.torque_constant_nm_per_a, NS_PER_S // axis.loop.rate_hz)
-        print(f"  bus load: {load_of(config)}")
-        print(f"  chain in one period: {chain_of(config, axis.drive.turnaround_us * 1e-6, HOST_S)}")
+        load, chain = bus_sum(axis, model)
+        print(
+            f"  bus load at {axis.drive.bitrate_hz / 1e6:g} Mbit/s: worst {load.worst:.1%}, typical {load.typical:.1%}"
+        )
+        print(f"  one period of {chain.period_s * 1e6:.0f} us        worst   typical (us)")
+        for step in (*chain.steps, Step("sum", chain.worst_s, chain.typical_s)):
+            print(f"    {step.name:<22} {step.worst_s * 1e6:7.0f} {step.typical_s * 1e6:9.0f}")
+        if not chain.fits:
+            print(
+                f"  warning: the worst case is {-chain.slack_s * 1e6:.0f} us beyond the period: a command that then "
+                "comes after the next SYNC acts one period later (counted by the drive as an old set-point)"
+            )
     else:
         open_drive(plan)
-
-
-HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC, for the sum of the chain

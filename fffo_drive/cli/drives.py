@@ -15,7 +15,7 @@ from ..config.axis import (
     read_axis,
     session_config,
 )
-from ..config.checks import law_problems, profile_problems, require
+from ..config.checks import bus_problems, law_problems, profile_problems, require
 from ..config.simulated import read_simulated
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
@@ -52,7 +52,7 @@ def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None) -> Plan:
     axis = read_axis(path)
     model = model_of(path, axis)
     profile = build_profile(axis.profile, axis.loop.period_s)
-    problems = profile_problems(axis, profile)
+    problems = profile_problems(axis, profile) + bus_problems(axis, model)
     if not axis.controller.accept_unproven:
         in_use = toggles or (TOGGLES[axis.controller.observer.toggle],)
         for observer_on in sorted({toggle != TOGGLE_OFF for toggle in in_use}):

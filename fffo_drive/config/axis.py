@@ -1,4 +1,4 @@
-"""The axis file: drive, model, law, limits, profile. `read_axis` checks it; `build` makes the kernels' records of it."""
+"""The axis file: drive, model, law, limits, profile. `read_axis` checks it, the rest makes the kernels' records."""
 
 from __future__ import annotations
 

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..can.load import Chain, Load
 from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
 from ..documents import DocumentError
+from ..drive.canopen.config import chain_of, load_of
 from ..model.parameters import ModelFile
-from .axis import AxisFile
+from ..units import NS_PER_S
+from .axis import AxisFile, CanopenDriveSection
+
+HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 
 
 def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
@@ -45,9 +50,9 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     margins = law_margins(axis, model, observer_on)
     if margins.phase_deg < section.phase_margin_deg:
         problems.append(
-            f"controller: phase margin {margins.phase_deg:.1f} deg with {model.delay_s.value * 1e3:g} ms delay is below "
-            f"phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, integral_a_per_rev or "
-            "proportional_a_per_rps"
+            f"controller: phase margin {margins.phase_deg:.1f} deg with {model.delay_s.value * 1e3:g} ms delay is "
+            f"below phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, "
+            "integral_a_per_rev or proportional_a_per_rps"
         )
     if margins.gain < section.gain_margin:
         problems.append(
@@ -79,6 +84,33 @@ def profile_problems(axis: AxisFile, profile: Profile) -> list[str]:
     if profile.duration_s > axis.loop.longest_profile_s:
         problems.append(
             f"profile: lasts {profile.duration_s:g} s, loop.longest_profile_s is {axis.loop.longest_profile_s:g}"
+        )
+    return problems
+
+
+def bus_sum(axis: AxisFile, model: ModelFile) -> tuple[Load, Chain]:
+    """Load of the bus, and the chain inside one period, for a drive on a bus. Raises MappingError."""
+    section = axis.drive
+    assert isinstance(section, CanopenDriveSection)
+    config = section.drive_config(model.torque_constant_nm_per_a, NS_PER_S // axis.loop.rate_hz)
+    return load_of(config), chain_of(config, section.turnaround_us * 1e-6, HOST_S)
+
+
+def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
+    """What does not fit on the bus even when nothing is in the way."""
+    if not isinstance(axis.drive, CanopenDriveSection):
+        return []
+    load, chain = bus_sum(axis, model)
+    problems = []
+    if load.worst > 1.0:
+        problems.append(
+            f"loop.rate_hz: {axis.loop.rate_hz} Hz loads the bus to {load.worst:.0%} at drive.bitrate_hz "
+            f"{axis.drive.bitrate_hz}: lower the rate or raise the bit rate"
+        )
+    elif chain.typical_s > chain.period_s:
+        problems.append(
+            f"loop.rate_hz: SYNC, answers and command take {chain.typical_s * 1e6:.0f} us of a period of "
+            f"{chain.period_s * 1e6:.0f} us: lower the rate; `fffo-drive config check` prints the sum"
         )
     return problems
 

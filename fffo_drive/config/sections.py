@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Annotated, Literal
 
@@ -135,7 +136,7 @@ class PointsProfile(Record):
     @model_validator(mode="after")
     def _rising(self) -> PointsProfile:
         times = [time for time, _ in self.points]
-        if times[0] != 0 or any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        if times[0] != 0 or any(b <= a for a, b in itertools.pairwise(times)):
             raise ValueError("times must start at 0 and rise from point to point")
         if not all(math.isfinite(level) for _, level in self.points):
             raise ValueError("levels must be finite numbers")

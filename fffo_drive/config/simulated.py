@@ -1,4 +1,4 @@
-"""The file of a simulated drive: plant, effects, device, node. For `fffo-drive sim`, and as the drive of an axis file."""
+"""The file of a simulated drive: plant, effects, device, node. For `fffo-drive sim`, and as an axis file's drive."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def read_simulated(path: str | Path) -> NodeConfig:
 
 def _sentence(name: str, lines: dict[Location, int], key: str, text: str) -> str:
     """FILE:LINE: key: text, for a dotted key with [index] parts; the line of the innermost part that is in the file."""
-    parts: list[str | int] = []
-    for part in key.replace("]", "").replace("[", ".").split("."):
-        parts.append(int(part) if part.isdigit() else part)
-    location = tuple(parts)
+    parts = key.replace("]", "").replace("[", ".").split(".")
+    location: Location = tuple(int(part) if part.isdigit() else part for part in parts)
     line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
     return f"{name}:{line}: {key}: {text}"

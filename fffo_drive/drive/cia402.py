@@ -72,35 +72,52 @@ SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE = 1 << 9  # bit of 0x6502
 
 @njit
 def state_of(statusword: int) -> int:
-    """State coded in a statusword (STATE_*), STATE_UNKNOWN for a pattern that the standard does not have."""
+    """State coded in a statusword (STATE_*); STATE_UNKNOWN for a pattern that is not in the standard."""
     for i in range(_ROWS.shape[0]):
         if statusword & _ROWS[i, 1] == _ROWS[i, 2]:
-            return np.int64(_ROWS[i, 0])
-    return np.int64(-1)
+            return int(_ROWS[i, 0])
+    return STATE_UNKNOWN
 
 
 @njit
-def controlword_towards(statusword: int, goal: int, fault_reset: bool) -> int:
+def is_operation_enabled(statusword: int) -> bool:
+    """True when the drive turns the target into torque."""
+    return state_of(statusword) == STATE_OPERATION_ENABLED
+
+
+@njit
+def has_torque(statusword: int) -> bool:
+    """True when the power stage may work: enabled, stopping, reacting to a fault, or in no known state."""
+    state = state_of(statusword)
+    return state in (
+        STATE_UNKNOWN, STATE_OPERATION_ENABLED, STATE_QUICK_STOP_ACTIVE, STATE_FAULT_REACTION_ACTIVE
+    )  # fmt: skip
+
+
+@njit
+def controlword_towards(statusword: int, goal: int, fault_reset: bool, last_controlword: int = 0) -> int:
     """The controlword that takes the drive one state closer to `goal` (GOAL_*).
 
-    In the fault state the answer is 0x0000, whatever the goal; with `fault_reset` it is 0x0080. The drive resets on
-    the rising edge of bit 7: hold the flag at False until at least one command with 0x0000 has reached the drive,
-    raise it until the state changes, and lower it before another attempt.
+    In the fault state the answer is 0x0000, whatever the goal. With `fault_reset` it becomes 0x0080, but
+    only after a 0x0000 (`last_controlword`), because the drive resets on the rising edge of bit 7; it is held
+    until the state changes or the flag falls. Lower the flag before another attempt.
 
-    A pattern that is no state disables the voltage (or keeps up the quick stop). From quick stop active the way back
-    leads through switch on disabled: transition 16 is optional, and a stop should not be left in one step.
+    A pattern that is no state disables the voltage (or keeps up the quick stop). From quick stop active
+    the way back leads through switch on disabled: transition 16 is optional, and a stop is not left in
+    one step.
     """
     state = state_of(statusword)
     if state == STATE_FAULT:
-        return CONTROL_FAULT_RESET if fault_reset else CONTROL_DISABLE_VOLTAGE
+        edge = last_controlword in (CONTROL_DISABLE_VOLTAGE, CONTROL_FAULT_RESET)
+        return CONTROL_FAULT_RESET if fault_reset and edge else CONTROL_DISABLE_VOLTAGE
     if goal == GOAL_QUICK_STOP:
         return CONTROL_QUICK_STOP
-    if goal == GOAL_READY or goal == GOAL_ENABLED:
+    if goal in (GOAL_READY, GOAL_ENABLED):
         if state == STATE_SWITCH_ON_DISABLED:
             return CONTROL_SHUTDOWN
         if state == STATE_READY_TO_SWITCH_ON:
             return CONTROL_SWITCH_ON
-        if state == STATE_SWITCHED_ON or state == STATE_OPERATION_ENABLED:
+        if state in (STATE_SWITCHED_ON, STATE_OPERATION_ENABLED):
             return CONTROL_ENABLE_OPERATION if goal == GOAL_ENABLED else CONTROL_SWITCH_ON
     return CONTROL_DISABLE_VOLTAGE
 

@@ -1,4 +1,4 @@
-"""Real-time properties of the loop's thread: SCHED_FIFO, one CPU, locked pages. What is refused is said once, plainly."""
+"""Real-time properties of the loop's thread: SCHED_FIFO, one CPU, locked pages. What is refused is said once."""
 
 from __future__ import annotations
 

@@ -1,0 +1,236 @@
+"""From any state of the drive to NMT operational: reset, identify, map, set its reactions, verify, start.
+
+Everything that is written is read back. What the drive refuses, lacks or keeps otherwise ends in
+DriveRefusedError with the object, the value and the drive's reason; silence ends in BusUnavailableError. The
+drive is not enabled here.
+"""
+
+from __future__ import annotations
+
+import time
+
+from ...can import frame as can
+from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE
+from ..port import DriveIdentity, DriveRefusedError
+from .checked import write_checked, write_if_present
+from .config import CanopenDriveConfig
+from .object_map import MODE, MODE_DISPLAY, TARGET_TORQUE, PdoMap, interpolation_period
+from .service import (
+    NMT_RESET_COMMUNICATION,
+    NMT_START,
+    STATE_OPERATIONAL,
+    SdoRefusedError,
+    Service,
+)
+
+DEVICE_PROFILE_DRIVE = 402  # low word of 0x1000
+TYPE_SERVO_DRIVE = 1 << 17
+COB_ID_INVALID = 1 << 31
+COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID that clears it: always kept as it was
+COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
+SYNC_PRODUCER = 1 << 30
+RATING_TOLERANCE = 0.01
+PDO_SLOTS = 4
+
+
+def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
+    """Reset the node's communication, configure and verify everything; leaves it pre-operational.
+
+    Raises DriveRefusedError or BusUnavailableError.
+    """
+    for _ in range(2):  # a drive that is switched on at this very moment sends two boot-ups, once
+        _reset(service, config)
+        identity = read_identity(service)
+        _check_profile(service)
+        _check_ratings(service, config)
+        _configure_sync(service, config)
+        _configure_pdos(service, config)
+        _configure_silence(service, config)
+        _set_mode(service, config)
+        if service.boot_ups == 1:
+            return identity
+    raise DriveRefusedError(
+        f"{config.bus}: {service.boot_ups} boot-up messages of node {config.node_id} after one reset: "
+        "two nodes have this id, or the drive restarts while it is set up; check node ids and supply"
+    )
+
+
+def start(service: Service, config: CanopenDriveConfig) -> None:
+    """NMT start, confirmed by the drive's heartbeat. Raises DriveRefusedError."""
+    service.check_one_node()
+    service.command_nmt(NMT_START)
+    if not service.wait_until(lambda: service.nmt_state == STATE_OPERATIONAL, config.start_timeout_s):
+        raise DriveRefusedError(
+            f"{config.bus}: node {config.node_id} does not report NMT state operational (heartbeat says "
+            f"{service.nmt_state:#x}) within {config.start_timeout_s} s; see its error history 0x1003"
+        )
+
+
+def read_identity(service: Service) -> DriveIdentity:
+    """0x1018, 0x1008 and 0x100A; what the drive does not have is 0 or empty."""
+    numbers = [service.read_optional_int(0x1018, sub) or 0 for sub in range(1, 5)]
+    vendor_id, product_code, revision, serial_number = numbers
+    return DriveIdentity(
+        vendor_id,
+        product_code,
+        revision,
+        serial_number,
+        _read_text(service, 0x1008),
+        _read_text(service, 0x100A),
+    )
+
+
+def _read_text(service: Service, index: int) -> str:
+    try:
+        return service.read(index, 0).rstrip(b"\0").decode("latin-1")
+    except SdoRefusedError:
+        return ""
+
+
+def _reset(service: Service, config: CanopenDriveConfig) -> None:
+    """Back to the drive's own communication settings; the boot-up message shows that it is there."""
+    service.forget()
+    service.command_nmt(NMT_RESET_COMMUNICATION)
+    if not service.wait_until(lambda: service.boot_ups > 0, config.start_timeout_s):
+        service.read(0x1000, 0)  # a node that answers all the same gets a text of its own
+        raise DriveRefusedError(
+            f"{config.bus}: node {config.node_id} answers SDO but sends no boot-up message after an NMT "
+            f"reset (waited {config.start_timeout_s} s, CiA 301 7.2.8.3.3)"
+        )
+
+
+def _check_profile(service: Service) -> None:
+    device_type = service.read_int(0x1000, 0)
+    if device_type & 0xFFFF != DEVICE_PROFILE_DRIVE or not device_type & TYPE_SERVO_DRIVE:
+        raise DriveRefusedError(
+            f"node {service.node_id}: 0x1000:00 says 0x{device_type:08X}, which is no CiA 402 servo drive "
+            "(0x00020192); is the node id right?"
+        )
+    modes = service.read_optional_int(0x6502, 0)
+    if modes is None or not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
+        shown = "is missing" if modes is None else f"says 0x{modes:08X}"
+        raise DriveRefusedError(
+            f"node {service.node_id} has no cyclic synchronous torque mode: 0x6502:00 {shown}, bit 9 is needed"
+        )
+
+
+def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
+    """0x6071 and 0x6077 count per mille of the rated torque: a wrong one would scale every command."""
+    declared = [
+        (0x6076, "rated_torque_nm", config.rated_torque_nm, "Nm"),
+        (0x6075, "rated_current_a", config.rated_current_a, "A"),
+    ]
+    for index, key, value, unit in declared:
+        if value is None:
+            continue
+        raw = service.read_optional_int(index, 0)
+        if raw is None:
+            continue
+        reported = raw / 1000.0  # mNm, mA
+        if abs(reported - value) > RATING_TOLERANCE * value:
+            raise DriveRefusedError(
+                f"node {service.node_id}: 0x{index:04X}:00 says {reported} {unit}, the configuration {key}: "
+                f"{value}; make them agree, the torque command is scaled with it"
+            )
+
+
+def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
+    if service.read_int(0x1005, 0) & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
+        write_checked(service, 0x1005, 0, can.SYNC, 4, "receiving our SYNC", mask=SYNC_PRODUCER | can.STANDARD_MASK)
+    if service.read_optional_int(0x1019, 0):  # a counter would need a byte in SYNC
+        write_if_present(service, 0x1006, 0, 0, 4, "changing 0x1019")
+        write_checked(service, 0x1019, 0, 0, 1, "SYNC without a counter")
+    period_us = config.period_ns // 1000
+    write_if_present(service, 0x1006, 0, period_us, 4, f"a SYNC period of {period_us} us")
+    value, exponent = interpolation_period(config.period_ns)
+    purpose = f"a control period of {period_us} us; a slower rate may be possible"
+    if service.read_optional_int(0x60C2, 1) is not None:
+        write_checked(service, 0x60C2, 1, value, 1, purpose)
+        write_checked(service, 0x60C2, 2, exponent, 1, purpose)
+        write_checked(service, 0x60C2, 1, value, 1, purpose)  # the exponent may have moved the value
+
+
+def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
+    _configure_pdo(service, 0x1400, config.command)
+    for pdo in config.answers:
+        _configure_pdo(service, 0x1800, pdo)
+    used = {pdo.number for pdo in config.answers}
+    for number in set(range(1, PDO_SLOTS + 1)) - used:  # nothing that we do not need may take time on the bus
+        index = 0x1800 + number - 1
+        cob_id = service.read_optional_int(index, 1)
+        if cob_id is not None and not cob_id & COB_ID_INVALID:
+            write_checked(
+                service,
+                index,
+                1,
+                cob_id | COB_ID_INVALID,
+                4,
+                "a bus without other TPDOs",
+                mask=COB_ID_INVALID,
+            )
+
+
+def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
+    """CiA 301 7.5.2.36: disable, empty the mapping, write it, set its length, enable."""
+    communication = first_index + pdo.number - 1
+    mapping = communication + 0x200
+    receives = first_index == 0x1400
+    purpose = f"{'RPDO' if receives else 'TPDO'}{pdo.number}"
+    kept_bits = service.read_int(communication, 1) & COB_ID_NO_RTR
+    cob_id = pdo.cob_id | kept_bits
+    write_checked(service, communication, 1, cob_id | COB_ID_INVALID, 4, f"disabling {purpose}", mask=COB_ID_INVALID)
+    write_checked(service, communication, 2, pdo.transmission, 1, f"the transmission type of {purpose}")
+    if not receives:
+        # an inhibit time or timer left from before would hold back or add frames
+        inhibit = pdo.inhibit_ns // 100_000
+        if not write_if_present(service, communication, 3, inhibit, 2, f"the inhibit time of {purpose}") and inhibit:
+            raise DriveRefusedError(
+                f"node {service.node_id} has no inhibit time 0x{communication:04X}:03 for {purpose}: "
+                "set status_event to 0 (with the next SYNC)"
+            )
+        write_if_present(service, communication, 5, 0, 2, f"{purpose} without an event timer")
+    write_checked(service, mapping, 0, 0, 1, f"changing the mapping of {purpose}")
+    for sub, item in enumerate(pdo.objects, 1):
+        write_checked(service, mapping, sub, item.word, 4, f"{item} in {purpose}")
+    write_checked(service, mapping, 0, len(pdo.objects), 1, f"the mapping of {purpose}")
+    write_checked(service, communication, 1, cob_id, 4, f"enabling {purpose}", mask=COB_ID_MASK)
+
+
+def _configure_silence(service: Service, config: CanopenDriveConfig) -> None:
+    """What the drive does when we, or it, fall silent: all of this is refused with the drive not enabled."""
+    emergency = can.EMERGENCY + config.node_id
+    if service.read_int(0x1014, 0) & COB_ID_MASK != emergency:
+        write_checked(service, 0x1014, 0, emergency, 4, "EMCY messages", mask=COB_ID_MASK)
+    write_checked(service, 0x1017, 0, config.drive_heartbeat_ms, 2, "the drive's heartbeat")
+    consumer = config.master_id << 16 | config.heartbeat_timeout_ms
+    write_checked(service, 0x1016, 1, consumer, 4, "the drive to notice that the PC is silent")
+    if config.command_timeout_ms:
+        deadline = 0x1400 + config.command.number - 1
+        purpose = "the drive to notice that commands stay away"
+        write_if_present(service, deadline, 5, config.command_timeout_ms, 2, purpose)
+    purpose = "the drive to stop when the PC is silent"
+    write_checked(service, 0x6007, 0, config.abort_connection_option, 2, purpose)
+    if config.quick_stop_option is not None:
+        write_checked(service, 0x605A, 0, config.quick_stop_option, 2, "a defined quick stop")
+    if config.fault_reaction_option is not None:
+        write_checked(service, 0x605E, 0, config.fault_reaction_option, 2, "a defined fault reaction")
+    if config.max_torque_permille is not None:
+        write_checked(service, 0x6072, 0, config.max_torque_permille, 2, "the torque limit in the drive")
+
+
+def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
+    """Cyclic synchronous torque with a target of zero; the display may follow a little later."""
+    mode = MODE_CYCLIC_SYNCHRONOUS_TORQUE
+    try:
+        service.write(MODE, 0, bytes([mode]))
+        service.write(TARGET_TORQUE, 0, bytes(2))
+    except SdoRefusedError as refusal:
+        raise DriveRefusedError(f"node {service.node_id} refuses cyclic synchronous torque: {refusal}") from refusal
+    deadline_s = time.monotonic() + config.start_timeout_s
+    while (shown := service.read_int(MODE_DISPLAY, 0, signed=True)) != mode:
+        if time.monotonic() > deadline_s:
+            raise DriveRefusedError(
+                f"node {service.node_id}: mode 10 (cyclic synchronous torque) was set, but 0x6061:00 says {shown}"
+            )
+    if service.read_int(TARGET_TORQUE, 0, signed=True) != 0:
+        raise DriveRefusedError(f"node {service.node_id}: 0x6071:00 (target torque) cannot be set to zero")

@@ -1,0 +1,189 @@
+"""The configuration of a drive on a bus: what it must satisfy, and the sum for the bus that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ...can import frame as can
+from ...can.load import Chain, Load, Traffic, bus_load, period_chain
+from ...units import permille_per_a
+from .object_map import (
+    COMMAND_OBJECTS,
+    CONTROLWORD,
+    EVERY_SYNC,
+    FEEDBACK_OBJECTS,
+    MAX_SYNC_TYPE,
+    ON_EVENT,
+    POSITION,
+    STATUSWORD,
+    TARGET_TORQUE,
+    TORQUE,
+    VELOCITY,
+    MappingError,
+    PdoMap,
+    Scaling,
+    command_pdo,
+    feedback_pdos,
+    interpolation_period,
+)
+
+
+@dataclass(frozen=True)
+class CanopenDriveConfig:
+    """A drive on a bus. Raises MappingError, with all problems at once.
+
+    Ratings are declared and compared with the drive's (0x6076 in mNm, 0x6075 in mA) where it has these
+    objects. None for an option code leaves the drive's own setting; None for `rpdo` and `tpdos` is the
+    mapping of `object_map`.
+    """
+
+    bus: str
+    node_id: int
+    period_ns: int  # of SYNC
+    counts_per_rev: float  # of 0x6064
+    velocity_units_per_rps: float  # of 0x606C
+    torque_constant_nm_per_a: float
+    rated_torque_nm: float
+    rated_current_a: float | None = None
+    inverted: bool = False  # turns the sign of velocity, position and torque together
+    bitrate_hz: int = 1_000_000
+    master_id: int = 127  # node id of our heartbeat
+    status_every: int = 10  # SYNCs
+    status_event: int = ON_EVENT
+    rpdo: PdoMap | None = None
+    tpdos: tuple[PdoMap, ...] | None = None
+    # reactions to silence
+    heartbeat_ms: int = 50  # ours, sent by the loop
+    heartbeat_timeout_ms: int = 150  # after which the drive reacts to its absence (0x1016)
+    drive_heartbeat_ms: int = 50  # the drive's (0x1017)
+    command_timeout_ms: int = 20  # RPDO deadline (0x1400:5) where the drive has it; 0 for none
+    abort_connection_option: int = 3  # 0x6007: 1 fault, 2 disable voltage, 3 quick stop
+    quick_stop_option: int | None = 2  # 0x605A: ramp, then switch on disabled
+    fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
+    max_torque_permille: int | None = None  # 0x6072
+    # bring-up
+    answer_timeout_s: float = 0.3  # of one SDO answer
+    attempts: int = 3
+    start_timeout_s: float = 3.0  # boot-up after a reset, and each change of state
+    eds: str | None = None
+
+    def __post_init__(self) -> None:
+        problems = list(_problems(self))
+        if problems:
+            raise MappingError("; ".join(problems))
+
+    @property
+    def command(self) -> PdoMap:
+        """The RPDO in use."""
+        return command_pdo(self.node_id) if self.rpdo is None else self.rpdo
+
+    @property
+    def answers(self) -> tuple[PdoMap, ...]:
+        """The TPDOs in use."""
+        return feedback_pdos(self.node_id, self.status_every, self.status_event) if self.tpdos is None else self.tpdos
+
+    @property
+    def scaling(self) -> Scaling:
+        """Factors between the wire and the units of signals.py."""
+        sign = -1.0 if self.inverted else 1.0
+        return Scaling(
+            sign / self.velocity_units_per_rps,
+            sign / self.counts_per_rev,
+            sign * permille_per_a(self.torque_constant_nm_per_a, self.rated_torque_nm),
+        )
+
+
+def traffic(config: CanopenDriveConfig) -> list[Traffic]:
+    """Everything that is periodic on the bus with this configuration."""
+    rate_hz = 1e9 / config.period_ns
+    frames = [Traffic("SYNC", can.SYNC, 0, rate_hz)]
+    frames.append(Traffic("RPDO1", config.command.cob_id, config.command.data_bytes, rate_hz))
+    for pdo in config.answers:
+        if 1 <= pdo.transmission <= MAX_SYNC_TYPE:
+            name = f"TPDO{pdo.number}"
+            frames.append(Traffic(name, pdo.cob_id, pdo.data_bytes, rate_hz / pdo.transmission))
+    frames.append(Traffic("heartbeat", can.HEARTBEAT + config.master_id, 1, 1e3 / config.heartbeat_ms))
+    frames.append(Traffic("drive heartbeat", can.HEARTBEAT + config.node_id, 1, 1e3 / config.drive_heartbeat_ms))
+    return frames
+
+
+def load_of(config: CanopenDriveConfig) -> Load:
+    """Load of the bus by everything periodic."""
+    return bus_load(traffic(config), config.bitrate_hz)
+
+
+def chain_of(config: CanopenDriveConfig, turnaround_s: float, host_s: float) -> Chain:
+    """The chain inside one period in which all TPDOs that follow SYNC come at once."""
+    frames = {item.name: item for item in traffic(config)}
+    return period_chain(
+        [item for item in frames.values() if item.name.startswith("TPDO")],
+        frames["SYNC"],
+        frames["RPDO1"],
+        bitrate_hz=config.bitrate_hz,
+        period_s=config.period_ns / 1e9,
+        turnaround_s=turnaround_s,
+        host_s=host_s,
+    )
+
+
+def _problems(config: CanopenDriveConfig) -> Iterator[str]:
+    """Yield what is wrong, in words."""
+    for name in ("node_id", "master_id"):
+        if getattr(config, name) not in can.NODE_IDS:
+            yield f"{name} {getattr(config, name)}: node ids are 1 to 127"
+            return
+    if config.node_id == config.master_id:
+        yield f"node_id and master_id are both {config.node_id}: two nodes, two ids"
+    for name in ("period_ns", "counts_per_rev", "velocity_units_per_rps", "torque_constant_nm_per_a",
+                 "rated_torque_nm", "bitrate_hz", "heartbeat_ms", "drive_heartbeat_ms",
+                 "attempts"):  # fmt: skip
+        if not getattr(config, name) > 0:
+            yield f"{name} {getattr(config, name)}: must be above 0"
+            return
+    if config.heartbeat_timeout_ms < 2 * config.heartbeat_ms:
+        yield (
+            f"heartbeat_timeout_ms {config.heartbeat_timeout_ms}: at least twice heartbeat_ms "
+            f"({2 * config.heartbeat_ms}), or one late heartbeat stops the drive"
+        )
+    if config.abort_connection_option not in (1, 2, 3):
+        yield (f"abort_connection_option {config.abort_connection_option}: 1 fault, 2 disable voltage, 3 quick stop")
+    if not 1 <= config.status_every <= MAX_SYNC_TYPE:
+        yield f"status_every {config.status_every}: 1 to {MAX_SYNC_TYPE} SYNCs"
+        return
+    try:
+        interpolation_period(config.period_ns)
+    except MappingError as error:
+        yield str(error)
+    yield from _pdo_problems(config)
+
+
+def _pdo_problems(config: CanopenDriveConfig) -> Iterator[str]:
+    answers, command = config.answers, config.command
+    every = [command, *answers]
+    for pdo, kind in [(command, "RPDO"), *((p, "TPDO") for p in answers)]:
+        name = f"{kind}{pdo.number}"
+        if not 0x180 < pdo.cob_id < 0x580 or sum(other.cob_id == pdo.cob_id for other in every) > 1:
+            yield f"{name} COB-ID 0x{pdo.cob_id:X}: 0x181 to 0x57F, each only once"
+        if any(item.bits % 8 for item in pdo.objects) or not 1 <= pdo.data_bytes <= can.MAX_DATA:
+            yield f"{name} maps {sum(i.bits for i in pdo.objects)} bits: whole bytes, 1 to 8 of them"
+        if not (0 <= pdo.transmission <= MAX_SYNC_TYPE or pdo.transmission in (254, 255)):
+            yield f"{name} transmission type {pdo.transmission}: 0 to 240, 254 or 255"
+        known = COMMAND_OBJECTS if kind == "RPDO" else {i: (o[1],) for i, o in FEEDBACK_OBJECTS.items()}
+        for item in pdo.objects:
+            if item.index in known and item.bits != known[item.index][0]:
+                yield f"{name} maps {item}: 0x{item.index:04X} has {known[item.index][0]} bits"
+            if kind == "RPDO" and item.index not in known:
+                allowed = ", ".join(f"0x{index:04X}" for index in known)
+                yield f"{name} maps {item}: the loop can command {allowed} only"
+    for index in (CONTROLWORD, TARGET_TORQUE):
+        if command.offset_of(index) < 0:
+            yield f"RPDO{command.number} lacks 0x{index:04X}"
+    if command.transmission > MAX_SYNC_TYPE:
+        yield f"RPDO{command.number} transmission type {command.transmission}: commands act at SYNC, 0 to 240"
+    for index in (VELOCITY, POSITION):
+        if not any(p.offset_of(index) >= 0 and p.transmission == EVERY_SYNC for p in answers):
+            yield f"no TPDO of transmission type 1 maps 0x{index:04X}"
+    for index in (STATUSWORD, TORQUE):
+        if not any(p.offset_of(index) >= 0 for p in answers):
+            yield f"no TPDO maps 0x{index:04X}"

@@ -1,0 +1,169 @@
+"""A CANopen drive behind the drive port: brought up before the loop, served beside it, left safely."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from ...can import frame as can
+from ...can.bpf import CanFilter
+from ...can.frame import pack_frame
+from ...can.link import Link, LinkError, open_link
+from ..cia402 import CONTROL_DISABLE_VOLTAGE
+from ..port import BusUnavailableError, DriveError, DriveIdentity, DriveRefusedError
+from .bring_up import bring_up, start
+from .config import CanopenDriveConfig
+from .cyclic import CanopenPort
+from .eds import check_eds, check_identity, load_eds
+from .object_map import CONTROLWORD, TARGET_TORQUE, command_payload
+from .port_memory import SEND_ATTEMPTS, make_port
+from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
+from .service_queue import ServiceQueue
+
+LOOP_TIMEOUT_PERIODS = 20
+LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
+
+
+class CanopenDrive:
+    """The `Drive` protocol for a CANopen node. Two links: one for the loop alone, one for everything else."""
+
+    def __init__(self, config: CanopenDriveConfig) -> None:
+        """Raises MappingError when the EDS (if one is given) shows that the drive cannot be driven."""
+        self.config = config
+        self.identity: DriveIdentity | None = None
+        self._eds = load_eds(config.eds, config.node_id) if config.eds else None
+        if self._eds is not None:
+            check_eds(self._eds, config)
+        self._service: Service | None = None
+        self._link: Link | None = None
+        self._port: CanopenPort | None = None
+        self._lock = threading.Lock()
+
+    def connect(self) -> DriveIdentity:
+        """Bring the drive to NMT operational, mapped, verified, not enabled.
+
+        Raises BusUnavailableError and DriveRefusedError; the bus is left then.
+        """
+        if self._service is not None:
+            raise DriveError("connect() was called twice; close() comes in between")
+        config = self.config
+        loop_timeout_ns = max(LOOP_TIMEOUT_PERIODS * config.period_ns, LOOP_TIMEOUT_MINIMUM_NS)
+        queue = ServiceQueue(loop_timeout_ns)
+        try:
+            link = open_link(config.bus, filters=service_filters(config.node_id))
+            self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts)
+            identity = bring_up(self._service, config)
+            if self._eds is not None:
+                check_identity(self._eds, identity, str(config.eds))
+            self._link = open_link(config.bus, filters=self._cyclic_filters())
+            self._port = make_port(config, self._link, queue.memory)
+            start(self._service, config)
+        except LinkError as error:
+            self._leave()
+            raise BusUnavailableError(str(error)) from error
+        except DriveRefusedError:
+            self.close()
+            raise
+        except BaseException:
+            self._leave()
+            raise
+        self.identity = identity
+        return identity
+
+    def _cyclic_filters(self) -> list[CanFilter] | None:
+        """The node's frames. None on the loopback bus, where lost frames are only counted without filters."""
+        if self.config.bus.startswith("loopback:"):
+            return None
+        identifiers = [pdo.cob_id for pdo in self.config.answers]
+        identifiers += [can.EMERGENCY + self.config.node_id, can.HEARTBEAT + self.config.node_id]
+        return [CanFilter(identifier) for identifier in identifiers]
+
+    @property
+    def port(self) -> CanopenPort:
+        """The compiled side; valid between `connect` and `close`."""
+        if self._port is None:
+            raise DriveError("the drive is not connected: call connect() first")
+        return self._port
+
+    @property
+    def feedback(self) -> np.ndarray[Any, np.dtype[np.void]]:
+        """The port's memory; reading it here brings `dropped_frames` up to date, which the loop cannot."""
+        feedback = self.port.feedback
+        with self._lock, contextlib.suppress(OSError):
+            if self._link is not None:
+                sent = int(self.port.memory[SEND_ATTEMPTS]) - int(feedback["send_errors"][0])
+                feedback["dropped_frames"] = self._link.dropped_frames(sent)
+        result: np.ndarray[Any, np.dtype[np.void]] = feedback
+        return result
+
+    @property
+    def realtime(self) -> bool:
+        """The clock is the wall's."""
+        return True
+
+    @property
+    def emergencies(self) -> deque[Emergency]:
+        """The last EMCY messages with their vendor bytes, oldest first."""
+        return self._connected().emergencies
+
+    def read_object(self, index: int, sub: int) -> bytes:
+        """Read an object of the drive by SDO, at any time, from any thread but the loop's.
+
+        Raises SdoRefusedError (a DriveRefusedError) and BusUnavailableError.
+        """
+        return self._connected().read(index, sub)
+
+    def write_object(self, index: int, sub: int, data: bytes) -> None:
+        """Write an object (little-endian bytes of the right length). Raises as `read_object`."""
+        self._connected().write(index, sub, data)
+
+    def _connected(self) -> Service:
+        if self._service is None:
+            raise DriveError("the drive is not connected: call connect() first")
+        return self._service
+
+    def close(self) -> None:
+        """After the loop: no torque, no voltage, pre-operational. Never raises.
+
+        The drive is told to stop monitoring our heartbeat too: leaving in order is no fault.
+        """
+        service, link = self._service, self._link
+        if service is not None:
+            service.send_directly()
+            if link is not None:
+                with contextlib.suppress(LinkError):
+                    link.send(pack_frame(self.config.command.cob_id, command_payload(self.config.command)))
+                    link.send(pack_frame(can.SYNC))
+            with contextlib.suppress(BusUnavailableError):  # do not ask a silent drive three times
+                for index, sub, data in (
+                    (TARGET_TORQUE, 0, bytes(2)),
+                    (CONTROLWORD, 0, CONTROL_DISABLE_VOLTAGE.to_bytes(2, "little")),
+                    (0x1016, 1, bytes(4)),
+                ):
+                    with contextlib.suppress(DriveRefusedError):
+                        service.write(index, sub, data)
+            with contextlib.suppress(BusUnavailableError):
+                service.command_nmt(NMT_PRE_OPERATIONAL)
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._service is not None:
+            self._service.close()
+        if self._link is not None:
+            with self._lock, contextlib.suppress(OSError):
+                self._link.close()
+        self._service, self._link, self._port = None, None, None
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,155 @@
+"""What the drive is told and asked: PDO mappings, their byte layouts as tables for the loop, and the scaling.
+
+A TPDO of CiA 301 has one transmission type, so "every n-th SYNC and on change of state" takes two: TPDO2
+carries statusword and torque with every n-th SYNC, TPDO3 the statusword alone on the event (type 255,
+kept apart by an inhibit time; type 0, with the next SYNC after the event, for drives that know it). All
+of it is configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...can import frame as can
+from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE
+
+CONTROLWORD, STATUSWORD = 0x6040, 0x6041
+MODE, MODE_DISPLAY = 0x6060, 0x6061
+POSITION, VELOCITY = 0x6064, 0x606C
+TARGET_TORQUE, TORQUE, TORQUE_OFFSET = 0x6071, 0x6077, 0x60B2
+
+# fields of the feedback that a TPDO object fills; the layout table holds these numbers
+FIELD_VELOCITY, FIELD_POSITION, FIELD_TORQUE, FIELD_STATUSWORD = range(4)
+# object -> (field, bits, signed)
+FEEDBACK_OBJECTS = {
+    VELOCITY: (FIELD_VELOCITY, 32, True),
+    POSITION: (FIELD_POSITION, 32, True),
+    TORQUE: (FIELD_TORQUE, 16, True),
+    STATUSWORD: (FIELD_STATUSWORD, 16, False),
+}
+# object -> (bits, what stands in it when we do not command it)
+COMMAND_OBJECTS = {
+    CONTROLWORD: (16, 0),
+    TARGET_TORQUE: (16, 0),
+    TORQUE_OFFSET: (16, 0),
+    MODE: (8, MODE_CYCLIC_SYNCHRONOUS_TORQUE),
+}
+
+EVERY_SYNC = 1
+ON_EVENT = 255
+ACYCLIC_SYNCHRONOUS = 0
+MAX_SYNC_TYPE = 240
+INHIBIT_UNIT_NS = 100_000
+DEFAULT_STATUS_INHIBIT_NS = 2_000_000
+
+Table = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class MappingError(ValueError):
+    """A configuration that no drive could follow. The text lists every problem, each with what is allowed."""
+
+
+@dataclass(frozen=True)
+class MappedObject:
+    """One entry of a PDO mapping."""
+
+    index: int
+    sub: int
+    bits: int
+
+    @property
+    def word(self) -> int:
+        """The entry as it stands in 0x1600 or 0x1A00 (CiA 301 7.5.2.36)."""
+        return self.index << 16 | self.sub << 8 | self.bits
+
+    def __str__(self) -> str:
+        return f"0x{self.index:04X}:{self.sub:02X}/{self.bits}"
+
+
+class PdoMap(NamedTuple):
+    """One PDO: number from 1, COB-ID, transmission type, mapping, shortest distance of two (TPDO)."""
+
+    number: int
+    cob_id: int
+    transmission: int
+    objects: tuple[MappedObject, ...]
+    inhibit_ns: int = 0
+
+    @property
+    def data_bytes(self) -> int:
+        """Length of its frames."""
+        return sum(item.bits for item in self.objects) // 8
+
+    def offset_of(self, index: int) -> int:
+        """Byte at which an object begins; -1 when it is not mapped."""
+        offset = 0
+        for item in self.objects:
+            if item.index == index:
+                return offset // 8
+            offset += item.bits
+        return -1
+
+
+class Scaling(NamedTuple):
+    """The one place where counts and per mille become revolutions and amperes; negative when inverted."""
+
+    velocity_rps_per_unit: float
+    position_rev_per_count: float
+    permille_per_a: float
+
+
+def command_pdo(node_id: int) -> PdoMap:
+    """RPDO1 with each SYNC: controlword, target torque."""
+    objects = (MappedObject(CONTROLWORD, 0, 16), MappedObject(TARGET_TORQUE, 0, 16))
+    return PdoMap(1, can.RPDO1 + node_id, EVERY_SYNC, objects)
+
+
+def feedback_pdos(node_id: int, status_every: int, status_event: int = ON_EVENT) -> tuple[PdoMap, ...]:
+    """TPDO1 motion with each SYNC, TPDO2 status and torque with every n-th, TPDO3 status on event."""
+    status = MappedObject(STATUSWORD, 0, 16)
+    motion = (MappedObject(VELOCITY, 0, 32), MappedObject(POSITION, 0, 32))
+    inhibit_ns = DEFAULT_STATUS_INHIBIT_NS if status_event == ON_EVENT else 0
+    return (
+        PdoMap(1, can.TPDO1 + node_id, EVERY_SYNC, motion),
+        PdoMap(2, can.TPDO2 + node_id, status_every, (status, MappedObject(TORQUE, 0, 16))),
+        PdoMap(3, can.TPDO3 + node_id, status_event, (status,), inhibit_ns),
+    )
+
+
+def pdo_table(answers: Sequence[PdoMap]) -> Table:
+    """One row a TPDO, shape (n, 3): COB-ID, length in bytes, 1 if it answers every SYNC."""
+    return np.array([(p.cob_id, p.data_bytes, int(p.transmission == EVERY_SYNC)) for p in answers], np.int64)
+
+
+def field_table(answers: Sequence[PdoMap]) -> Table:
+    """One row an object that we use, shape (n, 5): row of its TPDO, byte offset, bytes, signed, FIELD_*."""
+    rows = []
+    for slot, pdo in enumerate(answers):
+        offset = 0
+        for item in pdo.objects:
+            if item.index in FEEDBACK_OBJECTS and item.sub == 0:
+                field, _, signed = FEEDBACK_OBJECTS[item.index]
+                rows.append((slot, offset // 8, item.bits // 8, int(signed), field))
+            offset += item.bits
+    return np.array(rows, np.int64)
+
+
+def command_payload(pdo: PdoMap) -> bytes:
+    """The RPDO's data with everything at rest: no voltage, no torque, the mode kept."""
+    payload = b""
+    for item in pdo.objects:
+        payload += COMMAND_OBJECTS[item.index][1].to_bytes(item.bits // 8, "little")
+    return payload
+
+
+def interpolation_period(period_ns: int) -> tuple[int, int]:
+    """0x60C2: value 1 to 255 and exponent, period = value * 10^exponent s. Raises MappingError."""
+    for exponent in range(-3, -7, -1):
+        unit_ns = 10 ** (9 + exponent)
+        if period_ns % unit_ns == 0 and 1 <= period_ns // unit_ns <= 255:
+            return period_ns // unit_ns, exponent
+    raise MappingError(f"a period of {period_ns} ns does not fit 0x60C2: choose 1 to 255 times 1, 10 or 100 us or 1 ms")

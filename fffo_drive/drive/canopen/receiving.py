@@ -1,0 +1,161 @@
+"""Kernels that read a frame and take from it what it says: feedback, EMCY, heartbeat, bus errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...can import frame as can
+from ...jit import njit
+from ...jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv
+from .object_map import FIELD_POSITION, FIELD_STATUSWORD, FIELD_TORQUE, FIELD_VELOCITY
+from .port_memory import (
+    ANSWERED,
+    ANSWERED_TWICE,
+    CONTROLLER_OFF,
+    POSITION_COUNTS,
+    POSITION_KNOWN,
+    POSITION_RAW,
+    CanopenPort,
+    Words,
+)
+from .sending import note_bus_state, note_errno
+
+FLAGS = can.EXTENDED_FLAG | can.REMOTE_FLAG
+
+
+@njit
+def _decode(port: CanopenPort, slot: int, tick: int) -> int:
+    """Take the fields of a TPDO out of the received frame into the feedback. Returns 0."""
+    feedback = port.feedback[0]
+    for row in range(port.fields.shape[0]):
+        if port.fields[row, 0] != slot:
+            continue
+        first = can.DATA_OFFSET + port.fields[row, 1]
+        size = port.fields[row, 2]
+        raw: Any = 0
+        for i in range(size):
+            raw |= np.int64(port.received[first + i]) << (8 * i)
+        if port.fields[row, 3] != 0 and raw >= 1 << (8 * size - 1):
+            raw -= 1 << (8 * size)
+        field = port.fields[row, 4]
+        if field == FIELD_VELOCITY:
+            feedback["velocity_rps"] = raw * port.scaling.velocity_rps_per_unit
+            feedback["velocity_tick"] = tick
+        elif field == FIELD_POSITION:
+            feedback["position_rev"] = _unwrap(port.memory, raw) * port.scaling.position_rev_per_count
+        elif field == FIELD_TORQUE:
+            feedback["current_a"] = raw / port.scaling.permille_per_a
+        elif field == FIELD_STATUSWORD:
+            feedback["statusword"] = raw
+            feedback["status_tick"] = tick
+    return 0
+
+
+@njit
+def _unwrap(memory: Words, raw: int) -> int:
+    """Multi-turn counts from an int32 counter that wraps: the shortest way from the last value."""
+    if memory[POSITION_KNOWN] == 0:
+        memory[POSITION_KNOWN] = 1
+        memory[POSITION_COUNTS] = raw
+    else:
+        step = ((raw - memory[POSITION_RAW] + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+        memory[POSITION_COUNTS] += step
+    memory[POSITION_RAW] = raw
+    return int(memory[POSITION_COUNTS])
+
+
+@njit
+def _take_answer(port: CanopenPort, slot: int, tick: int, in_time: bool) -> int:
+    """A TPDO that answers every SYNC: use it, or count it as late. Returns 0."""
+    memory = port.memory
+    bit = 1 << slot
+    if memory[ANSWERED] & bit != 0:
+        memory[ANSWERED_TWICE] |= bit
+    if not in_time or memory[ANSWERED_TWICE] & bit != 0:
+        port.feedback[0]["late_feedback"] += 1
+    memory[ANSWERED] |= bit
+    if in_time:
+        _decode(port, slot, tick)
+        port.feedback[0]["received_ns"] = monotonic_ns(port.scratch)
+    return 0
+
+
+@njit
+def _take_node_message(port: CanopenPort, can_id: int, length: int) -> int:
+    """EMCY, or heartbeat and boot-up. Returns 0."""
+    feedback = port.feedback[0]
+    if can_id == can.EMERGENCY + port.node_id:
+        if length < 2:
+            feedback["bad_frames"] += 1
+            return 0
+        code = np.int64(port.received[can.DATA_OFFSET]) | np.int64(port.received[can.DATA_OFFSET + 1]) << 8
+        feedback["emergency_code"] = code
+        if code != 0:
+            feedback["emergency_count"] += 1
+        return 0
+    if length != 1:
+        feedback["bad_frames"] += 1
+        return 0
+    state = np.int64(port.received[can.DATA_OFFSET]) & 0x7F
+    feedback["nmt_state"] = state
+    if state == 0:
+        feedback["boot_count"] += 1
+    feedback["heartbeat_ns"] = monotonic_ns(port.scratch)
+    return 0
+
+
+@njit
+def _take_error_frame(port: CanopenPort, word: int) -> int:
+    """What the CAN controller reports. Returns 0."""
+    port.feedback[0]["error_frames"] += 1
+    if word & can.ERROR_BUS_OFF != 0:
+        port.memory[CONTROLLER_OFF] = 1
+    if word & can.ERROR_RESTARTED != 0:
+        port.memory[CONTROLLER_OFF] = 0
+    return note_bus_state(port)
+
+
+@njit
+def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
+    """Handle the frame in `port.received`. Frames of others, and SDO answers, are passed over. Returns 0."""
+    word: Any = np.int64(port.received_words[0])
+    if word & can.ERROR_FLAG != 0:
+        return _take_error_frame(port, word)
+    if port.memory[CONTROLLER_OFF] != 0:  # whatever arrives: the controller is on the bus again
+        port.memory[CONTROLLER_OFF] = 0
+        note_bus_state(port)
+    can_id = word & can.EXTENDED_MASK
+    slot = -1
+    for i in range(port.pdos.shape[0]):
+        if port.pdos[i, 0] == can_id:
+            slot = i
+    node_message = can_id in (can.EMERGENCY + port.node_id, can.HEARTBEAT + port.node_id)
+    if slot < 0 and not node_message:
+        return 0
+    length: Any = np.int64(port.received[can.LENGTH_OFFSET])
+    if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.pdos[slot, 1]):
+        port.feedback[0]["bad_frames"] += 1
+        return 0
+    if slot < 0:
+        return _take_node_message(port, can_id, length)
+    if port.pdos[slot, 2] != 0:
+        return _take_answer(port, slot, tick, in_time)
+    return _decode(port, slot, tick)
+
+
+@njit
+def read_frame(port: CanopenPort) -> int:
+    """One frame into `port.received` without waiting: 1, or 0 when there is none (or the bus is gone)."""
+    while True:
+        n = recv(port.rx_fd, port.received.ctypes.data, can.FRAME_SIZE, MSG_DONTWAIT)
+        if n == can.FRAME_SIZE:
+            return 1
+        if n >= 0:  # a datagram that is no frame; the kernel filter keeps these away
+            port.feedback[0]["bad_frames"] += 1
+        elif n == -EAGAIN:
+            return 0
+        elif n != -EINTR:
+            note_errno(port, n)
+            return 0

@@ -1,0 +1,42 @@
+"""Kernels that send a frame and keep the bus state: what an errno or an error frame says about it."""
+
+from __future__ import annotations
+
+from ...can import frame as can
+from ...jit import njit
+from ...jit.libc import MSG_DONTWAIT, send
+from .port_memory import CONTROLLER_OFF, INTERFACE_OFF, SEND_ATTEMPTS, CanopenPort
+
+ENXIO, ENODEV, ENETDOWN = 6, 19, 100
+
+
+@njit
+def note_bus_state(port: CanopenPort) -> int:
+    """Make one flag of the reasons. Returns it."""
+    off = 1 if port.memory[CONTROLLER_OFF] != 0 or port.memory[INTERFACE_OFF] != 0 else 0
+    port.feedback[0]["bus_off"] = off
+    return off
+
+
+@njit
+def note_errno(port: CanopenPort, result: int) -> int:
+    """Learn from a failed call whether the interface is down or gone. Returns the new bus_off."""
+    if result in (-ENETDOWN, -ENODEV, -ENXIO):
+        port.memory[INTERFACE_OFF] = 1
+    return note_bus_state(port)
+
+
+@njit
+def send_frame(port: CanopenPort, address: int) -> int:
+    """Send 16 bytes. Returns 0, or -errno (counted)."""
+    # counted before: the link takes its own frames off a counter that the kernel raises within send()
+    port.memory[SEND_ATTEMPTS] += 1
+    n = send(port.tx_fd, address, can.FRAME_SIZE, MSG_DONTWAIT)
+    if n == can.FRAME_SIZE:
+        if port.memory[INTERFACE_OFF] != 0:
+            port.memory[INTERFACE_OFF] = 0
+            note_bus_state(port)
+        return 0
+    port.feedback[0]["send_errors"] += 1
+    note_errno(port, n)
+    return int(n)

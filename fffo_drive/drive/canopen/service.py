@@ -1,0 +1,239 @@
+"""Ordinary CANopen traffic with one node: SDO through `canopen`, NMT commands, boot-up, heartbeat and EMCY.
+
+It has a link of its own, from which the kernel keeps the cyclic frames away. While the loop runs, what is
+sent here goes through the loop's queue, so that it reaches the bus only in the slot after the command.
+
+`canopen`'s SDO client is used alone, without its network: one transfer at a time under a lock, whole
+transfers repeated after a timeout, frames checked before the client sees them (it takes extended ones for its
+own), and both directions counted, because two nodes with one id answer one request twice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
+from canopen.sdo.client import SdoClient
+
+from ...can import frame as can
+from ...can.bpf import CanFilter
+from ...can.frame import Frame, pack_frame, unpack_frame
+from ...can.link import Link, LinkError
+from ..port import BusUnavailableError, DriveRefusedError
+from .service_queue import ServiceQueue
+
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x82
+STATE_BOOT_UP, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x05, 0x7F
+SDO_ABORT = 0x80  # command byte; the only request that is not answered
+ABSENT = (0x06020000, 0x06090011)  # abort codes: no such object, no such sub-index
+KEPT_EMERGENCIES = 64
+RECEIVE_SLICE_S = 0.05
+
+T = TypeVar("T")
+
+
+class SdoRefusedError(DriveRefusedError):
+    """The drive refused an access. `code` is its abort code (CiA 301 7.2.4.3.17)."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+    @property
+    def absent(self) -> bool:
+        """True when the drive does not have the object."""
+        return self.code in ABSENT
+
+
+class Emergency(NamedTuple):
+    """One EMCY message."""
+
+    monotonic_ns: int
+    code: int
+    error_register: int
+    vendor: bytes  # up to five bytes
+
+
+_NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
+
+
+class _Client(SdoClient):
+    """The library's client, which on a timeout would log an error of its own beside the one that we raise."""
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        self.send_request(bytes([SDO_ABORT, 0, 0, 0]) + abort_code.to_bytes(4, "little"))  # type: ignore[no-untyped-call]
+
+
+def object_name(index: int, sub: int) -> str:
+    """0x6040:00, as all texts name an object."""
+    return f"0x{index:04X}:{sub:02X}"
+
+
+def service_filters(node_id: int) -> list[CanFilter]:
+    """What the service link needs to hear: the node's SDO answers and EMCY, and who else is on the bus."""
+    heartbeats = CanFilter(can.HEARTBEAT, can.STANDARD_MASK & ~0x7F)
+    return [CanFilter(can.SDO_RESPONSE + node_id), CanFilter(can.EMERGENCY + node_id), heartbeats]
+
+
+class Service:
+    """Service traffic with one node; a thread reads the link until `close`."""
+
+    def __init__(self, link: Link, node_id: int, queue: ServiceQueue, answer_timeout_s: float, attempts: int) -> None:
+        self.link, self.node_id, self.queue = link, node_id, queue
+        self.boot_ups = 0  # messages since the last `forget`
+        self.nmt_state = -1
+        self.others: set[int] = set()  # node ids of other heartbeats and boot-ups
+        self.emergencies: deque[Emergency] = deque(maxlen=KEPT_EMERGENCIES)
+        self.failure: LinkError | None = None  # of the last attempt to receive
+        self._attempts = attempts
+        self._requests = 0
+        self._responses = 0
+        self._transfer = threading.RLock()
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._direct = False
+        client_type: Any = _Client
+        self._client = client_type(can.SDO_REQUEST + node_id, can.SDO_RESPONSE + node_id, _NO_OBJECTS)
+        self._client.network = self
+        self._client.RESPONSE_TIMEOUT = answer_timeout_s
+        self._thread = threading.Thread(target=self._read, name=f"canopen-{node_id}", daemon=True)
+        self._thread.start()
+
+    # --- sending ---
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a frame: at once, or through the loop's queue while it runs. Raises BusUnavailableError."""
+        frame = pack_frame(can_id, bytes(data), remote=remote)
+        if can_id == can.SDO_REQUEST + self.node_id and data[0] != SDO_ABORT:
+            self._requests += 1
+        if not self._direct and self.queue.loop_runs:
+            if not self.queue.put(frame):
+                raise BusUnavailableError(f"{self.link.spec}: the loop does not let service frames out")
+            return
+        try:
+            self.link.send(frame)
+        except LinkError as error:
+            raise BusUnavailableError(str(error)) from error
+
+    def command_nmt(self, command: int) -> None:
+        """Send an NMT command to the node."""
+        self.send_message(can.NMT, bytes([command, self.node_id]))
+
+    def send_directly(self) -> None:
+        """From now on never through the queue: the loop has ended."""
+        self._direct = True
+
+    # --- SDO ---
+
+    def read(self, index: int, sub: int) -> bytes:
+        """Upload an object.
+
+        Raises SdoRefusedError, DriveRefusedError (two nodes), BusUnavailableError (no answer).
+        """
+        return bytes(self._transact(index, sub, "read", lambda: self._client.upload(index, sub)))
+
+    def write(self, index: int, sub: int, data: bytes) -> None:
+        """Download an object. Raises as `read`."""
+        value = f"write {data.hex(' ')} to"
+        self._transact(index, sub, value, lambda: self._client.download(index, sub, data))
+
+    def read_int(self, index: int, sub: int, *, signed: bool = False) -> int:
+        """An object as a number of whatever size the drive sends."""
+        return int.from_bytes(self.read(index, sub), "little", signed=signed)
+
+    def read_optional_int(self, index: int, sub: int, *, signed: bool = False) -> int | None:
+        """As `read_int`; None when the drive does not have the object."""
+        try:
+            return self.read_int(index, sub, signed=signed)
+        except SdoRefusedError as refusal:
+            if refusal.absent:
+                return None
+            raise
+
+    def _transact(self, index: int, sub: int, what: str, transfer: Callable[[], T]) -> T:
+        name = object_name(index, sub)
+        with self._transfer:
+            for _ in range(self._attempts):
+                try:
+                    result = transfer()
+                except SdoAbortedError as abort:
+                    self.check_one_node()
+                    text = SdoAbortedError.CODES.get(abort.code, "unknown reason")
+                    raise SdoRefusedError(
+                        f"node {self.node_id}: cannot {what} {name}: {text} (abort 0x{abort.code:08X})",
+                        abort.code,
+                    ) from abort
+                except SdoCommunicationError:
+                    self.check_one_node()
+                    continue
+                self.check_one_node()
+                return result
+        raise BusUnavailableError(
+            f"{self.link.spec}: node {self.node_id} does not answer when asked to {what} {name} "
+            f"({self._attempts} times, {self._client.RESPONSE_TIMEOUT} s each); "
+            "is it powered, wired and terminated, and are bit rate and node id right? "
+            f"Heard of: {', '.join(f'node {other}' for other in sorted(self.others)) or 'no other node'}"
+        )
+
+    def check_one_node(self) -> None:
+        """Raise DriveRefusedError when there were more SDO answers than requests."""
+        if self._responses > self._requests:
+            raise DriveRefusedError(
+                f"{self.link.spec}: {self._responses} SDO answers to {self._requests} requests: "
+                f"two nodes have the id {self.node_id}; give one of them another"
+            )
+
+    # --- receiving ---
+
+    def forget(self) -> None:
+        """Begin counting boot-ups anew; the NMT state is unknown."""
+        with self._changed:
+            self.boot_ups = 0
+            self.nmt_state = -1
+
+    def wait_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for something that a received frame changes. True when it came."""
+        with self._changed:
+            return self._changed.wait_for(condition, timeout_s)
+
+    def _read(self) -> None:
+        while not self._closing.is_set():
+            try:
+                raw = self.link.receive(RECEIVE_SLICE_S)
+                self.failure = None
+            except LinkError as error:
+                self.failure = error
+                self._closing.wait(RECEIVE_SLICE_S)
+                continue
+            if raw is not None:
+                self._take(unpack_frame(raw))
+
+    def _take(self, frame: Frame) -> None:
+        if frame.extended or frame.remote or frame.error:
+            return
+        kind, data = frame.can_id - self.node_id, frame.data
+        with self._changed:
+            if kind == can.SDO_RESPONSE and len(data) == can.MAX_DATA:
+                self._responses += 1
+                self._client.on_response(frame.can_id, data, 0.0)
+            elif kind == can.HEARTBEAT and len(data) == 1:
+                self.nmt_state = data[0] & 0x7F
+                self.boot_ups += self.nmt_state == STATE_BOOT_UP
+            elif frame.can_id & ~0x7F == can.HEARTBEAT:
+                self.others.add(frame.can_id & 0x7F)
+            elif kind == can.EMERGENCY and len(data) >= 3:
+                code = int.from_bytes(data[:2], "little")
+                self.emergencies.append(Emergency(time.monotonic_ns(), code, data[2], data[3:]))
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Stop reading and close the link; never raises."""
+        self._closing.set()
+        self._thread.join(1.0)
+        with contextlib.suppress(OSError):
+            self.link.close()

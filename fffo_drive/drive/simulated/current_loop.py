@@ -1,0 +1,60 @@
+"""Transport delay, current controller and winding of the simulated drive.
+
+The command waits in a delay line, then a current controller of 11 kHz (every other sub-step) sets the voltage
+that brings the current a share of the way to the demand, as far as the DC link allows against the back-EMF.
+Between its updates the net voltage is held; the winding (R, L) is stepped exactly.
+"""
+
+from __future__ import annotations
+
+from ...jit import njit
+from . import state as at
+from .state import Floats, Integers
+
+
+@njit
+def transport_step(line: Floats, words: Integers, steps: int, fraction: float, command_a: float) -> float:
+    """Put the command into the delay line; the demand (A) of `steps` + `fraction` sub-steps ago comes out.
+
+    `line` is a ring with room for steps + 2; words[HEAD] moves on.
+    """
+    length = line.shape[0]
+    head = int(words[at.HEAD])
+    line[head] = command_a
+    newer = head - steps
+    if newer < 0:
+        newer += length
+    older = newer - 1
+    if older < 0:
+        older += length
+    head += 1
+    words[at.HEAD] = head if head < length else 0
+    return float((1.0 - fraction) * line[newer] + fraction * line[older])
+
+
+@njit
+def current_step(c: Floats, x: Floats, words: Integers, demand_a: float) -> float:
+    """One sub-step of controller and winding; the mean current over it (A).
+
+    `c`, `x`, `words`: numbers of the parameters, values and words of the state. A limit that was met is noted
+    there.
+    """
+    kept = c[at.CURRENT_KEPT]
+    resistance = c[at.RESISTANCE_OHM]
+    current_a = float(x[at.CURRENT_A])
+    if words[at.SUBSTEP] % 2 == 0:
+        back_emf_v = c[at.BACK_EMF] * x[at.VELOCITY_RPS]
+        peak_a = c[at.PEAK_CURRENT_A]
+        target_a = min(peak_a, max(-peak_a, demand_a))
+        wanted_a = current_a + c[at.CURRENT_APPROACH] * (target_a - current_a)
+        # the voltage that makes it so in two sub-steps of the winding
+        settled = kept * kept
+        wanted_v = back_emf_v + resistance * (wanted_a - settled * current_a) / (1.0 - settled)
+        limit_v = c[at.DC_LINK_V]
+        voltage_v = min(limit_v, max(-limit_v, wanted_v))
+        x[at.WINDING_V] = voltage_v - back_emf_v
+        if voltage_v != wanted_v or target_a != demand_a:
+            words[at.LIMITED] = 1
+    next_a = kept * current_a + (1.0 - kept) * x[at.WINDING_V] / resistance
+    x[at.CURRENT_A] = next_a
+    return float(0.5 * (current_a + next_a))

@@ -1,0 +1,37 @@
+"""How an effect is declared: name, stage, kernel, parameters with unit, default and range, description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from .call import EffectKernel
+
+if TYPE_CHECKING:
+    from ..parameters import PlantConfig
+
+Values = Mapping[str, float]
+Prepare = Callable[["PlantConfig", Values], "PlantConfig"]
+
+
+class Parameter(NamedTuple):
+    """One parameter of an effect. With every `strength` parameter at zero the effect is not there at all."""
+
+    name: str
+    unit: str  # "-" for a number without one
+    default: float
+    low: float
+    high: float
+    meaning: str
+    strength: bool = False
+
+
+class Effect(NamedTuple):
+    """One row of the registry. `parameters` stand in the order in which the kernel reads them."""
+
+    name: str
+    stage: int
+    kernel: EffectKernel | None  # None where only the configuration changes
+    parameters: tuple[Parameter, ...]
+    description: str
+    prepare: Prepare | None = None  # changes the configuration that the plant is made from

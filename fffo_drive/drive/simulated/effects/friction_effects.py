@@ -1,0 +1,267 @@
+"""Effects on the base friction, and friction beside it: asymmetry, shape, dwell, load, place, drift, drag."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from ....jit import njit
+from . import slots as s
+from .declaration import Effect, Parameter, Values
+from .slots import Vector
+
+if TYPE_CHECKING:
+    from ..parameters import PlantConfig
+
+_TURN = 2.0 * math.pi
+
+
+@njit
+def direction_of(velocity_rps: float) -> float:
+    """1, -1, or 0 at rest."""
+    if velocity_rps > 0.0:
+        return 1.0
+    return -1.0 if velocity_rps < 0.0 else 0.0
+
+
+@njit
+def asymmetric_coulomb(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The friction level is higher in positive direction and lower in negative."""
+    signals[s.LEVEL_SCALE] *= 1.0 + parameters[0] * direction_of(signals[s.VELOCITY_RPS])
+
+
+@njit
+def asymmetric_viscous(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The viscous coefficient is higher in positive direction and lower in negative."""
+    signals[s.VISCOUS_SCALE] *= 1.0 + parameters[0] * direction_of(signals[s.VELOCITY_RPS])
+
+
+@njit
+def dwell_stiction(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """Contacts grow together at rest and are torn apart by travel.
+
+    memory[0]: adhesion from 0 to 1. At rest it approaches 1 with the time constant, in motion it decays with
+    travel.
+    """
+    rise_share, time_constant_s, release_rev, rest_rps = (
+        parameters[0],
+        parameters[1],
+        parameters[2],
+        parameters[3],
+    )
+    speed_rps = abs(signals[s.VELOCITY_RPS])
+    step_s = signals[s.STEP_S]
+    if speed_rps < rest_rps:
+        memory[0] += (1.0 - memory[0]) * step_s / time_constant_s
+    else:
+        memory[0] *= math.exp(-speed_rps * step_s / release_rev)
+    signals[s.LEVEL_SCALE] *= 1.0 + rise_share * memory[0]
+
+
+@njit
+def load_dependent_friction(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The torque that is transmitted presses on the teeth: the level rises in proportion to it."""
+    signals[s.LEVEL_SCALE] += parameters[0] * abs(signals[s.TORQUE_NM]) / signals[s.COULOMB_NM]
+
+
+@njit
+def position_dependent_friction(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The level varies along the travel: a wave, and a window (a worn or a tight place) once a period."""
+    wave_share, window_share, period_rev = parameters[0], parameters[1], parameters[2]
+    centre_rev, width_rev = parameters[3], parameters[4]
+    angle_rev = signals[s.ANGLE_REV]
+    scale = 1.0 + wave_share * math.cos(_TURN * angle_rev / period_rev)
+    periods = (angle_rev - centre_rev) / period_rev
+    away_rev = period_rev * (periods - math.floor(periods + 0.5))
+    if abs(away_rev) < 0.5 * width_rev:
+        scale += window_share
+    signals[s.LEVEL_SCALE] *= scale
+
+
+@njit
+def friction_ripple(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The level varies with the motor angle: a ripple that changes its sign with the direction."""
+    share, order, phase_rev = parameters[0], parameters[1], parameters[2]
+    signals[s.LEVEL_SCALE] *= 1.0 + share * math.cos(_TURN * (order * signals[s.ANGLE_REV] + phase_rev))
+
+
+@njit
+def _drift(signals: Vector, share: float, time_constant_s: float) -> float:
+    return 1.0 + share * (1.0 - math.exp(-signals[s.TIME_S] / time_constant_s))
+
+
+@njit
+def coulomb_drift(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The level drifts with the time since power-on."""
+    signals[s.LEVEL_SCALE] *= _drift(signals, parameters[0], parameters[1])
+
+
+@njit
+def viscous_drift(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """The viscous coefficient drifts with the time since power-on."""
+    signals[s.VISCOUS_SCALE] *= _drift(signals, parameters[0], parameters[1])
+
+
+@njit
+def thermal_drift(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """Friction warms the lubricant, which thins it: the viscous coefficient falls as work is done.
+
+    memory[0]: temperature rise in kelvin, first order in the power that base friction turns into heat.
+    """
+    per_k, k_per_w, time_constant_s = parameters[0], parameters[1], parameters[2]
+    power_w = _TURN * abs(signals[s.FRICTION_NM] * signals[s.VELOCITY_RPS])
+    memory[0] += (power_w * k_per_w - memory[0]) * signals[s.STEP_S] / time_constant_s
+    signals[s.VISCOUS_SCALE] *= math.exp(per_k * memory[0])
+
+
+@njit
+def quadratic_drag(signals: Vector, parameters: Vector, memory: Vector) -> None:
+    """A fan or churned oil: torque with the square of the speed."""
+    velocity_rps = signals[s.VELOCITY_RPS]
+    signals[s.ADDED_FRICTION_NM] += parameters[0] * velocity_rps * abs(velocity_rps)
+
+
+def _stribeck_shape(config: PlantConfig, values: Values) -> PlantConfig:
+    friction = config.friction.scaled(
+        rise=1.0 + values["rise_share"], stribeck_velocity=1.0 + values["velocity_share"]
+    )
+    return replace(config, friction=friction)
+
+
+def _presliding_shape(config: PlantConfig, values: Values) -> PlantConfig:
+    return replace(config, friction=config.friction.scaled(stiffness=1.0 + values["stiffness_share"]))
+
+
+def _frictional_lag(config: PlantConfig, values: Values) -> PlantConfig:
+    return replace(config, friction=config.friction.scaled(memory=1.0 + values["length_share"]))
+
+
+_SHARE = Parameter(
+    "share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True
+)
+_DRIFT = (
+    Parameter("share", "-", 0.3, -0.9, 5.0, "change in the end, as a share", True),
+    Parameter("time_constant_s", "s", 60.0, 0.1, 100_000.0, "time constant"),
+)
+
+EFFECTS = (
+    Effect(
+        "asymmetric_coulomb",
+        s.LEVEL,
+        asymmetric_coulomb,
+        (_SHARE,),
+        "friction level differs between the directions",
+    ),
+    Effect(
+        "asymmetric_viscous",
+        s.LEVEL,
+        asymmetric_viscous,
+        (
+            _SHARE._replace(
+                default=0.3, meaning="change of the coefficient in positive direction, as a share"
+            ),
+        ),
+        "viscous friction differs between the directions",
+    ),
+    Effect(
+        "stribeck_shape",
+        s.PREPARED,
+        None,
+        (
+            Parameter("rise_share", "-", 0.4, -1.0, 5.0, "change of the rise from Coulomb to stiction", True),
+            Parameter("velocity_share", "-", 1.0, -0.9, 20.0, "change of the Stribeck velocity", True),
+        ),
+        "another Stribeck curve than the configured one",
+        _stribeck_shape,
+    ),
+    Effect(
+        "presliding_shape",
+        s.PREPARED,
+        None,
+        (Parameter("stiffness_share", "-", -0.7, -0.95, 20.0, "change of the contacts' stiffness", True),),
+        "contacts softer or stiffer than configured",
+        _presliding_shape,
+    ),
+    Effect(
+        "frictional_lag",
+        s.PREPARED,
+        None,
+        (
+            Parameter(
+                "length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True
+            ),
+        ),
+        "friction follows the Stribeck curve over another distance",
+        _frictional_lag,
+    ),
+    Effect(
+        "dwell_stiction",
+        s.LEVEL,
+        dwell_stiction,
+        (
+            Parameter(
+                "rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True
+            ),
+            Parameter("time_constant_s", "s", 3.0, 0.01, 10_000.0, "time constant of the rise"),
+            Parameter("release_rev", "rev", 0.03, 0.0001, 10.0, "travel over which it is lost"),
+            Parameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact rests"),
+        ),
+        "break-away torque grows with the time at rest",
+    ),
+    Effect(
+        "load_dependent_friction",
+        s.LEVEL,
+        load_dependent_friction,
+        (Parameter("share", "-", 0.1, 0.0, 0.9, "friction per transmitted torque", True),),
+        "friction grows with the transmitted torque",
+    ),
+    Effect(
+        "position_dependent_friction",
+        s.LEVEL,
+        position_dependent_friction,
+        (
+            Parameter(
+                "wave_share", "-", 0.25, -0.9, 0.9, "amplitude of the wave, as a share of the level", True
+            ),
+            Parameter("window_share", "-", 0.0, -0.9, 10.0, "change inside the window, as a share", True),
+            Parameter("period_rev", "rev", 8.0, 0.1, 10_000.0, "period along the travel"),
+            Parameter("centre_rev", "rev", 0.0, -10_000.0, 10_000.0, "centre of the window"),
+            Parameter("width_rev", "rev", 1.0, 0.001, 10_000.0, "width of the window"),
+        ),
+        "friction level varies along the travel: a wave, a window, or both",
+    ),
+    Effect(
+        "friction_ripple",
+        s.LEVEL,
+        friction_ripple,
+        (
+            Parameter("share", "-", 0.25, 0.0, 0.9, "amplitude as a share of the level", True),
+            Parameter("order", "1/rev", 2.0, 0.001, 1000.0, "periods in a motor revolution"),
+            Parameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the period"),
+        ),
+        "friction level varies with the motor angle",
+    ),
+    Effect("coulomb_drift", s.LEVEL, coulomb_drift, _DRIFT, "friction level drifts with time"),
+    Effect("viscous_drift", s.LEVEL, viscous_drift, _DRIFT, "viscous friction drifts with time"),
+    Effect(
+        "thermal_drift",
+        s.LEVEL,
+        thermal_drift,
+        (
+            Parameter(
+                "per_k", "1/K", -0.03, -0.2, 0.2, "relative change of viscous friction per kelvin", True
+            ),
+            Parameter("k_per_w", "K/W", 4.0, 0.0, 1000.0, "temperature rise per watt of friction loss"),
+            Parameter("time_constant_s", "s", 40.0, 0.1, 100_000.0, "thermal time constant"),
+        ),
+        "viscous friction falls as friction warms the lubricant",
+    ),
+    Effect(
+        "quadratic_drag",
+        s.LOAD,
+        quadratic_drag,
+        (Parameter("drag_nm_per_rps2", "Nm s^2/rev^2", 1e-4, -1e-4, 0.01, "torque per speed squared", True),),
+        "drag with the square of the speed",
+    ),
+)

@@ -1,0 +1,76 @@
+"""The registry: every effect by name, the checks of what a configuration asks for, and the table for the
+documentation.
+
+An effect is added by a kernel and one row in the `EFFECTS` of its file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+
+from . import friction_effects, mechanics, odd, torque
+from .declaration import Effect
+from .slots import STAGE_NAMES
+
+EFFECTS: dict[str, Effect] = {
+    effect.name: effect for module in (torque, friction_effects, mechanics, odd) for effect in module.EFFECTS
+}
+
+
+def effect_values(name: str, given: Mapping[str, float]) -> dict[str, float]:
+    """All parameters of an effect in the kernel's order: what is given, else the default."""
+    return {p.name: float(given.get(p.name, p.default)) for p in EFFECTS[name].parameters}
+
+
+def is_present(name: str, values: Mapping[str, float]) -> bool:
+    """False when every strength parameter is zero: such an effect is left out of the plant altogether."""
+    return any(p.strength and values[p.name] != 0.0 for p in EFFECTS[name].parameters)
+
+
+def effect_errors(name: str, given: Mapping[str, float]) -> list[tuple[str, str]]:
+    """What is wrong with a request for an effect: pairs of key (empty for the name itself) and text."""
+    effect = EFFECTS.get(name)
+    if effect is None:
+        return [("name", f"no effect is called {name!r}{_suggestion(name, EFFECTS)}")]
+    known = {p.name: p for p in effect.parameters}
+    errors = []
+    for key, value in given.items():
+        if key not in known:
+            text = (
+                f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
+            )
+            errors.append((f"parameters.{key}", text))
+            continue
+        p = known[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            errors.append(
+                (f"parameters.{key}", f"{value!r} is not a number ({p.low:g} to {p.high:g} {p.unit})")
+            )
+        elif not p.low <= value <= p.high:
+            errors.append((f"parameters.{key}", f"{value:g} is outside {p.low:g} to {p.high:g} {p.unit}"))
+    return errors
+
+
+def _suggestion(word: str, known: Mapping[str, object]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def effect_table() -> str:
+    """Markdown table of all effects and their parameters."""
+    lines = [
+        "| effect | acts on | what it is | parameter | unit | default | range |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for effect in EFFECTS.values():
+        head = f"| `{effect.name}` | {STAGE_NAMES[effect.stage]} | {effect.description} "
+        for p in effect.parameters:
+            strength = " (strength)" if p.strength else ""
+            cells = (
+                f"| `{p.name}`: {p.meaning}{strength} | {p.unit} | {p.default:g} | {p.low:g} to {p.high:g} |"
+            )
+            lines.append(head + cells)
+            head = "| | | "
+    return "\n".join(lines)

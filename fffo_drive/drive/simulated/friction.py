@@ -1,0 +1,165 @@
+"""The plant's own friction, in two kinds. Neither shares a line with `fffo_drive.model`.
+
+*Five surfaces.* The torque is the sum over the frictional surfaces f1 to f5 of the paper's Fig. 2b: four
+bearings and the teeth of the gear. Each surface is an elasto-plastic element (Dupont et al., 2002) that is
+elastic up to a share of its level and slides at the level, with a level of its own that follows the Stribeck
+curve not at once, but over a sliding distance (the contacts renew themselves): that is the frictional lag,
+and why the break-away peak depends on the torque rate. Surfaces that give way one after the other make the
+hysteresis of presliding.
+
+*Single surface.* The two-state model with elasto-plasticity (2SEP) as paper/NOTES.md derives it, by its exact
+step.
+
+All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step is exact for a speed that is
+constant over it, so no stiffness is too stiff for it. Friction is positive against positive speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...jit import njit
+
+Table = np.ndarray[Any, np.dtype[np.float64]]
+
+FIVE_SURFACES = 0
+SINGLE_2SEP = 1
+
+# columns of the parameter table; one row a surface
+COULOMB_NM = 0
+RISE_NM = 1  # stiction minus Coulomb level
+VISCOUS_NM_PER_RPS = 2
+PER_STRIBECK_RPS = 3  # 1/Vs
+STRIBECK_EXPONENT = 4
+STIFFNESS = 5  # surfaces: Nm/rev of the elastic contact; single: K in 1/rev
+ELASTIC_SHARE = 6  # surfaces: share of the level below which the contact is elastic
+MEMORY = 7  # surfaces: 1/rev, one over the sliding distance that renews the level; single: B in Nm/rev
+TABLE_COLUMNS = 8
+
+# columns of the state, surfaces: torque of the contact, and how much of the stiction rise is there (1 at
+# rest)
+CONTACT_NM = 0
+STICTION = 1
+# columns of the state, single surface
+FRICTION_NM = 0
+OMEGA_NM = 1
+TRAVEL_REV = 2
+DIRECTION = 3
+STATE_COLUMNS = 4
+
+_NEGLIGIBLE = 25.0  # exp(-25) of a level is far below anything that can be measured
+
+
+class Scales(NamedTuple):
+    """What effects and temperature make of the friction; 1 is no change."""
+
+    level: float  # multiplies Coulomb and stiction level
+    stiction: float  # multiplies the rise from Coulomb to stiction level
+    viscous: float
+
+
+@njit
+def stribeck_share(ratio: float, exponent: float) -> float:
+    """exp(-ratio^exponent) of ratio = |w|/Vs: how much of the stiction rise is left at a steady speed."""
+    if exponent == 2.0:
+        ratio = ratio * ratio
+    elif exponent != 1.0:
+        ratio = math.pow(ratio, exponent)
+    return math.exp(-ratio) if ratio < _NEGLIGIBLE else 0.0
+
+
+@njit
+def _contact_step(contact_nm: float, level_nm: float, elastic_share: float, pull_nm: float) -> float:
+    """One elasto-plastic contact over a step in which it would stretch by `pull_nm` if it were elastic.
+
+    dz = k dx (1 - alpha z sgn(dx)/g): alpha rises from 0 (elastic, or unloading) at |z| = elastic_share * g
+    to 1 at |z| = g. Exact for the alpha at the start of the step, and never beyond the level in the direction
+    of loading.
+    """
+    direction = 1.0 if pull_nm > 0.0 else -1.0
+    load = direction * contact_nm / level_nm  # in levels from here on
+    pull = direction * pull_nm / level_nm
+    if load <= elastic_share:
+        load = min(1.0, load + pull)
+    elif load < 1.0:
+        yielding = (load - elastic_share) / (1.0 - elastic_share)
+        alpha = yielding * yielding * (3.0 - 2.0 * yielding)
+        decay = alpha * pull
+        stretched = load + pull if decay < 1e-9 else load + (1.0 / alpha - load) * (1.0 - math.exp(-decay))
+        load = min(1.0, stretched)
+    elif load > 1.0:
+        load = 1.0 + (load - 1.0) * math.exp(-pull)
+    return direction * load * level_nm
+
+
+@njit
+def surfaces_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+    """Friction torque of all surfaces (Nm) after one step at a constant speed; `state` moves on."""
+    speed_rps = abs(velocity_rps)
+    travel_rev = speed_rps * step_s
+    total_nm = 0.0
+    viscous = 0.0
+    for k in range(table.shape[0]):
+        viscous += table[k, VISCOUS_NM_PER_RPS]
+        if speed_rps == 0.0:
+            total_nm += state[k, CONTACT_NM]
+            continue
+        renewed = travel_rev * table[k, MEMORY]
+        steady = stribeck_share(speed_rps * table[k, PER_STRIBECK_RPS], table[k, STRIBECK_EXPONENT])
+        stiction = (state[k, STICTION] + renewed * steady) / (1.0 + renewed)
+        state[k, STICTION] = stiction
+        level_nm = scales.level * (table[k, COULOMB_NM] + scales.stiction * table[k, RISE_NM] * stiction)
+        pull_nm = table[k, STIFFNESS] * velocity_rps * step_s
+        contact_nm = _contact_step(state[k, CONTACT_NM], level_nm, table[k, ELASTIC_SHARE], pull_nm)
+        state[k, CONTACT_NM] = contact_nm
+        total_nm += contact_nm
+    return total_nm + scales.viscous * viscous * velocity_rps
+
+
+@njit
+def single_step(
+    table: Table,
+    state: Table,
+    velocity_rps: float,
+    step_s: float,
+    scales: Scales,
+) -> float:
+    """Friction torque (Nm) of the 2SEP surface after one step at constant speed: paper/NOTES.md, "The exact
+    step".
+
+    F+ = F E + s |S| (1 - E) + Omega K exp(-K x) (exp(-K d) - E)/(b - K), with d = |w| h, b = B/|S|, E =
+    exp(-b d) and x the travel since the reversal. Omega is the clipped one: s max(0, Fc - s F at the
+    reversal).
+    """
+    friction_nm = state[0, FRICTION_NM]
+    if velocity_rps == 0.0:
+        return float(friction_nm)
+    direction = 1.0 if velocity_rps > 0.0 else -1.0
+    speed_rps = abs(velocity_rps)
+    travel_rev = speed_rps * step_s
+    coulomb_nm = scales.level * table[0, COULOMB_NM]
+    if direction != state[0, DIRECTION]:
+        state[0, DIRECTION] = direction
+        state[0, TRAVEL_REV] = 0.0
+        missing = coulomb_nm - direction * friction_nm
+        state[0, OMEGA_NM] = direction * missing if missing > 0.0 else 0.0
+    steady = stribeck_share(speed_rps * table[0, PER_STRIBECK_RPS], table[0, STRIBECK_EXPONENT])
+    rise_nm = scales.level * scales.stiction * table[0, RISE_NM]
+    level_nm = coulomb_nm + rise_nm * steady + scales.viscous * table[0, VISCOUS_NM_PER_RPS] * speed_rps
+    stiffness_per_rev = table[0, STIFFNESS]
+    rate_per_rev = table[0, MEMORY] / level_nm
+    kept = math.exp(-rate_per_rev * travel_rev)
+    before_rev = state[0, TRAVEL_REV]
+    difference = rate_per_rev - stiffness_per_rev
+    if abs(difference) * travel_rev < 1e-6:
+        response_rev = travel_rev * kept * (1.0 + 0.5 * difference * travel_rev)
+    else:
+        response_rev = (math.exp(-stiffness_per_rev * travel_rev) - kept) / difference
+    excitation_nm = state[0, OMEGA_NM] * stiffness_per_rev * math.exp(-stiffness_per_rev * before_rev)
+    friction_nm = friction_nm * kept + direction * level_nm * (1.0 - kept) + excitation_nm * response_rev
+    state[0, FRICTION_NM] = friction_nm
+    state[0, TRAVEL_REV] = before_rev + travel_rev
+    return float(friction_nm)

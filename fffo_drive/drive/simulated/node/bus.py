@@ -1,0 +1,60 @@
+"""What the services of a node share: the time of the event at hand, frames to send, who listens to what.
+
+Frames are the 16 bytes of `struct can_frame`. Time is the caller's (`Node.handle`, `Node.poll`), in
+nanoseconds; nothing in the node reads a clock, so a test can run years of bus time in no time.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, pack_frame
+
+NEVER = 1 << 62  # a deadline that does not come
+NS_PER_MS = 1_000_000
+NS_PER_100_US = 100_000
+NS_PER_US = 1_000
+
+_CAN_ID = struct.Struct("=I")
+
+Handler = Callable[[bytes], None]
+
+
+class Bus:
+    """Outbox, listeners and time of one node."""
+
+    __slots__ = ("listeners", "now_ns", "outbox")
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self.outbox: list[bytes] = []
+        self.listeners: dict[int, Handler] = {}
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Queue a data frame with an 11-bit identifier."""
+        self.outbox.append(pack_frame(can_id, data))
+
+    def listen(self, can_id: int, handler: Handler) -> None:
+        """Call `handler` for each data frame with this 11-bit identifier, after those who listen already."""
+        first = self.listeners.get(can_id)
+        if first is None:
+            self.listeners[can_id] = handler
+            return
+
+        def both(frame: bytes) -> None:
+            first(frame)
+            handler(frame)
+
+        self.listeners[can_id] = both
+
+
+def payload(frame: bytes) -> bytes:
+    """The data bytes of a frame, as many as its length says (at most 8)."""
+    return frame[DATA_OFFSET : DATA_OFFSET + min(frame[LENGTH_OFFSET], MAX_DATA)]
+
+
+def identifier(frame: bytes) -> int:
+    """The word with identifier and flags."""
+    word: int = _CAN_ID.unpack_from(frame)[0]
+    return word

@@ -1,0 +1,107 @@
+"""What makes one simulated node: identity, machine, behaviour in time, and the faults planned for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ....units import S_PER_MIN, TWO_PI
+from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
+from ..ranges import key, range_errors
+from .dictionary import Value, multiplexer
+from .faults import Fault
+from .plant_port import Ratings
+
+MILLI = 1000.0
+PERMILLE = 1000.0
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Objects 0x1018 and 0x1008 to 0x100A."""
+
+    vendor_id: int = key(0, "-", 0, 0xFFFFFFFF, "0x1018:1")
+    product_code: int = key(0x50455332, "-", 0, 0xFFFFFFFF, "0x1018:2; the default reads 2SEP")
+    revision: int = key(0x00010000, "-", 0, 0xFFFFFFFF, "0x1018:3")
+    serial_number: int = key(1, "-", 0, 0xFFFFFFFF, "0x1018:4")
+    device_name: str = "fffo-drive simulated servo drive"
+    hardware_version: str = "simulated"
+    software_version: str = "0.1"
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """A simulated drive as a CANopen node."""
+
+    node_id: int = key(1, "-", 1, 127, "CANopen node-ID")
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    device: DeviceConfig = field(default_factory=DeviceConfig)
+    identity: Identity = field(default_factory=Identity)
+    velocity_counts_per_rps: int = key(32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second")
+    undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "of dc_link_v: below, the drive trips with 0x3220")
+    overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")
+    highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "rise at which the drive trips with 0x4310")
+    sync_loss_tolerance_ms: int = key(
+        50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss"
+    )
+    step_by_sync: bool = False  # the plant advances one 0x1006 period with each SYNC, and not otherwise
+    faults: tuple[Fault, ...] = ()
+    realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: not asked for")
+
+    def validate(self) -> NodeConfig:
+        """Self, when nothing is wrong. Raises PlantConfigError."""
+        self.plant.validate()
+        self.device.validate()
+        own = [
+            (name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))
+        ]
+        if own:
+            raise PlantConfigError("\n".join(f"node.{name}: {text}" for name, text in own))
+        return self
+
+    @property
+    def ratings(self) -> Ratings:
+        """The name plate that plant and device have together."""
+        plant, device = self.plant, self.device
+        return Ratings(
+            rated_torque_nm=plant.rated_torque_nm,
+            torque_constant_nm_per_a=plant.torque_constant_nm_per_a,
+            peak_permille=round(PERMILLE * plant.peak_current_a / plant.rated_current_a),
+            counts_per_rev=1 << plant.resolver.bits,
+            velocity_counts_per_rps=self.velocity_counts_per_rps,
+            max_speed_rps=plant.dc_link_v / (TWO_PI * plant.torque_constant_nm_per_a),
+            undervoltage_v=self.undervoltage_share * plant.dc_link_v,
+            overvoltage_v=self.overvoltage_share * plant.dc_link_v,
+            highest_temperature_k=self.highest_temperature_k,
+            brake_a_per_rps=device.brake_gain_a_per_rps,
+            standstill_rps=device.standstill_rps,
+        )
+
+
+def device_defaults(config: NodeConfig) -> dict[int, Value]:
+    """Defaults of the object dictionary that depend on the configured drive, by `multiplexer(index, sub)`."""
+    identity, ratings, device = config.identity, config.ratings, config.device
+    per_rps = ratings.velocity_counts_per_rps
+    values: dict[tuple[int, int], Value] = {
+        (0x1008, 0): identity.device_name.encode(),
+        (0x1009, 0): identity.hardware_version.encode(),
+        (0x100A, 0): identity.software_version.encode(),
+        (0x1018, 1): identity.vendor_id,
+        (0x1018, 2): identity.product_code,
+        (0x1018, 3): identity.revision,
+        (0x1018, 4): identity.serial_number,
+        (0x2010, 0): config.sync_loss_tolerance_ms,
+        (0x605A, 0): device.quick_stop_option,
+        (0x605E, 0): device.fault_reaction_option,
+        (0x6072, 0): ratings.peak_permille,
+        (0x6073, 0): ratings.peak_permille,
+        (0x6075, 0): round(ratings.rated_current_a * MILLI),
+        (0x6076, 0): round(ratings.rated_torque_nm * MILLI),
+        (0x6080, 0): round(ratings.max_speed_rps * S_PER_MIN),
+        (0x6084, 0): max(1, round(device.slow_ramp_rps2 * per_rps)),
+        (0x6085, 0): max(1, round(device.quick_ramp_rps2 * per_rps)),
+        (0x608F, 1): ratings.counts_per_rev,
+        (0x6090, 1): per_rps,
+        (0x60E0, 0): ratings.peak_permille,
+        (0x60E1, 0): ratings.peak_permille,
+    }
+    return {multiplexer(index, sub): value for (index, sub), value in values.items()}

@@ -1,0 +1,302 @@
+"""The node: all services put together. Frames and time in, frames out; no sockets, no clock, no threads.
+
+`handle` takes a frame, `poll` acts on what time brought, `deadline_ns` says when it must be called at the
+latest. A SYNC goes the short way: let the plant run up to now, latch the feedback, apply the buffered RPDOs,
+compute the command, queue the TPDOs.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from ....can.frame import (
+    ERROR_BUS_OFF,
+    ERROR_FLAG,
+    ERROR_RESTARTED,
+    FRAME_SIZE,
+    HEARTBEAT,
+    LENGTH_OFFSET,
+    MAX_DATA,
+    NMT,
+)
+from . import emcy
+from .bus import NS_PER_MS, Bus, Handler, identifier
+from .config import NodeConfig, device_defaults
+from .dictionary import ObjectDictionary
+from .drive_profile import DriveProfile
+from .emcy import Emergency
+from .fault_target import FaultTarget
+from .faults import FaultInjector
+from .heartbeat import HeartbeatConsumer, HeartbeatProducer
+from .nmt import NmtSlave, NmtState
+from .objects import ENTRIES, PDO_COUNT
+from .plant_port import PlantPort
+from .rpdo import Rpdo
+from .sdo_server import SdoServer
+from .storage import Storage
+from .sync import STATISTICS, SyncConsumer
+from .tpdo import Tpdo
+
+ERROR_BEHAVIOUR = 0x1029
+PLANT_PERIOD_NS = 10 * NS_PER_MS  # the plant is never further behind than this
+INTERPOLATION_PERIOD = 0x60C2
+
+
+class Service(Protocol):
+    """A part of the node that has something to do at a time."""
+
+    @property
+    def deadline_ns(self) -> int:
+        """When `poll` is due."""
+        ...
+
+    def poll(self) -> None:
+        """Do it."""
+        ...
+
+
+class Node:
+    """One CANopen node with a plant below it. Call `start`, then `handle` and `poll` with rising times."""
+
+    def __init__(self, config: NodeConfig, plant: PlantPort) -> None:
+        self.config = config
+        self.bus = bus = Bus()
+        self.od = od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
+        self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset)
+        self.emergency = Emergency(bus, od, self.nmt)
+        self.storage = Storage(od)
+        self.drive = DriveProfile(bus, od, self.emergency, plant, config.ratings)
+        self.sync = SyncConsumer(
+            bus,
+            od,
+            self.nmt,
+            self.emergency,
+            self._on_sync,
+            lambda: self._drive_lost(emcy.SYNC_LOSS),
+            self._wire_up,
+        )
+        self.sync.supervised = not config.step_by_sync
+        self.producer = HeartbeatProducer(bus, od, self.nmt)
+        self.consumer = HeartbeatConsumer(
+            bus, od, self._on_heartbeat_loss, self._on_heartbeat_recovery, self._wire_up
+        )
+        self.sdo = SdoServer(bus, od, self.nmt)
+        self.tpdos = [Tpdo(bus, od, self.nmt, n, self._wire_up) for n in range(PDO_COUNT)]
+        self.rpdos = [
+            Rpdo(
+                bus,
+                od,
+                self.nmt,
+                self.emergency,
+                self.sync,
+                n,
+                self._wire_up,
+                lambda: self._drive_lost(emcy.RPDO_TIMEOUT),
+            )
+            for n in range(PDO_COUNT)
+        ]
+        target = FaultTarget(bus, self.nmt, self.emergency, self.drive, self.rpdos, self.tpdos)
+        self.faults = FaultInjector(bus, od, self.emergency, target, config.faults, config.plant.seed)
+        self._services: tuple[Service, ...] = (
+            self.producer,
+            self.consumer,
+            self.emergency,
+            self.sync,
+            self.sdo,
+            *self.rpdos,
+            *self.tpdos,
+        )
+        self._pdos: tuple[Rpdo | Tpdo, ...] = (*self.rpdos, *self.tpdos)
+        self._start_ns = 0
+        self._plant_ns = 0
+        self._plant_due_ns = 0
+
+    # the three entrances
+
+    def start(self, now_ns: int) -> list[bytes]:
+        """Power on: boot-up."""
+        self.bus.now_ns = self._start_ns = now_ns
+        self._plant_due_ns = now_ns + PLANT_PERIOD_NS
+        self.faults.start()
+        self.nmt.reset(whole_node=True)
+        return self._collect()
+
+    def handle(self, frame: bytes, now_ns: int) -> list[bytes]:
+        """A frame came from the bus (16 bytes). Returns the frames to send."""
+        self.bus.now_ns = now_ns
+        faults = self.faults
+        if faults.quiet:
+            self._dispatch(frame)
+        elif not faults.dark:
+            for arriving in faults.received.transfer(frame, now_ns):
+                self._dispatch(arriving)
+        return self._collect()
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        """Time has come to `now_ns`. Returns the frames to send."""
+        self.bus.now_ns = now_ns
+        if self.deadline_ns > now_ns:
+            return []
+        self._advance()
+        self.faults.poll()
+        for frame in self.faults.received.due(now_ns):
+            self._dispatch(frame)
+        for service in self._services:
+            if service.deadline_ns <= now_ns:
+                service.poll()
+        self.drive.update()
+        return self._collect()
+
+    def bus_changed(self, present: bool, now_ns: int) -> list[bytes]:
+        """The interface went away (as bus-off), or came back. Returns the frames to send."""
+        self.bus.now_ns = now_ns
+        self._on_error_frame(ERROR_RESTARTED if present else ERROR_BUS_OFF)
+        return self._collect()
+
+    @property
+    def deadline_ns(self) -> int:
+        """When `poll` must be called at the latest."""
+        return min(self._plant_due_ns, self.faults.deadline_ns, *[s.deadline_ns for s in self._services])
+
+    # frames
+
+    def _dispatch(self, frame: bytes) -> None:
+        if len(frame) != FRAME_SIZE or frame[LENGTH_OFFSET] > MAX_DATA:
+            self._count_malformed()
+            return
+        word = identifier(frame)
+        handler = self.bus.listeners.get(word)  # flags are part of the word: only plain data frames match
+        if handler is not None:
+            handler(frame)
+        elif word & ERROR_FLAG:
+            self._on_error_frame(word)
+
+    def _collect(self) -> list[bytes]:
+        if self.nmt.exchanges:
+            for tpdo in self._event_tpdos:
+                tpdo.check_event()
+        outbox = self.bus.outbox
+        frames = outbox[:] if self.faults.quiet else self._leave_faulty(outbox)
+        outbox.clear()
+        return frames
+
+    def _leave_faulty(self, outbox: list[bytes]) -> list[bytes]:
+        wire, now_ns = self.faults.sent, self.bus.now_ns
+        if self.faults.dark:
+            return [frame for frame in outbox if identifier(frame) & ERROR_FLAG]
+        frames = wire.due(now_ns)
+        for frame in outbox:
+            frames += wire.transfer(frame, now_ns)
+        self.faults.take_stock()
+        return frames
+
+    def _wire_up(self) -> None:
+        """Who listens to what: after a change of any identifier."""
+        bus = self.bus
+        bus.listeners.clear()
+        bus.listen(NMT, self._acting(self.nmt.receive))
+        bus.listen(self.sync.can_id, self.sync.receive)
+        for rpdo in self.rpdos:
+            if rpdo.exists:
+                bus.listen(
+                    rpdo.parameters.can_id, rpdo.receive if rpdo.synchronous else self._acting(rpdo.receive)
+                )
+        bus.listen(self.sdo.request_id, self._acting(self.sdo.receive))
+        for node_id in self.consumer.node_ids:
+            bus.listen(HEARTBEAT + node_id, self._acting(self.consumer.receive))
+        self._sync_rpdos = [rpdo for rpdo in self.rpdos if rpdo.exists and rpdo.synchronous]
+        self._sync_tpdos = [tpdo for tpdo in self.tpdos if tpdo.synchronous or tpdo.acyclic]
+        self._event_tpdos = [tpdo for tpdo in self.tpdos if tpdo.event_driven]
+
+    def _acting(self, handler: Handler) -> Handler:
+        """What may change the drive meets it as it is now."""
+
+        def act(frame: bytes) -> None:
+            self._advance()
+            handler(frame)
+            self.drive.update()
+
+        return act
+
+    def _count_malformed(self) -> None:
+        self.od.put(STATISTICS, 6, self.od.number(STATISTICS, 6) + 1 & 0xFFFFFFFF)
+
+    def _on_error_frame(self, word: int) -> None:
+        if word & ERROR_BUS_OFF:
+            self._advance()
+            self._communication_error(emcy.COMMUNICATION)
+            self.drive.update()
+        if word & ERROR_RESTARTED:
+            self.emergency.announce(emcy.BUS_OFF_RECOVERED)
+
+    # time
+
+    def _advance(self) -> None:
+        """Let the plant run up to now, unless time is made of SYNCs."""
+        if not self.config.step_by_sync:
+            self._plant_ns = self.bus.now_ns - self._start_ns
+        self._plant_due_ns = self.bus.now_ns + PLANT_PERIOD_NS
+        self.drive.advance_to(self._plant_ns)
+
+    def _sync_period_ns(self) -> int:
+        """0x1006; where it is 0, the interpolation period 0x60C2."""
+        number = self.od.number
+        exact = number(INTERPOLATION_PERIOD, 1) * 10 ** (9 + number(INTERPOLATION_PERIOD, 2))
+        return self.sync.period_ns or exact
+
+    def _on_sync(self, counter: int) -> None:
+        if self.config.step_by_sync:
+            self._plant_ns += self._sync_period_ns()
+        self._advance()
+        if not self.nmt.exchanges:
+            self.drive.update()
+            return
+        for rpdo in self._sync_rpdos:
+            rpdo.on_sync()
+        self.drive.update()
+        for tpdo in self._sync_tpdos:
+            tpdo.on_sync(counter)
+
+    # what services report
+
+    def _on_state(self, old: NmtState, new: NmtState) -> None:
+        if old is NmtState.OPERATIONAL:
+            self._drive_lost(emcy.COMMUNICATION, announce=True)
+        for pdo in self._pdos:
+            pdo.restart()
+        if new is NmtState.STOPPED:
+            self.sdo.reset()
+        self.emergency.flush()
+
+    def _on_reset(self, whole_node: bool) -> None:
+        self._advance()
+        self._drive_lost(emcy.COMMUNICATION, announce=True)
+        self.storage.reset(whole_node)
+        for pdo in self._pdos:
+            pdo.configure()
+            pdo.restart()
+        for service in (self.sync, self.producer, self.consumer, self.sdo):
+            service.reset()
+        self.emergency.reset(whole_node)
+        if whole_node:
+            self.drive.restart()
+        self._wire_up()
+
+    def _drive_lost(self, code: int, announce: bool = False) -> None:
+        self.drive.connection_lost(code, announce)
+
+    def _on_heartbeat_loss(self, node_id: int) -> None:
+        self.emergency.raise_error(emcy.HEARTBEAT_LOSS, node_id)
+        self._communication_error(emcy.HEARTBEAT_LOSS)
+
+    def _on_heartbeat_recovery(self, node_id: int) -> None:
+        self.emergency.clear(emcy.HEARTBEAT_LOSS, node_id)
+
+    def _communication_error(self, code: int) -> None:
+        """0x6007 for the drive and 0x1029 for the node."""
+        self._drive_lost(code)
+        behaviour = self.od.number(ERROR_BEHAVIOUR, 1)
+        if behaviour == 2:
+            self.nmt.enter(NmtState.STOPPED)
+        elif behaviour == 0 and self.nmt.exchanges:
+            self.nmt.enter(NmtState.PRE_OPERATIONAL)

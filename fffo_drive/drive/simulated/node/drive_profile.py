@@ -1,0 +1,320 @@
+"""CiA 402 above the plant: state machine, option codes acted out, faults, statusword, feedback objects.
+
+The transitions are `cia402_device.device_step`. A controlword acts when it is written; between writes the
+drive makes only its own transitions. The target torque acts in OPERATION ENABLED alone; in the other states
+the power stage carries current only while the drive brakes (quick stop, fault reaction, slow-down ramp).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .. import cia402_device as cia402
+from ..braking import COAST, SLOW_RAMP, BrakeSettings, brake_kind
+from .abort import Abort, SdoAbortError
+from .braking import PERIOD_NS, Brake
+from .bus import Bus
+from .dictionary import ObjectDictionary, multiplexer
+from .emcy import (
+    DC_LINK_OVERVOLTAGE,
+    DC_LINK_UNDERVOLTAGE,
+    OVERCURRENT,
+    OVERSPEED,
+    OVERTEMPERATURE,
+    RESOLVER,
+    Emergency,
+)
+from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
+from .plant_port import PlantPort, Ratings
+from .setpoint import Setpoint
+
+ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD = 0x6007, 0x603F, 0x6040, 0x6041
+QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
+MODE, MODE_DISPLAY = 0x6060, 0x6061
+MAX_TORQUE, MAX_SPEED, SLOW_DOWN, QUICK_STOP = 0x6072, 0x6080, 0x6084, 0x6085
+
+MALFUNCTION, DISABLE_VOLTAGE, STOP_QUICKLY = 1, 2, 3  # 0x6007
+MODES = (MODE_NONE, MODE_TORQUE_PROFILE, MODE_CYCLIC_TORQUE)
+OVERSPEED_FACTOR = 1.2  # of 0x6080
+OVERCURRENT_FACTOR = 1.5  # of the peak
+NO_COMMAND = cia402.CW_ENABLE_VOLTAGE | cia402.CW_QUICK_STOP | cia402.CW_FAULT_RESET
+UNABLE_TO_BRAKE = frozenset({RESOLVER, OVERCURRENT, DC_LINK_OVERVOLTAGE, DC_LINK_UNDERVOLTAGE})
+_POWERED_STATES = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE)
+_INT32 = 1 << 31
+
+
+class DriveProfile:
+    """The drive. `advance_to` lets its time pass, `update` computes what it does next."""
+
+    def __init__(
+        self, bus: Bus, od: ObjectDictionary, emergency: Emergency, plant: PlantPort, ratings: Ratings
+    ) -> None:
+        self.bus, self.od, self.emergency, self.plant, self.ratings = bus, od, emergency, plant, ratings
+        self.setpoint = Setpoint(od, ratings)
+        self.time_ns = 0  # of the plant
+        self.state = cia402.START
+        self.stuck = False  # fault injection: the statusword no longer changes
+        self.injected: set[int] = set()  # fault conditions that are held present
+        self.on_transition: list[Callable[[int], None]] = []
+        self._word = 0  # the last controlword
+        self._settled_word = -1  # a word that changes nothing any more
+        self._deferred_word: int | None = None  # carried out when the slow-down ramp has ended
+        self._brake: Brake | None = None
+        self._current_a = 0.0
+        self._updated_ns = 0
+        self._fault_code = 0
+        self._own_error = 0  # the EMCY that a fault reset ends; 0 where another service announced it
+        self._status_slot = od.slots[multiplexer(STATUSWORD, 0)]
+        self._mode_slot = od.slots[multiplexer(MODE_DISPLAY, 0)]
+        self._feedback_slots = tuple(
+            od.slots[multiplexer(i, 0)] for i in (0x6064, 0x606C, 0x6077, 0x6078, 0x6079)
+        )
+        self._listen()
+        self.restart()
+
+    def _listen(self) -> None:
+        od = self.od
+        od.on_write(CONTROLWORD, lambda sub, value: self.command(value))
+        od.on_write(MODE, lambda sub, value: self._select_mode(value))
+        od.guard(MODE, _one_of(*MODES))
+        od.guard(QUICK_STOP_OPTION, _one_of(0, 1, 2, 3, 5, 6, 7))
+        for index in (0x6072, 0x6073, 0x60E0, 0x60E1):
+            od.guard(index, self._check_torque_limit)
+
+    def _check_torque_limit(self, sub: int, value: int) -> None:
+        if value > self.ratings.peak_permille:
+            raise SdoAbortError(Abort.VALUE_TOO_HIGH)
+
+    def restart(self) -> None:
+        """Power-on, or reset of the whole node: the machine starts at the beginning, the shaft turns on."""
+        self.state = cia402.START
+        self._word, self._settled_word, self._deferred_word = 0, -1, None
+        self._brake = None
+        self._current_a = 0.0
+        self._fault_code = self._own_error = 0
+        self.setpoint.clear()
+        self.od.put(ERROR_CODE, 0, 0)
+        self.od.put(MODE_DISPLAY, 0, self.od.number(MODE))
+        self._step()
+        self.update()
+
+    # time
+
+    def advance_to(self, until_ns: int) -> None:
+        """Let the plant run up to `until_ns` of its time with the command in force; latch the feedback."""
+        while self._brake is not None and self.time_ns < until_ns:
+            to_ns = min(self.time_ns + PERIOD_NS, until_ns)
+            self._current_a = self._brake.step(self.plant.velocity_rps, to_ns - self.time_ns)
+            self._run_plant(to_ns)
+            if self._brake.stopped:
+                self._end_braking()
+        if self.time_ns < until_ns:
+            self._run_plant(until_ns)
+        self._latch()
+
+    def _run_plant(self, until_ns: int) -> None:
+        self.plant.advance(until_ns, self._current_a)
+        self.time_ns = until_ns
+
+    def _latch(self) -> None:
+        plant, values, ratings = self.plant, self.od.values, self.ratings
+        position, velocity, torque, current, voltage = self._feedback_slots
+        values[position] = (plant.counts + _INT32) % (2 * _INT32) - _INT32
+        speed = round(plant.velocity_rps * ratings.velocity_counts_per_rps)
+        values[velocity] = min(max(speed, -_INT32), _INT32 - 1)
+        permille = min(max(round(plant.current_a / ratings.a_per_permille), -32768), 32767)
+        values[torque] = permille
+        values[current] = permille  # of the rated current, which makes the rated torque
+        values[voltage] = max(0, round(plant.dc_link_v * 1000.0))
+
+    def update(self) -> None:
+        """Supervise, and compute the current command and the statusword from what is known now."""
+        self._supervise()
+        if self.state == cia402.OPERATION_ENABLED and self._brake is None:
+            self._current_a = self.setpoint.current_a(
+                self.od.values[self._mode_slot],
+                self._word,
+                self.plant.velocity_rps,
+                self.time_ns - self._updated_ns,
+            )
+        elif self._brake is None:
+            self._current_a = 0.0
+        self._updated_ns = self.time_ns
+        if not self.stuck:
+            self.od.values[self._status_slot] = self._statusword()
+
+    @property
+    def current_command_a(self) -> float:
+        """What the current loop is told now."""
+        return self._current_a
+
+    @property
+    def braking(self) -> bool:
+        """The drive's own velocity loop is closed."""
+        return self._brake is not None
+
+    # state machine
+
+    def command(self, word: int) -> None:
+        """A controlword was written."""
+        if word == self._settled_word:
+            return
+        previous, self._word = self._word, word
+        if self.state != cia402.OPERATION_ENABLED or not self._defers(word):
+            if self._deferred_word is not None:  # the ramp is given up for another command
+                self._deferred_word = self._brake = None
+            self._step(word, previous)
+        self._settled_word = word
+
+    def _defers(self, word: int) -> bool:
+        """Shutdown and disable operation with option 1 first run the motor down, in OPERATION ENABLED."""
+        options = {cia402.SHUTDOWN: SHUTDOWN_OPTION, cia402.SWITCH_ON: DISABLE_OPTION}
+        option = options.get(cia402.command_of(word))
+        if option is None or self.od.number(option) != SLOW_RAMP:
+            return False
+        self.setpoint.clear()
+        brake = self._new_brake(SLOW_RAMP)
+        if brake.stopped:
+            return False
+        self._deferred_word, self._brake = word, brake
+        return True
+
+    def _step(self, word: int = NO_COMMAND, previous: int = NO_COMMAND, fault: bool = False) -> None:
+        """Make every transition that is due: those of the command `word`, and those of the drive itself."""
+        fault = fault or bool(self.injected)
+        option = self.od.number(QUICK_STOP_OPTION)
+        for _ in range(len(cia402.STATE_NAMES)):
+            source = self.state
+            done = self._brake is None
+            self.state, number = cia402.device_step(source, word, previous, fault, done, option)
+            if number == cia402.NO_TRANSITION:
+                return
+            previous = word
+            fault = bool(self.injected)
+            self._settled_word = -1
+            self._act_out(number, powered=source in _POWERED_STATES)
+
+    def _act_out(self, number: int, powered: bool) -> None:
+        """What a transition does beside changing the state. `powered`: from a state with torque."""
+        if cia402.clears_target(number):
+            self.setpoint.clear()
+        if number == 11:
+            self._begin_braking(brake_kind(self.od.number(QUICK_STOP_OPTION)))
+        elif number == 13:
+            able = powered and self._fault_code not in UNABLE_TO_BRAKE
+            self._begin_braking(self.od.number(FAULT_OPTION) if able else COAST)
+        else:
+            self._brake = None
+        if number == 15:
+            self.emergency.clear(self._own_error, 0)
+            self._fault_code = self._own_error = 0
+            self.od.put(ERROR_CODE, 0, 0)
+        if self._brake is None:
+            self._current_a = 0.0
+        for listener in self.on_transition:
+            listener(number)
+
+    def _begin_braking(self, kind: int) -> None:
+        self._brake = None if kind == COAST else self._new_brake(kind)
+
+    def _new_brake(self, kind: int) -> Brake:
+        number, ratings = self.od.number, self.ratings
+        settings = BrakeSettings(
+            slow_rps2=number(SLOW_DOWN) / ratings.velocity_counts_per_rps,
+            quick_rps2=number(QUICK_STOP) / ratings.velocity_counts_per_rps,
+            gain_a_per_rps=ratings.brake_a_per_rps,
+            limit_a=number(MAX_TORQUE) * ratings.a_per_permille,
+            standstill_rps=ratings.standstill_rps,
+        )
+        return Brake(settings, kind, self.plant.velocity_rps)
+
+    def _end_braking(self) -> None:
+        if self.state == cia402.QUICK_STOP_ACTIVE and self._holds_standstill():
+            return
+        self._brake = None
+        self._current_a = 0.0
+        if self._deferred_word is not None:
+            word, self._deferred_word = self._deferred_word, None
+            self._step(word, word)
+        else:
+            self._step()
+
+    def _holds_standstill(self) -> bool:
+        return self.od.number(QUICK_STOP_OPTION) >= cia402.QUICK_STOP_STAYS
+
+    # faults
+
+    def trip(self, code: int, announce: bool = True) -> None:
+        """A fault: EMCY (unless another service announced it), 0x603F, and the fault reaction."""
+        if self.state in (cia402.FAULT_REACTION_ACTIVE, cia402.FAULT):
+            return
+        self._fault_code = code
+        self._deferred_word = None
+        self.od.put(ERROR_CODE, 0, code)
+        if announce:
+            self._own_error = code
+            self.emergency.raise_error(code)
+        self._step(fault=True)
+
+    def connection_lost(self, code: int, announce: bool = False) -> None:
+        """The master is gone (heartbeat, RPDO, SYNC, bus-off, NMT): do as 0x6007 says, if torque is on."""
+        if self.state not in _POWERED_STATES:
+            return
+        option = self.od.number(ABORT_CONNECTION)
+        if option == MALFUNCTION:
+            self.trip(code, announce)
+        elif option == DISABLE_VOLTAGE:
+            self.command(0)
+        elif option == STOP_QUICKLY:
+            self.command(cia402.CW_ENABLE_VOLTAGE)
+
+    def _supervise(self) -> None:
+        plant, ratings = self.plant, self.ratings
+        powered = self.state in _POWERED_STATES
+        if powered and plant.dc_link_v < ratings.undervoltage_v:
+            self.trip(DC_LINK_UNDERVOLTAGE)
+        elif powered and plant.dc_link_v > ratings.overvoltage_v:
+            self.trip(DC_LINK_OVERVOLTAGE)
+        limit_rps = OVERSPEED_FACTOR * self.od.number(MAX_SPEED) / 60.0
+        if powered and abs(plant.velocity_rps) > limit_rps:
+            self.trip(OVERSPEED)
+        if (
+            powered
+            and abs(plant.current_a) > OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille
+        ):
+            self.trip(OVERCURRENT)
+        if powered and plant.temperature_k > ratings.highest_temperature_k:
+            self.trip(OVERTEMPERATURE)
+        if self.injected and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
+            self.trip(next(iter(self.injected)))
+
+    # modes and statusword
+
+    def _select_mode(self, mode: int) -> None:
+        if mode in MODES and mode != self.od.values[self._mode_slot]:
+            self.od.values[self._mode_slot] = mode
+            self.setpoint.clear()
+
+    def _statusword(self) -> int:
+        bits = cia402.SW_REMOTE
+        if self.plant.dc_link_v >= self.ratings.undervoltage_v:
+            bits |= cia402.SW_VOLTAGE_ENABLED
+        if self.od.number(0x1001) and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
+            bits |= cia402.SW_WARNING
+        if self.state == cia402.OPERATION_ENABLED:
+            mode = self.od.values[self._mode_slot]
+            if self.setpoint.limited or self.plant.limited:
+                bits |= cia402.SW_INTERNAL_LIMIT
+            if mode == MODE_CYCLIC_TORQUE and self._brake is None and not self.setpoint.limited:
+                bits |= cia402.SW_FOLLOWS_COMMAND
+            if mode == MODE_TORQUE_PROFILE and self._brake is None and self.setpoint.reached:
+                bits |= cia402.SW_TARGET_REACHED
+        return cia402.statusword_of(self.state, bits)
+
+
+def _one_of(*allowed: int) -> Callable[[int, int], None]:
+    def check(sub: int, value: int) -> None:
+        if value not in allowed:
+            raise SdoAbortError(Abort.INVALID_VALUE)
+
+    return check

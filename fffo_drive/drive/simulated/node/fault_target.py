@@ -1,0 +1,74 @@
+"""What fault injection does to a node: the hands of `faults.FaultInjector`."""
+
+from __future__ import annotations
+
+from ....can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, HEARTBEAT, MAX_DATA, pack_frame
+from .bus import Bus
+from .drive_profile import DriveProfile
+from .emcy import BUS_OFF_RECOVERED, COMMUNICATION, Emergency
+from .faults import FaultKind
+from .nmt import NmtSlave
+from .rpdo import Rpdo
+from .tpdo import Tpdo
+
+
+class FaultTarget:
+    """The parts of a node that a fault reaches. See `faults.Device` for the meaning of each method."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        nmt: NmtSlave,
+        emergency: Emergency,
+        drive: DriveProfile,
+        rpdos: list[Rpdo],
+        tpdos: list[Tpdo],
+    ) -> None:
+        self.bus, self.nmt, self.emergency, self.drive = bus, nmt, emergency, drive
+        self.rpdos, self.tpdos = rpdos, tpdos
+
+    def can_ids_of(self, kind: FaultKind) -> frozenset[int]:
+        """Identifiers that a fault without one of its own concerns; empty: all."""
+        if kind is FaultKind.NO_SYNC_ANSWER:
+            return frozenset(t.parameters.can_id for t in self.tpdos if t.synchronous or t.acyclic)
+        if kind is FaultKind.NO_RPDO:
+            return frozenset(rpdo.parameters.can_id for rpdo in self.rpdos)
+        if kind is FaultKind.NO_HEARTBEAT:
+            return frozenset({HEARTBEAT + self.nmt.node_id})
+        return frozenset()
+
+    def hold_condition(self, code: int, present: bool) -> None:
+        """The drive finds the condition by itself at its next supervision."""
+        if present:
+            self.drive.injected.add(code)
+        else:
+            self.drive.injected.discard(code)
+
+    def stick_statusword(self, stuck: bool) -> None:
+        """Freeze the statusword."""
+        self.drive.stuck = stuck
+
+    def lose_resolver(self, lost: bool, jump_rev: float) -> None:
+        """To the plant."""
+        self.drive.plant.lose_resolver(lost, jump_rev)
+
+    def lose_dc_link(self, lost: bool) -> None:
+        """To the plant."""
+        self.drive.plant.lose_dc_link(lost)
+
+    def power_down(self) -> None:
+        """No torque, no memory; the injector keeps the bus silent."""
+        self.drive.restart()
+
+    def power_up(self) -> None:
+        """Boot."""
+        self.nmt.reset(whole_node=True)
+
+    def bus_off(self, present: bool) -> None:
+        """Tell it on the bus as a CAN controller tells its own host, and act as 0x6007 says."""
+        error_class = ERROR_BUS_OFF if present else ERROR_RESTARTED
+        self.bus.outbox.append(pack_frame(error_class, bytes(MAX_DATA), error=True))
+        if present:
+            self.drive.connection_lost(COMMUNICATION, announce=True)
+        else:
+            self.emergency.announce(BUS_OFF_RECOVERED)

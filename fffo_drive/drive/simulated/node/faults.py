@@ -1,0 +1,273 @@
+"""Fault injection: a schedule from the configuration, and object 0x2100 at run time.
+
+0x2100: sub 1 the kind, 2 the CAN-ID concerned (0: all), 3 the probability in thousandths, 4 the value, 5 the
+duration in ms (0: until cleared), then 6 the trigger: 1 injects, 2 clears everything; 7 counts the faults in
+effect. The value is milliseconds for a delay, thousandths of a revolution for a lost resolver, hertz for an
+EMCY storm.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+from ....units import NS_PER_S
+from ..ranges import key
+from .abort import Abort, SdoAbortError
+from .bus import NEVER, NS_PER_MS, Bus
+from .dictionary import ObjectDictionary
+from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, Emergency
+from .fault_wire import FaultyWire, WireEffect, WireRule
+
+INJECTION = 0x2100
+TRIGGER_INJECT, TRIGGER_CLEAR = 1, 2
+
+
+class FaultKind(IntEnum):
+    """What can go wrong."""
+
+    DROP_SENT = 1
+    DROP_RECEIVED = 2
+    DUPLICATE_SENT = 3
+    DUPLICATE_RECEIVED = 4
+    DELAY_SENT = 5
+    DELAY_RECEIVED = 6
+    REORDER_SENT = 7
+    REORDER_RECEIVED = 8
+    NO_SYNC_ANSWER = 9
+    NO_HEARTBEAT = 10
+    NO_RPDO = 11
+    SILENCE = 12
+    RESOLVER_LOSS = 20
+    DC_LINK_LOSS = 21
+    OVERCURRENT = 22
+    OVERTEMPERATURE = 23
+    STUCK_STATUSWORD = 24
+    EMCY_STORM = 25
+    REBOOT = 26
+    BUS_OFF = 27
+
+
+_WIRE_EFFECTS = {
+    FaultKind.DROP_SENT: (WireEffect.DROP, True),
+    FaultKind.DROP_RECEIVED: (WireEffect.DROP, False),
+    FaultKind.DUPLICATE_SENT: (WireEffect.DUPLICATE, True),
+    FaultKind.DUPLICATE_RECEIVED: (WireEffect.DUPLICATE, False),
+    FaultKind.DELAY_SENT: (WireEffect.DELAY, True),
+    FaultKind.DELAY_RECEIVED: (WireEffect.DELAY, False),
+    FaultKind.REORDER_SENT: (WireEffect.REORDER, True),
+    FaultKind.REORDER_RECEIVED: (WireEffect.REORDER, False),
+    FaultKind.NO_SYNC_ANSWER: (WireEffect.DROP, True),
+    FaultKind.NO_HEARTBEAT: (WireEffect.DROP, True),
+    FaultKind.NO_RPDO: (WireEffect.DROP, False),
+}
+_CONDITIONS = {  # fault conditions of the drive that a fault holds present
+    FaultKind.RESOLVER_LOSS: RESOLVER,
+    FaultKind.OVERCURRENT: OVERCURRENT,
+    FaultKind.OVERTEMPERATURE: OVERTEMPERATURE,
+}
+DARK_KINDS = frozenset({FaultKind.SILENCE, FaultKind.REBOOT, FaultKind.BUS_OFF})
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault."""
+
+    kind: FaultKind
+    at_s: float = key(0.0, "s", 0.0, 1e6, "when it begins, since the node started")
+    duration_s: float = key(0.0, "s", 0.0, 1e6, "how long it lasts; 0: until cleared")
+    can_id: int = key(0, "-", 0, 0x7FF, "frames that drop, duplicate, delay, reorder concern; 0: every one")
+    probability: float = key(1.0, "-", 0.0, 1.0, "share of these frames that is hit")
+    delay_s: float = key(0.0, "s", 0.0, 10.0, "of delayed frames")
+    jump_rev: float = key(0.0, "rev", -1e4, 1e4, "the angle jumps by this when the resolver is lost")
+    rate_hz: float = key(100.0, "Hz", 0.1, 10_000.0, "of an EMCY storm")
+
+
+class Device(Protocol):
+    """What the injector does to the node around it."""
+
+    def can_ids_of(self, kind: FaultKind) -> frozenset[int]:
+        """Identifiers that NO_SYNC_ANSWER, NO_HEARTBEAT and NO_RPDO concern at present."""
+        ...
+
+    def hold_condition(self, code: int, present: bool) -> None:
+        """Keep a fault condition of the drive present, or let it go."""
+        ...
+
+    def stick_statusword(self, stuck: bool) -> None:
+        """Freeze the statusword."""
+        ...
+
+    def lose_resolver(self, lost: bool, jump_rev: float) -> None:
+        """Take the resolver's signal away, or give it back."""
+        ...
+
+    def lose_dc_link(self, lost: bool) -> None:
+        """Take the supply away, or give it back."""
+        ...
+
+    def power_down(self) -> None:
+        """The electronics die; the shaft goes on."""
+        ...
+
+    def power_up(self) -> None:
+        """The node boots."""
+        ...
+
+    def bus_off(self, present: bool) -> None:
+        """The CAN controller left the bus, or came back."""
+        ...
+
+
+class FaultInjector:
+    """Starts and ends faults at their times. While `dark`, no frame passes."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        od: ObjectDictionary,
+        emergency: Emergency,
+        device: Device,
+        schedule: tuple[Fault, ...],
+        seed: int,
+    ) -> None:
+        self.bus, self.od, self.emergency, self.device = bus, od, emergency, device
+        chance = random.Random(seed)
+        self.sent, self.received = FaultyWire(chance), FaultyWire(chance)
+        self._schedule = list(schedule)
+        self._events: list[tuple[int, int, bool, Fault]] = []  # time, order, whether it begins, fault
+        self._order = 0
+        self._active: list[Fault] = []
+        self._storm_ns = NEVER
+        self._storm_step_ns = NEVER
+        self._storm_count = 0
+        self.dark = False  # off the bus
+        self.quiet = True  # frames pass unhindered
+        od.guard(INJECTION, self._check)
+        od.on_write(INJECTION, self._on_write)
+        od.on_read(INJECTION, self._read)
+
+    def start(self) -> None:
+        """The node's life begins now: `at_s` counts from here."""
+        for fault in self._schedule:
+            self._plan(self.bus.now_ns + round(fault.at_s * NS_PER_S), True, fault)
+
+    @property
+    def deadline_ns(self) -> int:
+        """The next thing to do."""
+        begin_or_end = self._events[0][0] if self._events else NEVER
+        return min(begin_or_end, self._storm_ns, self.sent.deadline_ns, self.received.deadline_ns)
+
+    def poll(self) -> None:
+        """Begin and end what is due."""
+        while self._events and self._events[0][0] <= self.bus.now_ns:
+            _, _, begins, fault = heapq.heappop(self._events)
+            if begins:
+                self.inject(fault)
+            elif fault in self._active:
+                self._end(fault)
+        if self._storm_ns <= self.bus.now_ns:
+            self._blow()
+        self.take_stock()
+
+    def take_stock(self) -> None:
+        """Note whether frames pass: after any change."""
+        self.dark = any(fault.kind in DARK_KINDS for fault in self._active)
+        self.quiet = self.sent.idle and self.received.idle and not self.dark
+
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault now."""
+        self._active.append(fault)
+        if fault.duration_s > 0.0:
+            self._plan(self.bus.now_ns + round(fault.duration_s * NS_PER_S), False, fault)
+        self._switch(fault, True)
+        if fault.kind in _WIRE_EFFECTS:
+            effect, outgoing = _WIRE_EFFECTS[fault.kind]
+            wire = self.sent if outgoing else self.received
+            wire.rules.append(self._rule(effect, fault))
+        self.take_stock()
+
+    def clear(self) -> None:
+        """End every fault, and forget those planned."""
+        self._events.clear()
+        for fault in list(self._active):
+            self._end(fault)
+        self.sent.clear()
+        self.received.clear()
+        self.take_stock()
+
+    def _plan(self, at_ns: int, begins: bool, fault: Fault) -> None:
+        self._order += 1
+        heapq.heappush(self._events, (at_ns, self._order, begins, fault))
+
+    def _rule(self, effect: WireEffect, fault: Fault) -> WireRule:
+        can_ids = frozenset({fault.can_id}) if fault.can_id else self.device.can_ids_of(fault.kind)
+        return WireRule(effect, can_ids, fault.probability, round(fault.delay_s * NS_PER_S))
+
+    def _end(self, fault: Fault) -> None:
+        self._active.remove(fault)
+        if fault.kind in _WIRE_EFFECTS:
+            effect, outgoing = _WIRE_EFFECTS[fault.kind]
+            rules = (self.sent if outgoing else self.received).rules
+            rules[:] = [rule for rule in rules if rule != self._rule(effect, fault)]
+        if not any(other.kind is fault.kind for other in self._active):
+            self._switch(fault, False)
+
+    def _switch(self, fault: Fault, present: bool) -> None:
+        """Turn on or off what is no matter of the wire."""
+        device, kind = self.device, fault.kind
+        if kind in _CONDITIONS:
+            device.hold_condition(_CONDITIONS[kind], present)
+        if kind is FaultKind.RESOLVER_LOSS:
+            device.lose_resolver(present, fault.jump_rev)
+        elif kind is FaultKind.DC_LINK_LOSS:
+            device.lose_dc_link(present)
+        elif kind is FaultKind.STUCK_STATUSWORD:
+            device.stick_statusword(present)
+        elif kind is FaultKind.EMCY_STORM:
+            self._storm_step_ns = round(NS_PER_S / fault.rate_hz)
+            self._storm_ns = self.bus.now_ns if present else NEVER
+        elif kind is FaultKind.REBOOT:
+            (device.power_down if present else device.power_up)()
+        elif kind is FaultKind.BUS_OFF:
+            device.bus_off(present)
+
+    def _blow(self) -> None:
+        while self._storm_ns <= self.bus.now_ns:
+            self._storm_count += 1
+            self.emergency.announce(MANUFACTURER, self._storm_count)
+            self._storm_ns += self._storm_step_ns
+
+    # object 0x2100
+
+    def _check(self, sub: int, value: int) -> None:
+        if sub == 1 and value and value not in FaultKind._value2member_map_:
+            raise SdoAbortError(Abort.INVALID_VALUE)
+        if sub == 6 and value == TRIGGER_INJECT and not self.od.number(INJECTION, 1):
+            raise SdoAbortError(Abort.DEVICE_STATE)
+
+    def _on_write(self, sub: int, value: int) -> None:
+        if sub != 6:
+            return
+        if value == TRIGGER_CLEAR:
+            self.clear()
+        elif value == TRIGGER_INJECT:
+            number = self.od.number
+            amount = number(INJECTION, 4)
+            self.inject(
+                Fault(
+                    kind=FaultKind(number(INJECTION, 1)),
+                    duration_s=number(INJECTION, 5) * NS_PER_MS / NS_PER_S,
+                    can_id=number(INJECTION, 2),
+                    probability=number(INJECTION, 3) / 1000.0,
+                    delay_s=max(0, amount) / 1000.0,
+                    jump_rev=amount / 1000.0,
+                    rate_hz=min(max(float(amount), 0.1), 10_000.0),
+                )
+            )
+
+    def _read(self, sub: int) -> int:
+        return len(self._active) if sub == 7 else self.od.number(INJECTION, sub)

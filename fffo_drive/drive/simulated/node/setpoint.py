@@ -1,0 +1,77 @@
+"""From target torque to current command: offset, limits, speed limit, ramp of the torque profile mode.
+
+CiA 402-2: cyclic synchronous torque (10) takes 0x6071 + 0x60B2 as they come with each SYNC; torque profile
+(4) approaches 0x6071 with the slope 0x6087. Both obey 0x6072, 0x60E0, 0x60E1, 0x6073 and the speed limit
+0x6080.
+"""
+
+from __future__ import annotations
+
+from ....units import NS_PER_S, rps_from_rpm
+from .dictionary import ObjectDictionary, multiplexer
+from .objects import MODE_CYCLIC_TORQUE, MODE_TORQUE_PROFILE
+from .plant_port import Ratings
+
+SPEED_TAPER = 0.02  # below the speed limit by this share, torque that drives on begins to fall
+CW_HALT = 0x0100
+
+_ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
+
+
+class Setpoint:
+    """Torque demand in thousandths of the rated torque. `limited` and `reached` are for the statusword."""
+
+    def __init__(self, od: ObjectDictionary, ratings: Ratings) -> None:
+        self.od, self.ratings = od, ratings
+        self._slots = tuple(od.slots[multiplexer(index, 0)] for index in _ADJUSTABLE)
+        self._demand_slot = od.slots[multiplexer(0x6074, 0)]
+        self.ramped = 0.0
+        self.limited = False
+        self.reached = False
+
+    def clear(self) -> None:
+        """Zero the target: on entering and leaving OPERATION ENABLED, and with a change of mode."""
+        self.od.put(0x6071, 0, 0)
+        self.od.put(0x60B2, 0, 0)
+        self.ramped = 0.0
+        self.idle()
+
+    def idle(self) -> None:
+        """No torque is asked for."""
+        self.od.values[self._demand_slot] = 0
+        self.limited = False
+        self.reached = False
+
+    def current_a(self, mode: int, controlword: int, velocity_rps: float, elapsed_ns: int) -> float:
+        """Current command in OPERATION ENABLED; `elapsed_ns` since the last call (for the slope)."""
+        pick = self.od.values
+        target, most, most_current, speed_rpm, slope, offset, forward, backward = [
+            pick[slot] for slot in self._slots
+        ]
+        if mode == MODE_CYCLIC_TORQUE:
+            wanted: float = target + offset
+        elif mode == MODE_TORQUE_PROFILE:
+            wanted = self._ramp(0 if controlword & CW_HALT else target, slope, elapsed_ns) + offset
+        else:
+            self.idle()
+            return 0.0
+        demand = min(max(wanted, -min(most, most_current, backward)), min(most, most_current, forward))
+        demand = self._within_speed(demand, velocity_rps, rps_from_rpm(speed_rpm))
+        self.limited = demand != wanted
+        self.od.values[self._demand_slot] = round(demand)
+        return demand * self.ratings.a_per_permille
+
+    def _ramp(self, target: int, slope: int, elapsed_ns: int) -> float:
+        step = slope * elapsed_ns / NS_PER_S
+        self.ramped = min(max(float(target), self.ramped - step), self.ramped + step)
+        self.reached = self.ramped == target
+        return self.ramped
+
+    def _within_speed(self, demand: float, velocity_rps: float, limit_rps: float) -> float:
+        if demand * velocity_rps <= 0.0:
+            return demand
+        room_rps = limit_rps - abs(velocity_rps)
+        taper_rps = SPEED_TAPER * limit_rps
+        if room_rps >= taper_rps:
+            return demand
+        return demand * max(0.0, room_rps / taper_rps) if taper_rps else 0.0

@@ -1,0 +1,95 @@
+"""The simulated plant behind the node's `PlantPort`: follows the node's clock in sub-steps of 1/22 kHz.
+
+A pause of the process longer than `LONGEST_CATCH_UP_NS` is not lived through: the plant stands still for the
+rest of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ....jit import njit
+from .. import state as at
+from ..pack import new_state, plant_parameters
+from ..parameters import PlantConfig
+from ..plant import plant_advance, substeps_due
+from ..resolver import plant_latch
+from ..state import PlantParameters, PlantState, Report
+
+LONGEST_CATCH_UP_NS = 1_000_000_000
+DISCHARGE_S = 0.02  # time constant of the DC link without its supply
+
+
+@njit
+def _catch_up(parameters: PlantParameters, state: PlantState, command_a: float, elapsed_ns: int) -> Report:
+    plant_advance(parameters, state, command_a, substeps_due(state, elapsed_ns))
+    return plant_latch(parameters, state)
+
+
+class SimulatedPlant:
+    """See `PlantPort` for the members. Compiled on construction."""
+
+    def __init__(self, config: PlantConfig) -> None:
+        self.config = config
+        self._parameters = plant_parameters(config)
+        self._state = new_state(config)
+        self._supply_v = float(self._parameters.numbers[at.DC_LINK_V])
+        self._counts_per_rev = float(self._parameters.numbers[at.COUNTS_PER_REV])
+        self._supplied = True
+        self._sensed = True
+        self._offset_counts = 0
+        self._time_ns = 0
+        self._skipped_ns = 0
+        self.dc_link_v = self._supply_v
+        self.counts, self.velocity_rps, self.current_a = 0, 0.0, 0.0
+        self.limited = False
+        self.advance(0, 0.0)
+
+    @property
+    def temperature_k(self) -> float:
+        """Rise above the surroundings."""
+        return float(self._state.values[at.TEMPERATURE_K])
+
+    @property
+    def true_velocity_rps(self) -> float:
+        """Of the shaft, for tests and the summary."""
+        return float(self._state.values[at.VELOCITY_RPS])
+
+    def advance(self, until_ns: int, current_a: float) -> None:
+        """Live up to `until_ns` with this command, then measure."""
+        pause_ns = until_ns - self._time_ns - LONGEST_CATCH_UP_NS
+        if pause_ns > 0:
+            self._skipped_ns += pause_ns
+        if not self._supplied:
+            self._discharge(until_ns - self._time_ns, current_a)
+        self._time_ns = until_ns
+        report = _catch_up(self._parameters, self._state, current_a, until_ns - self._skipped_ns)
+        self.current_a = report.current_a
+        self.limited = report.limited
+        if self._sensed:
+            self.counts = report.position_counts + self._offset_counts
+            self.velocity_rps = report.velocity_rps
+
+    def lose_resolver(self, lost: bool, jump_rev: float) -> None:
+        """Without a signal the last angle, moved by the jump, is all there is; the jump stays."""
+        self._sensed = not lost
+        if lost:
+            jump = math.floor(jump_rev * self._counts_per_rev)
+            self._offset_counts += jump
+            self.counts += jump
+            self.velocity_rps = 0.0
+
+    def lose_dc_link(self, lost: bool) -> None:
+        """The link discharges through what it feeds; the supply comes back at once."""
+        self._supplied = not lost
+        if self._supplied:
+            self._set_voltage(self._supply_v, self._supply_v)
+
+    def _discharge(self, duration_ns: int, current_a: float) -> None:
+        remaining = math.exp(-duration_ns / (DISCHARGE_S * 1e9))
+        # with the power stage off no current flows: the model's controller needs voltage to hold it at zero
+        self._set_voltage(self.dc_link_v * remaining, self._supply_v if current_a == 0.0 else None)
+
+    def _set_voltage(self, link_v: float, available_v: float | None) -> None:
+        self.dc_link_v = link_v
+        self._parameters.numbers[at.DC_LINK_V] = link_v if available_v is None else available_v

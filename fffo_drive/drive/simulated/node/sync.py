@@ -1,0 +1,132 @@
+"""SYNC consumer (CiA 301, 7.2.5): counter, synchronous window, loss.
+
+A SYNC that is missing is counted at the next one (0x2020:2); no SYNC for 0x1006 plus the tolerance 0x2010
+(ms) is a loss: EMCY 0x8700, and the drive's abort connection option. Without 0x1006 the drive does not know
+what to expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
+from .abort import Abort, SdoAbortError
+from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus
+from .dictionary import ObjectDictionary, multiplexer
+from .emcy import SYNC_LENGTH, SYNC_LOSS, Emergency, check_can_id
+from .nmt import NmtSlave
+
+COB_ID_SYNC = 0x1005
+CYCLE_PERIOD = 0x1006
+WINDOW_LENGTH = 0x1007
+COUNTER_OVERFLOW = 0x1019
+LOSS_TOLERANCE = 0x2010
+STATISTICS = 0x2020
+
+
+class SyncConsumer:
+    """Follows the SYNC. `on_sync(counter)` is called for each valid one; the counter is 0 where none is sent.
+
+    `on_change()` follows a change of the identifier.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        od: ObjectDictionary,
+        nmt: NmtSlave,
+        emergency: Emergency,
+        on_sync: Callable[[int], None],
+        on_loss: Callable[[], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        self.bus, self.od, self.nmt, self.emergency = bus, od, nmt, emergency
+        self._on_sync, self._on_loss = on_sync, on_loss
+        self.supervised = True  # False where time is made of SYNCs
+        self._received_slot = od.slots[multiplexer(STATISTICS, 1)]
+        od.guard(COB_ID_SYNC, self._check_cob_id)
+        od.guard(COUNTER_OVERFLOW, self._check_overflow)
+        od.on_write(COB_ID_SYNC, lambda sub, value: on_change())
+        for index in (CYCLE_PERIOD, WINDOW_LENGTH, COUNTER_OVERFLOW, LOSS_TOLERANCE):
+            od.on_write(index, lambda sub, value: self._configure())
+        self.last_ns = -NEVER
+        self.lost = False
+        self.malformed = False
+        self._configure()
+
+    def _configure(self) -> None:
+        number = self.od.number
+        self.period_ns = number(CYCLE_PERIOD) * NS_PER_US
+        self.window_ns = number(WINDOW_LENGTH) * NS_PER_US or NEVER
+        self.counted = number(COUNTER_OVERFLOW) != 0
+        self._patience_ns = self.period_ns + number(LOSS_TOLERANCE) * NS_PER_MS
+
+    def reset(self) -> None:
+        """After an NMT reset: no SYNC was seen."""
+        self.last_ns = -NEVER
+        self.lost = False
+        self.malformed = False
+        self._configure()
+
+    @property
+    def can_id(self) -> int:
+        """The identifier to listen to."""
+        return self.od.number(COB_ID_SYNC) & STANDARD_MASK
+
+    @property
+    def deadline_ns(self) -> int:
+        """When the SYNC counts as lost."""
+        if (
+            not self.period_ns
+            or self.lost
+            or not self.supervised
+            or self.last_ns < 0
+            or not self.nmt.exchanges
+        ):
+            return NEVER
+        return self.last_ns + self._patience_ns
+
+    def poll(self) -> None:
+        """The SYNC is lost."""
+        self.lost = True
+        self.emergency.raise_error(SYNC_LOSS)
+        self._on_loss()
+
+    def receive(self, frame: bytes) -> None:
+        """A frame with the identifier of the SYNC."""
+        if not self.nmt.communicates:
+            return
+        if frame[LENGTH_OFFSET] != self.counted:
+            self.malformed = True
+            self.emergency.raise_error(SYNC_LENGTH, frame[LENGTH_OFFSET])
+            return
+        if self.malformed:
+            self.malformed = False
+            self.emergency.clear(SYNC_LENGTH)
+        if self.lost:
+            self.lost = False
+            self.emergency.clear(SYNC_LOSS)
+        now_ns = self.bus.now_ns
+        if self.period_ns and now_ns - self.last_ns > 1.5 * self.period_ns and self.last_ns >= 0:
+            missed = round((now_ns - self.last_ns) / self.period_ns) - 1
+            self.od.put(STATISTICS, 2, self.od.number(STATISTICS, 2) + missed & 0xFFFFFFFF)
+        self.last_ns = now_ns
+        values = self.od.values
+        values[self._received_slot] = values[self._received_slot] + 1 & 0xFFFFFFFF
+        self._on_sync(frame[DATA_OFFSET] if self.counted else 0)
+
+    def in_window(self) -> bool:
+        """Whether synchronous PDOs may be exchanged now."""
+        return self.bus.now_ns - self.last_ns <= self.window_ns
+
+    def _check_cob_id(self, sub: int, value: int) -> None:
+        if value & ~STANDARD_MASK:  # 29-bit identifiers, or this device as the producer
+            raise SdoAbortError(Abort.INVALID_VALUE)
+        if value != SYNC:
+            check_can_id(value)
+
+    def _check_overflow(self, sub: int, value: int) -> None:
+        if value == 1:
+            raise SdoAbortError(Abort.INVALID_VALUE)
+        if self.od.number(CYCLE_PERIOD) != 0:
+            raise SdoAbortError(Abort.DEVICE_STATE)

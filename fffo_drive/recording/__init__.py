@@ -1,0 +1,5 @@
+"""Recording: MCAP files of rows and events, their readers, and the import of foreign tables.
+
+`writer` and `recorder` make files, `reader` gives NumPy columns, `recover` makes torn files whole, `table`
+reads CSV and MAT.
+"""

@@ -1,0 +1,126 @@
+"""Events: what happened beside the ticks (state changes, faults, parameters, gaps in the recording).
+
+They travel as CDR like the rows, because a file of profile `ros2` may hold nothing else: readers of that
+profile refuse it when one channel has a JSON schema. What is free in form stands as a JSON object in `data`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..units import NS_PER_S
+from .schema import CDR_HEADER
+
+EVENT_SCHEMA = """\
+# What happened beside the ticks.
+uint64 time_ns  # [ns] wall clock, Unix epoch
+uint8 level     # [-] 10 debug, 20 info, 30 warning, 40 error, 50 fatal
+string source   # [-] who says so: loop, supervisor, drive, recorder
+string text     # [-] one sentence for people
+string data     # [-] JSON object for programs
+"""
+
+
+class Level(IntEnum):
+    """Severity; the numbers of rcl_interfaces/msg/Log and of Python's logging."""
+
+    DEBUG = 10
+    INFO = 20
+    WARNING = 30
+    ERROR = 40
+    FATAL = 50
+
+
+class Event(NamedTuple):
+    """One event. `data` holds what JSON holds; numbers that JSON lacks (NaN, inf) come back as strings."""
+
+    time_ns: int  # wall clock, Unix epoch
+    level: int
+    source: str
+    text: str
+    data: Mapping[str, Any] = {}
+
+    @property
+    def time(self) -> str:
+        """Time in UTC, ISO 8601, to the nanosecond."""
+        return utc_text(self.time_ns)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON output."""
+        name = Level(self.level).name.lower() if self.level in set(Level) else str(self.level)
+        return {
+            "time": self.time,
+            "level": name,
+            "source": self.source,
+            "text": self.text,
+            "data": _plain(self.data),
+        }
+
+
+def utc_text(time_ns: int) -> str:
+    """Unix time in nanoseconds as ISO 8601 in UTC; the bare number where a calendar has no such year."""
+    seconds, rest = divmod(time_ns, NS_PER_S)
+    try:
+        return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S") + f".{rest:09d}Z"
+    except (OverflowError, ValueError, OSError):
+        return f"{time_ns} ns"
+
+
+def encode_event(event: Event) -> bytes:
+    """CDR payload (with header) of `EVENT_SCHEMA`."""
+    out = bytearray(struct.pack("<QB", event.time_ns, event.level))
+    for text in (event.source, event.text, json.dumps(_plain(event.data), allow_nan=False)):
+        raw = text.encode("utf-8", "replace") + b"\0"
+        out += bytes(-len(out) % 4) + struct.pack("<I", len(raw)) + raw
+    return CDR_HEADER + bytes(out)
+
+
+def decode_event(payload: bytes) -> Event:
+    """The inverse of `encode_event`; raises ValueError for bytes that are no event."""
+    if payload[:2] != CDR_HEADER[:2]:
+        raise ValueError("an event that is not little-endian CDR")
+    body = payload[len(CDR_HEADER) :]
+    try:
+        time_ns, level = struct.unpack_from("<QB", body)
+        position = 9
+        texts = []
+        for _ in range(3):
+            position += -position % 4
+            (length,) = struct.unpack_from("<I", body, position)
+            position += 4
+            raw = body[position : position + length]
+            if len(raw) != length:
+                raise ValueError("an event that is cut off")
+            texts.append(raw.removesuffix(b"\0").decode())
+            position += length
+    except struct.error as error:
+        raise ValueError("an event that is cut off") from error
+    data = json.loads(texts[2])
+    if not isinstance(data, dict):
+        raise ValueError("an event whose data is no JSON object")
+    return Event(time_ns, level, texts[0], texts[1], data)
+
+
+def _plain(value: Any) -> Any:
+    """The value in terms of JSON; what JSON cannot say becomes text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    return str(value)

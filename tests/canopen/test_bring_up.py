@@ -1,0 +1,284 @@
+"""Bring-up against a scripted node: the exact order of what is written, and every refusal with its text."""
+
+import dataclasses
+import re
+import struct
+
+import pytest
+from scripted_node import NO_OBJECT, RANGE, ScriptedNode, servo_dictionary
+
+from fffo_drive.can.link import free_loopback_port
+from fffo_drive.drive.canopen.config import CanopenDriveConfig
+from fffo_drive.drive.canopen.drive import CanopenDrive
+from fffo_drive.drive.canopen.object_map import feedback_pdos
+from fffo_drive.drive.port import BusUnavailableError, DriveRefusedError
+
+NODE = 5
+
+
+@pytest.fixture
+def config():
+    return CanopenDriveConfig(
+        bus=f"loopback:{free_loopback_port()}",
+        node_id=NODE,
+        period_ns=500_000,
+        counts_per_rev=32768,
+        velocity_units_per_rps=1000.0,
+        torque_constant_nm_per_a=0.1,
+        rated_torque_nm=1.0,
+        rated_current_a=10.0,
+        answer_timeout_s=1.0,
+        start_timeout_s=1.0,
+    )
+
+
+def quick(config):
+    """For nodes that stay silent."""
+    return dataclasses.replace(config, answer_timeout_s=0.02, start_timeout_s=0.05)
+
+
+def refusal(config, node):
+    """The text with which the drive is refused; nothing may have been enabled."""
+    drive = CanopenDrive(config)
+    with node, pytest.raises(DriveRefusedError) as caught:
+        drive.connect()
+    assert all(int.from_bytes(value, "little") == 0 for index, _, value in node.written if index == 0x6040)
+    assert not [frame for frame in node.heard if frame.can_id == 0x205 and any(frame.data)]
+    return str(caught.value)
+
+
+def without(*missing):
+    objects = servo_dictionary(NODE)
+    return {key: value for key, value in objects.items() if key not in missing and key[0] not in missing}
+
+
+def test_a_plain_servo_drive_comes_up(config):
+    with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config) as drive:
+        assert drive.identity == (0x11, 0x22, 0x33, 0x44, "a drive with a long name", "v1.2")
+        assert node.commands == [0x82, 0x01]
+        assert node.number(0x6060) == 10
+        assert node.number(0x1006) == 500
+        assert (node.number(0x60C2, 1), struct.unpack("<b", node.objects[0x60C2, 2])) == (5, (-4,))
+        assert node.number(0x1016, 1) == 127 << 16 | 150
+        assert node.number(0x1017) == 50
+        assert node.number(0x1400, 5) == 20
+        assert (node.number(0x6007), node.number(0x605A), node.number(0x605E)) == (3, 2, 2)
+        assert node.number(0x1400, 1) == 0x205
+        assert (node.number(0x1400, 2), node.number(0x1600, 0)) == (1, 2)
+        assert [node.number(0x1600, sub) for sub in (1, 2)] == [0x60400010, 0x60710010]
+        assert [node.number(0x1800 + n, 1) for n in range(3)] == [0x40000185, 0x40000285, 0x40000385]
+        assert [node.number(0x1800 + n, 2) for n in range(3)] == [1, 10, 255]
+        assert [node.number(0x1800 + n, 3) for n in range(3)] == [0, 0, 20]
+        assert [node.number(0x1A00, sub) for sub in (0, 1, 2)] == [2, 0x606C0020, 0x60640020]
+        assert [node.number(0x1A01, sub) for sub in (0, 1, 2)] == [2, 0x60410010, 0x60770010]
+        assert [node.number(0x1A02, sub) for sub in (0, 1)] == [1, 0x60410010]
+        assert node.number(0x1803, 1) >> 31 == 1
+        assert drive.realtime
+        assert drive.feedback["dropped_frames"][0] == 0
+
+
+def test_the_order_of_a_remapping(config):
+    with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config):
+        pass
+    steps = [(index, sub, int.from_bytes(v, "little")) for index, sub, v in node.written if index in (0x1801, 0x1A01)]
+    assert steps == [
+        (0x1801, 1, 0xC0000285),
+        (0x1801, 2, 10),
+        (0x1801, 3, 0),
+        (0x1801, 5, 0),
+        (0x1A01, 0, 0),
+        (0x1A01, 1, 0x60410010),
+        (0x1A01, 2, 0x60770010),
+        (0x1A01, 0, 2),
+        (0x1801, 1, 0x40000285),
+    ]
+
+
+def test_leaving_takes_the_torque_away_first(config):
+    with ScriptedNode(config.bus, NODE) as node:
+        drive = CanopenDrive(config)
+        drive.connect()
+        mark, told = len(node.written), len(node.heard)
+        drive.close()
+        drive.close()
+    assert node.written[mark:] == [(0x6071, 0, bytes(2)), (0x6040, 0, bytes(2)), (0x1016, 1, bytes(4))]
+    assert [(f.can_id, f.data) for f in node.heard[told : told + 2]] == [(0x205, bytes(4)), (0x080, b"")]
+    assert node.commands[-1] == 0x80
+
+
+def test_closing_without_a_drive_or_a_bus_never_raises(config):
+    drive = CanopenDrive(quick(config))
+    drive.close()
+    node = ScriptedNode(config.bus, NODE)
+    with node:
+        drive.connect()
+        node.mute = True
+        drive.close()
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [
+        ((0x6060, 0), "refuses cyclic synchronous torque.*0x6060:00"),
+        ((0x1400, 1), r"refuses 0x1400:01 = .*disabling RPDO1"),
+        ((0x1600, 2), r"refuses 0x1600:02 = .*0x6071:00/16 in RPDO1"),
+        ((0x1800, 2), r"refuses 0x1800:02 = 1 .*transmission type of TPDO1"),
+        ((0x1A01, 2), r"refuses 0x1A01:02 = .*0x6077:00/16 in TPDO2"),
+        ((0x1006, 0), r"refuses 0x1006:00 = 500 .*SYNC period of 500 us"),
+        ((0x60C2, 1), r"refuses 0x60C2:01 = 5 .*slower rate"),
+        ((0x1016, 1), r"refuses 0x1016:01 = .*PC is silent"),
+        ((0x1017, 0), r"refuses 0x1017:00 = 50 .*the drive's heartbeat"),
+        ((0x1400, 5), r"refuses 0x1400:05 = 20 .*commands stay away"),
+        ((0x6007, 0), r"refuses 0x6007:00 = 3 .*stop when the PC is silent"),
+        ((0x605A, 0), r"refuses 0x605A:00 = 2 .*defined quick stop"),
+        ((0x605E, 0), r"refuses 0x605E:00 = 2 .*fault reaction"),
+    ],
+)
+def test_a_refused_write_names_object_value_and_reason(config, where, told):
+    text = refusal(config, ScriptedNode(config.bus, NODE, refuse={where: RANGE}))
+    assert re.search(told, text), text
+    assert "0x06090030" in text
+    assert "node 5" in text
+
+
+@pytest.mark.parametrize(
+    ("where", "kept"),
+    [
+        ((0x1A00, 2), struct.pack("<I", 0x60640010)),
+        ((0x1800, 2), b"\x02"),
+        ((0x6007, 0), b"\x01\x00"),
+        ((0x1016, 1), bytes(4)),
+        ((0x1006, 0), struct.pack("<I", 1000)),
+        ((0x1400, 5), struct.pack("<H", 0)),
+    ],
+)
+def test_what_is_kept_otherwise_is_noticed(config, where, kept):
+    text = refusal(config, ScriptedNode(config.bus, NODE, keep={where: kept}))
+    assert f"took 0x{where[0]:04X}:{where[1]:02X}" in text
+    assert f"reads back {int.from_bytes(kept, 'little')}" in text
+
+
+@pytest.mark.parametrize("missing", [0x6007, 0x1016, 0x1017, 0x605A, (0x1800, 2)])
+def test_a_drive_without_a_reaction_is_refused(config, missing):
+    text = refusal(config, ScriptedNode(config.bus, NODE, without(missing)))
+    index = missing[0] if isinstance(missing, tuple) else missing
+    assert f"0x{index:04X}" in text
+
+
+@pytest.mark.parametrize("missing", [(0x1400, 5), 0x1006, 0x60C2, 0x6075, 0x6076, 0x1008, 0x100A, 0x1019, 0x1803])
+def test_what_is_optional_may_be_missing(config, missing):
+    with ScriptedNode(config.bus, NODE, without(missing)), CanopenDrive(config) as drive:
+        assert drive.identity.vendor_id == 0x11
+
+
+def test_option_codes_of_none_leave_the_drives_own(config):
+    config = dataclasses.replace(config, quick_stop_option=None, fault_reaction_option=None)
+    with ScriptedNode(config.bus, NODE, without(0x605A, 0x605E)) as node, CanopenDrive(config):
+        assert not [index for index, _, _ in node.written if index in (0x605A, 0x605E)]
+
+
+def test_a_torque_limit_is_written_when_asked_for(config):
+    config = dataclasses.replace(config, max_torque_permille=800)
+    with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config):
+        assert node.number(0x6072) == 800
+
+
+@pytest.mark.parametrize("device_type", [0x00030191, 0x00010192, 0])
+def test_no_servo_drive(config, device_type):
+    objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", device_type)}
+    assert f"0x{device_type:08X}, which is no CiA 402 servo drive" in refusal(
+        config, ScriptedNode(config.bus, NODE, objects)
+    )
+
+
+def test_a_servo_drive_with_further_bits_is_one(config):
+    objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", 0x00060192)}
+    with ScriptedNode(config.bus, NODE, objects), CanopenDrive(config):
+        pass
+
+
+def test_no_cyclic_synchronous_torque(config):
+    objects = servo_dictionary(NODE) | {(0x6502, 0): struct.pack("<I", 0xFF)}
+    text = refusal(config, ScriptedNode(config.bus, NODE, objects))
+    assert "no cyclic synchronous torque mode: 0x6502:00 says 0x000000FF, bit 9" in text
+    text = refusal(config, ScriptedNode(config.bus, NODE, without(0x6502)))
+    assert "0x6502:00 is missing" in text
+
+
+def test_the_mode_must_be_displayed(config):
+    config = dataclasses.replace(config, start_timeout_s=0.05)
+    node = ScriptedNode(config.bus, NODE, keep={(0x6061, 0): b"\x03"})
+    assert "0x6061:00 says 3" in refusal(config, node)
+
+
+@pytest.mark.parametrize(
+    ("index", "raw", "text"),
+    [(0x6076, 2000, "0x6076:00 says 2.0 Nm, the configuration rated_torque_nm: 1.0"),
+     (0x6075, 9000, "0x6075:00 says 9.0 A, the configuration rated_current_a: 10.0")],
+)  # fmt: skip
+def test_ratings_must_agree(config, index, raw, text):
+    objects = servo_dictionary(NODE) | {(index, 0): struct.pack("<I", raw)}
+    assert text in refusal(config, ScriptedNode(config.bus, NODE, objects))
+
+
+def test_a_sync_counter_is_switched_off_in_the_right_order(config):
+    objects = servo_dictionary(NODE) | {(0x1019, 0): b"\x0a", (0x1006, 0): struct.pack("<I", 1000)}
+    with ScriptedNode(config.bus, NODE, objects) as node, CanopenDrive(config):
+        assert node.number(0x1019) == 0
+    order = [(i, int.from_bytes(v, "little")) for i, _, v in node.written if i in (0x1006, 0x1019)]
+    assert order == [(0x1006, 0), (0x1019, 0), (0x1006, 500)]
+
+
+def test_an_inhibit_time_is_needed_for_events_only(config):
+    config = dataclasses.replace(config, tpdos=feedback_pdos(NODE, 10, 255))
+    text = refusal(config, ScriptedNode(config.bus, NODE, without((0x1802, 3))))
+    assert "no inhibit time 0x1802:03" in text
+    config = dataclasses.replace(config, tpdos=None, status_event=0)
+    with ScriptedNode(config.bus, NODE, without((0x1802, 3))), CanopenDrive(config):
+        pass
+
+
+def test_nobody_answers(config):
+    with pytest.raises(BusUnavailableError, match=f"{config.bus}: node 5 does not answer.*no other node"):
+        CanopenDrive(quick(config)).connect()
+
+
+def test_a_wrong_node_id_is_told_who_is_there(config):
+    with ScriptedNode(config.bus, 6, beats=True), pytest.raises(BusUnavailableError) as caught:
+        CanopenDrive(quick(config)).connect()
+    assert "node 5 does not answer" in str(caught.value)
+    assert "Heard of: node 6" in str(caught.value)
+
+
+def test_a_node_without_boot_up(config):
+    config = dataclasses.replace(config, start_timeout_s=0.05)
+    assert "sends no boot-up message" in refusal(config, ScriptedNode(config.bus, NODE, boots=0))
+
+
+def test_two_boot_ups_twice_mean_two_nodes(config):
+    text = refusal(config, ScriptedNode(config.bus, NODE, boots=2))
+    assert "two nodes have this id" in text
+
+
+def test_two_answers_mean_two_nodes(config):
+    with ScriptedNode(config.bus, NODE, boots=0):
+        assert "two nodes have" in refusal(config, ScriptedNode(config.bus, NODE))
+
+
+def test_a_drive_that_does_not_start(config):
+    config = dataclasses.replace(config, start_timeout_s=0.05)
+    assert "does not report NMT state operational" in refusal(config, ScriptedNode(config.bus, NODE, starts=False))
+
+
+def test_a_missing_interface_is_a_bus_that_is_unavailable(config):
+    with pytest.raises(BusUnavailableError, match="socketcan:nosuchcan0"):
+        CanopenDrive(dataclasses.replace(config, bus="socketcan:nosuchcan0")).connect()
+
+
+def test_refused_drives_can_be_tried_again(config):
+    drive = CanopenDrive(config)
+    with ScriptedNode(config.bus, NODE, refuse={(0x6007, 0): NO_OBJECT}), pytest.raises(DriveRefusedError):
+        drive.connect()
+    with ScriptedNode(config.bus, NODE):
+        assert drive.connect().serial_number == 0x44
+        drive.close()

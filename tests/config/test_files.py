@@ -1,0 +1,182 @@
+"""Configuration files: every shipped one is valid, and every mistake is named with file, line and key."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fffo_drive.config.axis import (
+    AxisFile,
+    build_profile,
+    controller_config,
+    envelope_config,
+    loop_config,
+    model_of,
+    read_axis,
+)
+from fffo_drive.config.checks import bus_problems, law_problems, profile_problems
+from fffo_drive.config.mirror import dataclass_of, record_of
+from fffo_drive.config.simulated import SimulatedDriveRecord, read_simulated
+from fffo_drive.control import envelope as env
+from fffo_drive.documents import DocumentError, parse
+from fffo_drive.drive.simulated.node.config import NodeConfig
+from fffo_drive.model.parameters import ModelFile, read_model, write_model
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+AXIS = (CONFIGS / "axis_simulated.yaml").read_text()
+BUS = (CONFIGS / "axis_canopen.yaml").read_text()
+MODEL = (CONFIGS / "models" / "table1.yaml").read_text()
+
+
+def write(tmp_path: Path, text: str, name: str = "axis.yaml") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    (tmp_path / "models").mkdir(exist_ok=True)
+    (tmp_path / "models" / "table1.yaml").write_text(MODEL)
+    return path
+
+
+def errors_of(path: Path, reader=read_axis) -> str:
+    with pytest.raises(DocumentError) as caught:
+        reader(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("axis_*.yaml")), ids=lambda p: p.name)
+def test_every_shipped_axis_file_is_valid_stable_and_inside_its_limits(path):
+    axis = read_axis(path)
+    model = model_of(path, axis)
+    profile = build_profile(axis.profile, axis.loop.period_s)
+    assert law_problems(axis, model, True) == law_problems(axis, model, False) == []
+    assert profile_problems(axis, profile) == bus_problems(axis, model) == []
+    assert controller_config(axis, model).period_s == loop_config(axis).period_ns * 1e-9
+
+
+def test_the_shipped_simulated_drive_is_valid():
+    assert read_simulated(CONFIGS / "simulated_drive.yaml").node_id == 1
+
+
+def test_an_unknown_key_names_its_line_and_the_nearest_one(tmp_path):
+    path = write(tmp_path, AXIS.replace("integral_a_per_rev:", "integral_a_per_rv:"))
+    line = next(k for k, text in enumerate(path.read_text().splitlines(), 1) if "integral_a_per_rv" in text)
+    text = errors_of(path)
+    assert f"{path}:{line}: controller.integral_a_per_rv: unknown key; did you mean 'integral_a_per_rev'?" in text
+    assert "controller.integral_a_per_rev: missing" in text  # all errors at once
+
+
+def test_a_value_out_of_range_names_the_range(tmp_path):
+    text = errors_of(write(tmp_path, AXIS.replace("proportional_a_per_rps: 0.975", "proportional_a_per_rps: -1")))
+    assert "controller.proportional_a_per_rps: Input should be greater than 0 (got -1)" in text
+
+
+def test_a_wrong_type_is_told(tmp_path):
+    text = errors_of(write(tmp_path, AXIS.replace("current_limit_a: 12", "current_limit_a: twelve")))
+    assert "controller.current_limit_a" in text
+    assert "'twelve'" in text
+
+
+def test_a_key_given_twice_is_an_error_with_both_lines(tmp_path):
+    text = errors_of(write(tmp_path, AXIS + "name: again\n"))
+    assert "name: given twice, first in line" in text
+
+
+def test_a_missing_file_and_broken_yaml_are_one_sentence(tmp_path):
+    assert errors_of(tmp_path / "none.yaml").endswith("none.yaml: cannot be read: No such file or directory")
+    assert "not valid YAML" in errors_of(write(tmp_path, "a: [1, 2"))
+    assert "a mapping of keys" in errors_of(write(tmp_path, "- 1\n- 2\n"))
+
+
+def test_the_drive_is_checked_by_its_kind(tmp_path):
+    text = errors_of(write(tmp_path, BUS.replace("node_id: 1", "node_id: 200")))
+    assert "drive.node_id: Input should be less than or equal to 127 (got 200)" in text
+    text = errors_of(write(tmp_path, BUS.replace("bus: loopback:29500", "bus: can0")))
+    assert "drive.bus" in text
+
+
+def test_limits_contradicting_each_other_are_told(tmp_path):
+    text = errors_of(write(tmp_path, AXIS.replace("continuous_current_a: 8.3", "continuous_current_a: 20")))
+    assert "continuous_current_a must not exceed current_limit_a" in text
+
+
+def test_an_unknown_trip_in_the_reactions_names_the_known_ones(tmp_path):
+    text = errors_of(write(tmp_path, AXIS.replace("envelope:\n", "envelope:\n  reactions: {overspeeed: coast}\n")))
+    assert "unknown trip 'overspeeed'" in text
+    assert "overspeed" in text
+
+
+def test_a_reaction_reaches_the_kernel(tmp_path):
+    axis = read_axis(write(tmp_path, AXIS.replace("envelope:\n", "envelope:\n  reactions: {overspeed: coast}\n")))
+    assert envelope_config(axis).reactions[env.TRIP_OVERSPEED] == env.REACTION_COAST
+    assert envelope_config(axis).reactions[env.TRIP_BUS_OFF] == env.REACTION_QUICK_STOP
+
+
+def test_an_observer_gain_that_breaks_condition_14_is_refused_with_the_needed_one(tmp_path):
+    axis = read_axis(write(tmp_path, AXIS.replace("gain_nm_per_rev: 5", "gain_nm_per_rev: 3")))
+    model = model_of(tmp_path / "axis.yaml", axis)
+    assert any("condition (14)" in text and "at least 3.22" in text for text in law_problems(axis, model, True))
+    assert law_problems(axis, model, False) == []
+
+
+def test_an_observer_gain_without_margin_is_refused(tmp_path):
+    axis = read_axis(write(tmp_path, AXIS.replace("gain_nm_per_rev: 5", "gain_nm_per_rev: 20")))
+    assert any("phase margin" in text for text in law_problems(axis, model_of(tmp_path / "a", axis), True))
+
+
+def test_a_profile_beyond_the_envelope_is_refused(tmp_path):
+    axis = read_axis(write(tmp_path, AXIS.replace("speed_limit_rps: 25", "speed_limit_rps: 10")))
+    profile = build_profile(axis.profile, axis.loop.period_s)
+    assert any("speed_limit_rps" in text for text in profile_problems(axis, profile))
+
+
+def test_a_rate_that_does_not_fit_the_bus_is_refused(tmp_path):
+    axis = read_axis(write(tmp_path, BUS.replace("node_id: 1", "node_id: 1\n  bitrate_hz: 500000")))
+    assert any("loop.rate_hz" in text for text in bus_problems(axis, model_of(tmp_path / "a", axis)))
+
+
+def test_errors_of_the_simulated_drive_have_lines(tmp_path):
+    path = tmp_path / "drive.yaml"
+    path.write_text("node_id: 1\nplant:\n  effects:\n    - {name: coging}\n    - {name: cogging, parameters: {order: -1}}\n")
+    text = errors_of(path, read_simulated)
+    assert f"{path}:4: plant.effects[0]" in text
+    assert "cogging" in text
+    assert f"{path}:5: plant.effects[1]" in text
+
+
+def test_a_model_edited_by_hand_is_noticed_and_units_mistaken_are_absurd(tmp_path):
+    path = tmp_path / "model.yaml"
+    write_model(path, read_model(CONFIGS / "models" / "table1.yaml"))
+    assert read_model(path).content_hash is not None
+    path.write_text(path.read_text().replace("0.025", "0.026"))
+    assert "content_hash does not match" in errors_of(path, read_model)
+    path.write_text(MODEL.replace("{value: 0.003, source: \"paper", "{value: 3, source: \"paper"))
+    assert "delay_s.value: 3 is outside 0 .. 0.1" in errors_of(path, read_model)
+
+
+def test_the_record_of_the_simulated_drive_is_its_dataclass():
+    assert dataclass_of(NodeConfig, record_of(NodeConfig)()) == NodeConfig()
+
+
+@pytest.mark.parametrize("record", [AxisFile, SimulatedDriveRecord, ModelFile])
+def test_schemas_are_json_and_describe_their_keys(record):
+    schema = json.loads(json.dumps(record.model_json_schema()))
+    assert schema["type"] == "object"
+    assert schema["additionalProperties"] is False
+
+
+def test_numbers_are_yaml_1_2():
+    data, _ = parse("a: 1e3\nb: 1.5e-4\nc: 10\nd: on\ne: true\nf: -.5\n", "x")
+    assert data == {"a": 1000.0, "b": 1.5e-4, "c": 10, "d": "on", "e": True, "f": -0.5}
+    assert isinstance(data["c"], int)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=200))
+def test_any_text_is_a_file_or_a_clean_error(tmp_path_factory, text):
+    path = tmp_path_factory.mktemp("any") / "axis.yaml"
+    path.write_text(text, encoding="utf-8", errors="replace", newline="")
+    with pytest.raises(DocumentError):
+        read_axis(path)

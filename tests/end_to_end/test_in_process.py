@@ -1,0 +1,124 @@
+"""The whole path in simulated time: axis file, simulated drive, loop, recorder, reader, metrics."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fffo_drive.cli import main
+from fffo_drive.cli.drives import make_plan, open_drive, plan_session
+from fffo_drive.config.simulated import read_simulated
+from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.evaluation.metrics import run_metrics
+from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.ring_reader import RingReader
+from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.runs import simulated_ring_rows
+from fffo_drive.runtime.session import Session
+from fffo_drive.signals import ROW, UNITS
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+AXIS = CONFIGS / "axis_simulated.yaml"
+
+
+def simulate(toggle: int, seed: int):
+    """Rows of the shipped axis under one controller."""
+    from dataclasses import replace
+
+    plan = make_plan(AXIS)
+    config = read_simulated(CONFIGS / "simulated_drive.yaml")
+    drive = SimulatedDrive(replace(config.plant, seed=seed), config.device)
+    drive.connect()
+    session = Session(drive, plan_session(plan, simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)))
+    session.run_profile(plan.profile, toggle)
+    assert session.status(b.TRIP) == 0
+    return RingReader(session.ring).read().rows, plan
+
+
+@pytest.mark.slow
+def test_fffo_is_best_and_pi_worst_over_ten_seeds():
+    for seed in range(1, 11):
+        metrics = {}
+        for toggle in (TOGGLE_OFF, TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD):
+            rows, plan = simulate(toggle, seed)
+            metrics[toggle] = run_metrics(rows, plan.profile.period_s, plan.profile.values.size)
+        for key in ("ise", "mae"):
+            pi, fbfo, fffo = (getattr(metrics[t], key) for t in (TOGGLE_OFF, TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD))
+            assert fffo < fbfo < pi, (seed, key)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_run_and_another_one_does_not():
+    first, _ = simulate(TOGGLE_FEEDFORWARD, 3)
+    again, _ = simulate(TOGGLE_FEEDFORWARD, 3)
+    other, _ = simulate(TOGGLE_FEEDFORWARD, 4)
+    assert first.tobytes() == again.tobytes()
+    assert not np.array_equal(first["velocity_rps"], other["velocity_rps"])
+
+
+@pytest.mark.slow
+def test_the_run_command_records_what_it_reports(tmp_path, capsys):
+    out = tmp_path / "run.mcap"
+    assert main(["run", str(AXIS), "--toggle", "ff", "--out", str(out), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    run = read_run(out)
+    assert run.complete
+    assert run.rows.dtype == ROW
+    assert run.units["velocity_rps"] == UNITS["velocity_rps"]
+    assert run.metadata["controller"] == "ff"
+    assert set(run.attachments) == {"axis_simulated.yaml", "table1.yaml"}
+    samples = int(run.metadata["profile_samples"])
+    assert run_metrics(run.rows, 5e-4, samples)._asdict() == pytest.approx(summary["metrics"])
+    np.testing.assert_array_equal(np.diff(run.rows["tick"].astype(np.int64)), 1)
+    # nothing acts outside Operation Enabled, and the first command waits for it
+    enabled = (run.rows["statusword"] & 0x6F) == 0x27
+    assert (run.rows["current_command_a"][~enabled] == 0).all()
+    total = run.rows["proportional_a"] + run.rows["integral_a"] + run.rows["friction_nm"] / 0.148
+    np.testing.assert_allclose(run.rows["requested_a"], total, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_trip_ends_the_run_with_its_exit_code_and_its_record(tmp_path, capsys):
+    text = AXIS.read_text().replace("following_error_rps: 8", "following_error_rps: 0.02")
+    text = text.replace("following_error_s: 0.2", "following_error_s: 0.01")
+    for name in ("model: models/table1.yaml", "file: simulated_drive.yaml"):
+        key, value = name.split(": ")
+        text = text.replace(name, f"{key}: {CONFIGS / value}")
+    path = tmp_path / "axis.yaml"
+    path.write_text(text)
+    out = tmp_path / "run.mcap"
+    assert main(["run", str(path), "--out", str(out)]) == 70
+    assert "following_error" in capsys.readouterr().err
+    rows = read_run(out).rows
+    tripped = rows["trip"] != 0
+    assert tripped.any()
+    assert (rows["current_command_a"][tripped] == 0).all()
+    assert abs(rows["true_velocity_rps"][-1]) < 0.2  # the quick stop braked before the loop left
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["run", "none.yaml"], 78, "cannot be read"),
+        (["log", "info", "none.mcap"], 78, "none.mcap"),
+        (["config", "check", "none.yaml"], 78, "cannot be read"),
+        (["run", str(CONFIGS / "axis_canopen.yaml"), "--bus", "socketcan:nosuch0"], 69, "nosuch0"),
+    ],
+)
+def test_errors_are_one_message_and_an_exit_code(words, code, text, capsys):
+    assert main(words) == code
+    captured = capsys.readouterr()
+    assert text in captured.err
+    assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize("command", ["run", "sim", "bench", "log", "config"])
+def test_every_command_has_help(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([command, "--help"])
+    assert caught.value.code == 0
+    assert f"fffo-drive {command}" in capsys.readouterr().out
