@@ -1,10 +1,17 @@
-"""Shared by all tests: the tests directory is importable (helpers stand beside the tests that use them)."""
+"""Shared by all tests: helper modules beside the tests are importable, and compiled code has a cache of its own.
+
+The index of a kernel's cache names every type that it was compiled for. Test doubles are such types: in the user's
+cache they would make it unreadable for a process that has no tests on its path.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent
 if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
+
+os.environ["NUMBA_CACHE_DIR"] = os.environ.get("FFFO_TEST_CACHE") or str(Path(sys.prefix) / "numba-tests")

@@ -12,8 +12,9 @@ import errno
 import select
 import socket
 import struct
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import NamedTuple, Self
 
@@ -35,6 +36,7 @@ _TIMESPEC = struct.Struct("@ll")
 _STAMP_SPACE = socket.CMSG_SPACE(_TIMESPEC.size)
 _MEMINFO = struct.Struct("=9I")
 _MEMINFO_DROPS = 8
+_COUNTER_MASK = 0xFFFF_FFFF
 _SOL_CAN_RAW = 101
 _CAN_RAW_ERR_FILTER = 2
 _CAN_RAW_RECV_OWN_MSGS = 4
@@ -69,6 +71,7 @@ class Link:
         self._hears_itself = hears_itself
         self._filtered = False
         self._stamped = False
+        self._sending = threading.Lock()
         self._sent = 0
         self._lost = 0
         self._drops_before = self._kernel_drops()
@@ -99,11 +102,13 @@ class Link:
 
     def send(self, frame: bytes) -> None:
         """Send one frame of 16 bytes. Raises LinkError when the interface is gone or its queue is full."""
-        try:
-            self._tx.send(frame)
-        except OSError as error:
-            raise LinkError(f"{self.spec}: cannot send: {_advice_on_send(error, self.spec)}") from error
-        self._sent += 1
+        with self._sending:
+            self._sent += 1  # before, see dropped_frames
+            try:
+                self._tx.send(frame)
+            except OSError as error:
+                self._sent -= 1
+                raise LinkError(f"{self.spec}: cannot send: {_advice_on_send(error, self.spec)}") from error
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next frame (16 bytes), or None when none came within `timeout_s` (0: what is there already).
@@ -152,22 +157,23 @@ class Link:
         poll.register(self.rx_fd, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000.0))
 
-    def dropped_frames(self, sent_elsewhere: int = 0) -> int:
+    def dropped_frames(self, sent_elsewhere: Callable[[], int] | None = None) -> int:
         """Frames that the receive queue lost since the link was opened, because nobody read them in time.
 
-        The kernel's counter (SO_MEMINFO, the same as SO_RXQ_OVFL's) of a UDP socket also holds what a filter
-        turned away. This link's own frames are known and taken off: name those sent on `tx_fd` by other code
-        in `sent_elsewhere`. What identifier filters turned away is not known, so that a loopback link with
-        filters answers -1: count on a link without them. On AF_CAN the figure is exact either way.
+        The kernel's counter (SO_MEMINFO, the same as SO_RXQ_OVFL's) of a UDP socket also holds what a filter turned
+        away. This link's own frames are known and taken off; `sent_elsewhere` tells how many other code has sent on
+        `tx_fd`, counted before each send. What identifier filters turned away is not known, so that a loopback link
+        with filters answers -1: count on a link without them. On AF_CAN the figure is exact either way.
         """
-        drops = (self._kernel_drops() - self._drops_before) & 0xFFFF_FFFF
-        if not self.is_loopback:
-            self._lost = max(self._lost, drops)
-        elif self._filtered:
+        if self.is_loopback and self._filtered:
             return -1
-        else:
-            own = 0 if self._hears_itself else self._sent + sent_elsewhere
-            self._lost = max(self._lost, drops - own)
+        drops = self._kernel_drops() - self._drops_before
+        # only now: a frame that is sent in between may be known and not yet dropped, never the other way round
+        if self.is_loopback and not self._hears_itself:
+            drops -= self._sent + (sent_elsewhere() if sent_elsewhere else 0)
+        drops &= _COUNTER_MASK  # the kernel's counter has 32 bits
+        if drops <= _COUNTER_MASK // 2:
+            self._lost = max(self._lost, drops)
         return self._lost
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from ..control import envelope as env
 from ..control.controller import ControllerConfig
+from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
 from ..control.pi import PiConfig
 from ..control.reference import (
@@ -23,6 +24,7 @@ from ..control.reference import (
 from ..documents import Record, load
 from ..drive.canopen.config import CanopenDriveConfig
 from ..model.parameters import ModelFile, read_model
+from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
 from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
@@ -30,6 +32,7 @@ from ..units import NS_PER_S, counts_per_rev
 from .sections import (
     ControllerSection,
     EnvelopeSection,
+    FeedforwardSection,
     LoopSection,
     PaperProfile,
     ProfileSection,
@@ -79,7 +82,9 @@ class CanopenDriveSection(Record):
     drive_heartbeat_ms: Milliseconds = 50
     command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
     abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
-    eds: str | None = None
+    eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
+    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
+    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
     turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
 
     def drive_config(
@@ -152,9 +157,26 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
     return ControllerConfig(
         PiConfig(section.proportional_a_per_rps, section.integral_a_per_rev),
         observer,
+        feedforward_config(section.feedforward, model, axis.loop.period_s),
         model.torque_constant_nm_per_a,
         section.current_limit_a,
         axis.loop.period_s,
+    )
+
+
+def feedforward_config(section: FeedforwardSection, model: ModelFile, period_s: float) -> FeedforwardConfig:
+    """Shifts of the reference. A command is held for a period: on average it acts half of one later than its delay.
+
+    Read ahead, the shaft follows on time and the feedback shows it a sensor's delay later; not read ahead, torque and
+    feedback are the whole delay behind.
+    """
+    axis = model.axis_config()
+    whole_s, sensor_s = axis.delay_s + 0.5 * period_s, model.sensor_delay_s.value
+    behind_s = sensor_s if section.preview else whole_s
+    return FeedforwardConfig(
+        axis.inertia_nm_s2_per_rev if section.inertia else 0.0,
+        (whole_s - sensor_s) / period_s if section.preview else 0.0,
+        behind_s / period_s if section.delay_aware else 0.0,
     )
 
 
@@ -214,6 +236,17 @@ def session_config(
         realtime.required,
         longest_profile,
         ring_rows or round(RING_S * axis.loop.rate_hz),
+    )
+
+
+def recorder_settings(axis: AxisFile) -> RecorderSettings:
+    """How the recorder works, from the file."""
+    section = axis.recording
+    return RecorderSettings(
+        flush_interval_s=section.flush_interval_s,
+        fsync_interval_s=section.fsync_interval_s,
+        compression=section.compression,
+        rotation=RotationPolicy(section.rotate_bytes, section.rotate_s, section.quota_bytes),
     )
 
 

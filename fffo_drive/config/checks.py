@@ -22,7 +22,7 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
     linear = LinearAxis(
         config.inertia_nm_s2_per_rev,
         config.friction.viscous_nm_per_rps,
-        config.delay_s,
+        config.delay_s + 0.5 * axis.loop.period_s,  # and the hold of the command
         config.torque_constant_nm_per_a,
     )
     section = axis.controller

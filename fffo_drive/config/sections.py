@@ -26,6 +26,14 @@ class ObserverSection(Record):
     ] = 0.1
 
 
+class FeedforwardSection(Record):
+    """Beyond the paper: each part has its switch and its term in the row."""
+
+    inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
+    preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = False
+    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
+
+
 class ControllerSection(Record):
     """PI with friction observer."""
 
@@ -33,6 +41,7 @@ class ControllerSection(Record):
     integral_a_per_rev: Annotated[float, Field(ge=0, le=1e6, description="Ki = Kp / Ti")]
     current_limit_a: Amperes
     observer: ObserverSection = ObserverSection()
+    feedforward: FeedforwardSection = FeedforwardSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
     gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
     accept_unproven: Annotated[
@@ -95,11 +104,33 @@ class RealtimeSection(Record):
     required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
 
 
+Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
+
+
 class RecordingSection(Record):
-    """Where runs are written."""
+    """Where runs are written, in files of what size, and how much of them is kept."""
 
     directory: str = "runs"
     compression: Literal["zstd", "lz4", "none"] = "zstd"
+    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
+    fsync_interval_s: Annotated[
+        float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
+    ] = None
+    rotate_bytes: Annotated[Bytes | None, Field(description="a new file from this size on; null: one file a run")] = None
+    rotate_s: Annotated[
+        float | None, Field(ge=1, le=86_400, description="a new file after this time; null: one file a run")
+    ] = None
+    quota_bytes: Annotated[
+        Bytes | None, Field(description="of the recordings in the directory: the oldest finished ones are deleted")
+    ] = None
+
+    @model_validator(mode="after")
+    def _roomy(self) -> RecordingSection:
+        if self.quota_bytes is not None and self.rotate_bytes is not None and self.quota_bytes < 2 * self.rotate_bytes:
+            raise ValueError("quota_bytes must hold two files of rotate_bytes: one is written, one is kept")
+        if self.fsync_interval_s is not None and self.fsync_interval_s < self.flush_interval_s:
+            raise ValueError("fsync_interval_s must not be shorter than flush_interval_s: rows are flushed, then synced")
+        return self
 
 
 class PaperProfile(Record):

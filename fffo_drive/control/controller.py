@@ -11,6 +11,7 @@ import numpy as np
 
 from ..jit import njit
 from ..model.friction import FrictionConfig, FrictionState
+from .feedforward import FeedforwardConfig, Reference
 from .friction_observer import (
     TOGGLE_OFF,
     ObserverConfig,
@@ -26,6 +27,7 @@ class ControllerConfig(NamedTuple):
 
     pi: PiConfig
     observer: ObserverConfig
+    feedforward: FeedforwardConfig
     torque_constant_nm_per_a: float
     current_limit_a: float  # of the sum; the envelope has its own
     period_s: float
@@ -47,6 +49,7 @@ class ControllerTerms(NamedTuple):
     proportional_a: float
     integral_a: float
     friction_nm: float
+    inertia_nm: float
     observation_nm_per_s: float
     requested_a: float  # sum of the terms, not limited
     command_a: float  # limited
@@ -61,14 +64,14 @@ def controller_at_rest() -> ControllerState:
 
 @njit
 def _hand_over(
-    config: ControllerConfig, state: ControllerState, toggle: int, reference_rps: float, velocity_rps: float
+    config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
     """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
         return ControllerState(integral_a, FrictionState(0.0, 0.0, 0.0, 0.0), toggle, state.limited)
     if state.toggle == TOGGLE_OFF:
-        driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference_rps, velocity_rps)
+        driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
         integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
         return ControllerState(integral_a, friction, toggle, state.limited)
@@ -77,27 +80,28 @@ def _hand_over(
 
 @njit
 def controller_step(
-    config: ControllerConfig, state: ControllerState, toggle: int, reference_rps: float, velocity_rps: float
+    config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> tuple[ControllerTerms, ControllerState]:
     """One period of the law. While the last command was limited the observation is frozen (lambda = 0)."""
     if toggle != state.toggle:
-        state = _hand_over(config, state, toggle, reference_rps, velocity_rps)
-    error_rps = reference_rps - velocity_rps
+        state = _hand_over(config, state, toggle, reference, velocity_rps)
+    error_rps = reference.expected - velocity_rps
 
     friction = state.friction
     observation_nm_per_s = 0.0
     if toggle != TOGGLE_OFF:
         if not state.limited:
             observation_nm_per_s = config.observer.gain_nm_per_rev * error_rps
-        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference_rps, velocity_rps)
+        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
         friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)
 
-    friction_a = friction.torque_nm / config.torque_constant_nm_per_a
+    inertia_nm = config.feedforward.inertia_nm_s2_per_rev * reference.ahead_derivative
+    feedforward_a = (friction.torque_nm + inertia_nm) / config.torque_constant_nm_per_a
     limit_a = config.current_limit_a
     proportional_a, integral_a = pi_step(
-        config.pi, state.integral_a, error_rps, friction_a, limit_a, state.limited, config.period_s
+        config.pi, state.integral_a, error_rps, feedforward_a, limit_a, state.limited, config.period_s
     )
-    requested_a = proportional_a + integral_a + friction_a
+    requested_a = proportional_a + integral_a + feedforward_a
     command_a = min(max(requested_a, -limit_a), limit_a)
     limited = command_a != requested_a
     terms = ControllerTerms(
@@ -105,6 +109,7 @@ def controller_step(
         proportional_a,
         integral_a,
         friction.torque_nm,
+        inertia_nm,
         observation_nm_per_s,
         requested_a,
         command_a,
@@ -121,7 +126,8 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
 
 def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The record as a flat array, for the block that the loop reads; `unpack_controller` is its inverse."""
-    return np.array([*config.pi, *config.observer.friction, *config.observer[1:], *config[2:]], dtype=np.float64)
+    parts = (*config.pi, *config.observer.friction, *config.observer[1:], *config.feedforward, *config[3:])
+    return np.array(parts, dtype=np.float64)
 
 
 @njit
@@ -129,7 +135,8 @@ def unpack_controller(block: Any) -> ControllerConfig:
     """The record from a flat array of `CONTROLLER_BLOCK_SIZE` numbers."""
     friction = FrictionConfig(block[2], block[3], block[4], block[5], block[6], block[7], block[8], int(block[9]))
     observer = ObserverConfig(friction, block[10], block[11], block[12])
-    return ControllerConfig(PiConfig(block[0], block[1]), observer, block[13], block[14], block[15])
+    feedforward = FeedforwardConfig(block[13], block[14], block[15])
+    return ControllerConfig(PiConfig(block[0], block[1]), observer, feedforward, block[16], block[17], block[18])
 
 
-CONTROLLER_BLOCK_SIZE = 16
+CONTROLLER_BLOCK_SIZE = 19

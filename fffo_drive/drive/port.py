@@ -32,10 +32,12 @@ FEEDBACK = np.dtype(
         ("boot_count", "<i8"),  # boot-up messages seen
         ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
         # statistics of the exchange, counted since the port was made
-        ("late_feedback", "<i8"),  # answers to an older SYNC: counted, never used
+        ("late_feedback", "<i8"),  # answers that came too late or once too often: counted, never used
+        ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was outstanding
         ("bad_frames", "<i8"),  # short, over-long, remote or extended frames: counted, never used
         ("error_frames", "<i8"),  # CAN error frames
         ("bus_off", "<i8"),  # 1 while the controller is off the bus or the interface is gone
+        ("bus_losses", "<i8"),  # how often that came about
         ("send_errors", "<i8"),
         ("dropped_frames", "<i8"),  # frames that the socket's queue lost
     ]
@@ -50,6 +52,29 @@ def new_feedback() -> np.ndarray[Any, np.dtype[np.void]]:
     feedback["true_velocity_rps"] = np.nan
     feedback["true_friction_nm"] = np.nan
     return feedback
+
+
+class ExchangeCounts(NamedTuple):
+    """What went wrong on the wire, as the port counts it; a row of the statistics each."""
+
+    late_feedback: int = 0  # answers that came too late or once too often: never used
+    duplicate_feedback: int = 0  # of these: second answers to a SYNC when none was outstanding
+    bad_frames: int = 0  # short, over-long, remote or extended: never used
+    error_frames: int = 0  # of the CAN controller
+    bus_losses: int = 0  # bus-off, or an interface that went away
+    send_errors: int = 0  # frames that the kernel did not take; they are not sent later
+    dropped_frames: int = 0  # lost by the socket's queue; -1: unknown
+    emergency_count: int = 0  # EMCY messages with an error
+    boot_count: int = 0  # the drive restarted
+
+    def since(self, before: ExchangeCounts) -> ExchangeCounts:
+        """What came after `before`."""
+        return ExchangeCounts(*(max(now - then, min(now, 0)) for now, then in zip(self, before, strict=True)))
+
+
+def exchange_counts(feedback: np.ndarray[Any, np.dtype[np.void]]) -> ExchangeCounts:
+    """The counts in a port's memory."""
+    return ExchangeCounts(*(int(feedback[name][0]) for name in ExchangeCounts._fields))
 
 
 @generic

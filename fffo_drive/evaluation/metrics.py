@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..drive.port import ExchangeCounts
+
 Rows = np.ndarray[Any, np.dtype[np.void]]
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -27,13 +29,21 @@ class ErrorMetrics(NamedTuple):
 
 
 class TickStatistics(NamedTuple):
-    """How the loop kept time, over the rows of a run."""
+    """How the loop kept time and what the bus did to it, over the rows of a run."""
 
     ticks: int
-    late: int
-    skipped: int
-    missing_feedback: int
-    late_feedback: int
+    late: int  # woke later than loop.late_share of the period
+    skipped: int  # deadlines that passed while the loop could not run
+    missing_feedback: int  # no answer to SYNC before the cut-off: the drive, the wire, or a SYNC that was not sent
+    late_feedback: int  # from here on: drive.port.ExchangeCounts
+    duplicate_feedback: int
+    bad_frames: int
+    error_frames: int
+    bus_losses: int
+    send_errors: int
+    dropped_frames: int
+    emergency_count: int
+    boot_count: int
     lateness_us_p50: float
     lateness_us_p99: float
     lateness_us_max: float
@@ -75,8 +85,8 @@ def true_metrics(rows: Rows, period_s: float, samples: int | None = None) -> Err
     return error_metrics(inside["reference_rps"] - inside["true_velocity_rps"], period_s)
 
 
-def tick_statistics(rows: Rows, late_feedback: int = 0) -> TickStatistics:
-    """Timing over rows. `late_feedback` is the port's count, which is not in the rows."""
+def tick_statistics(rows: Rows, exchange: ExchangeCounts | None = None) -> TickStatistics:
+    """Timing over rows. `exchange`: the port's counts during the run, which are not in the rows."""
     if rows.size == 0:
         raise ValueError("no row to evaluate: the loop did not run")
     lateness_us = rows["lateness_ns"] / 1e3
@@ -87,7 +97,7 @@ def tick_statistics(rows: Rows, late_feedback: int = 0) -> TickStatistics:
         int(rows["late"].sum()),
         int(rows["tick"][-1] - rows["tick"][0] + 1 - rows.size),
         int(np.count_nonzero(rows["turnaround_ns"] < 0)),
-        late_feedback,
+        *(exchange or ExchangeCounts()),
         float(p50),
         float(p99),
         float(lateness_us.max()),

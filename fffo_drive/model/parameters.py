@@ -64,7 +64,10 @@ class ModelFile(Record):
     name: str
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=100)]
     inertia_kg_m2: Quantity
-    delay_s: Quantity
+    delay_s: Annotated[Quantity, Field(description="command to measured velocity, without the hold of the command")]
+    sensor_delay_s: Annotated[
+        Quantity, Field(description="the sensor's share of it; declared, it cannot be fitted")
+    ] = Quantity(value=0.0)
     friction: FrictionModel
     provenance: Provenance = Provenance()
     content_hash: Annotated[str | None, Field(description="written by the tools; checked when it is there")] = None
@@ -100,6 +103,7 @@ def content_hash(model: ModelFile) -> str:
 LIMITS: dict[str, tuple[float, float]] = {
     "inertia_kg_m2": (1e-9, 1e3),
     "delay_s": (0.0, 0.1),
+    "sensor_delay_s": (0.0, 0.1),
     "friction.viscous_nm_per_rps": (0.0, 1e3),
     "friction.coulomb_nm": (1e-9, 1e5),
     "friction.static_nm": (1e-9, 1e5),

@@ -23,7 +23,7 @@ class MatFile:
         self.path = path
         data = io.BytesIO(path.read_bytes())
         try:
-            content = loadmat(data, squeeze_me=True)
+            content = loadmat(data, squeeze_me=True)  # type: ignore[arg-type]  # stubs know paths only
         except NotImplementedError as error:
             raise RecordingError(
                 f"{path}: a MAT file of version 7.3; save it with '-v7' in MATLAB"

@@ -173,6 +173,8 @@ class _Collector:
                 self.schemas[schema.id] = schema
             elif part.opcode == Opcode.CHANNEL:
                 self._take_channel(parse(Channel.read, body))
+            elif part.opcode != Opcode.MESSAGE:
+                continue  # a kind of record that this version does not know
             elif part.channel in self.layouts:
                 blocks.append(_rows(data, part, self.layouts[part.channel], f"{self.path}: {self.topic}"))
             elif part.channel in self.event_channels:

@@ -221,8 +221,7 @@ class RunWriter:
     def flush(self) -> None:
         """Hand everything to the operating system, and to the disk when the fsync interval is over.
 
-        Raises OSError, too when the file was deleted or moved away meanwhile: it would otherwise go on
-        unseen.
+        Raises OSError also when the file was deleted or moved meanwhile: that would otherwise go on unseen.
         """
         if self._chunk.counts:
             self._close_chunk()

@@ -117,17 +117,16 @@ def run_loop(
         enabled = is_operation_enabled(feedback["statusword"])
         wanted = goal == GOAL_ENABLED and trip == TRIP_NONE and reset_ticks == 0
         was_running = cursor.start_tick >= 0
-        cursor, sample, reference, derivative = follow_profile(
-            blocks, cursor, timing.tick, wanted and enabled, config.tail_ticks
+        cursor, sample, reference = follow_profile(
+            blocks, cursor, controller_config.feedforward, timing.tick, wanted and enabled, config.tail_ticks
         )
         if was_running and cursor.start_tick < 0 and load_acquire(control, b.AUTOSTOP) != 0:
             stopping_ticks = 1
             goal = GOAL_DISABLED
             wanted = False
         law, controller = apply_law(
-            controller_config, controller, cursor, reference, derivative, feedback["velocity_rps"], toggle,
-            wanted and enabled,
-        )  # fmt: skip
+            controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, wanted and enabled
+        )
 
         # the envelope
         seen = look(feedback, timing, baseline, law, wanted, enabled)

@@ -14,10 +14,10 @@ from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.friction_observer import TOGGLE_NAMES
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from ..drive.port import DriveIdentity
+from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts
 from ..jit import kernel_digest
 from ..recording.recorder import Recorder
-from ..recording.settings import RecorderSettings, RecorderStatistics, RunHeader
+from ..recording.settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 from ..recording.writer import wall_clock_offset_ns
 from ..units import NS_PER_S
 from . import blocks as b
@@ -25,6 +25,7 @@ from .session import Session
 
 POLL_S = 0.05
 ENABLE_TIMEOUT_S = 5.0  # from the request to the first sample of the profile
+DISK_TIMEOUT_S = 30.0  # for the last rows; a disk that takes longer costs the end of the recording, not the command
 
 
 class RunOutcome(NamedTuple):
@@ -33,7 +34,7 @@ class RunOutcome(NamedTuple):
     files: tuple[Path, ...]
     trip: int  # envelope.TRIP_*; TRIP_NONE for a run that ended as planned
     started: bool  # False: the drive never reached Operation Enabled
-    late_feedback: int  # answers to an older SYNC, counted by the port during the run
+    exchange: ExchangeCounts  # what the port counted during the run
     recorder: RecorderStatistics
 
     @property
@@ -42,6 +43,16 @@ class RunOutcome(NamedTuple):
         if not self.started:
             return "the drive did not reach Operation Enabled in time"
         return None if self.trip == TRIP_NONE else TRIP_TEXTS[self.trip]
+
+    @property
+    def gap_text(self) -> str | None:
+        """Why the recording is not whole; None when it is."""
+        recorder = self.recorder
+        missing = recorder.rows_dropped + recorder.rows_lost + recorder.rows_pending
+        if not missing and not recorder.write_errors:
+            return None
+        reason = recorder.last_error or "the disk was too slow for the ring"
+        return f"{missing} of {missing + recorder.rows_written} rows are missing from the recording: {reason}"
 
 
 def run_metadata(
@@ -69,29 +80,31 @@ def run_metadata(
 
 def record_simulated(
     session: Session, profile: Profile, toggle: int, path: Path, header: RunHeader,
-    settings: RecorderSettings | None = None,
+    settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Run in simulated time, then write all rows. The session's ring must hold the whole run."""
     # opened before anything moves: a path that cannot be written is an error now
-    recorder = Recorder(session.ring, path, _with_offset(header, time.time_ns()), settings)
-    late_before = _late_feedback(session)
+    recorder = Recorder(session.ring, path, _with_offset(header, time.time_ns()), settings, hooks)
+    counted = exchange_counts(session.drive.feedback)
     before = session.status(b.PROFILE_DONE)
     session.run_profile(profile, toggle)
     started = session.status(b.PROFILE_DONE) != before
-    return _finish(session, recorder, started, late_before)
+    recorder.close(_closing_facts(session, counted))
+    return _outcome(session, recorder, started, counted)
 
 
 def record_live(
     session: Session, profile: Profile, toggle: int, path: Path, header: RunHeader,
-    settings: RecorderSettings | None = None, progress: Callable[[float], None] | None = None,
+    settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Run in wall-clock time on a started session: enable, profile, disable. `progress` gets the share done.
 
     An exception (Ctrl-C, say) disables the drive before it goes on.
     """
     header = _with_offset(header, wall_clock_offset_ns())
-    recorder = Recorder(session.ring, path, header, settings, from_now=True)
-    late_before = _late_feedback(session)
+    recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True)
+    counted = exchange_counts(session.drive.feedback)
     recorder.start()
     try:
         session.request(b.TOGGLE, toggle)
@@ -100,8 +113,8 @@ def record_live(
         started = _follow(session, profile, number, progress)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
-        recorder.stop({"trip": TRIP_TEXTS[session.status(b.TRIP)]})
-    return _finish(session, recorder, started, late_before)
+        recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
+    return _outcome(session, recorder, started, counted)
 
 
 def _follow(session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None) -> bool:
@@ -123,15 +136,18 @@ def _with_offset(header: RunHeader, offset_ns: int) -> RunHeader:
     return RunHeader(header.metadata, header.attachments, offset_ns)
 
 
-def _late_feedback(session: Session) -> int:
-    return int(session.drive.feedback["late_feedback"][0])
+def _closing_facts(session: Session, before: ExchangeCounts) -> dict[str, str]:
+    """What the summary of the file says about the run."""
+    exchange = exchange_counts(session.drive.feedback).since(before)
+    counts = {name: str(count) for name, count in exchange._asdict().items()}
+    return {"trip": TRIP_TEXTS[session.status(b.TRIP)], **counts}
 
 
-def _finish(session: Session, recorder: Recorder, started: bool, late_before: int) -> RunOutcome:
+def _outcome(session: Session, recorder: Recorder, started: bool, before: ExchangeCounts) -> RunOutcome:
     trip = session.status(b.TRIP)
-    late = _late_feedback(session) - late_before
-    statistics = recorder.close({"trip": TRIP_TEXTS[trip], "late_feedback": str(late)})
-    return RunOutcome(statistics.files, trip, started or trip != TRIP_NONE, late, statistics)
+    exchange = exchange_counts(session.drive.feedback).since(before)
+    statistics = recorder.statistics
+    return RunOutcome(statistics.files, trip, started or trip != TRIP_NONE, exchange, statistics)
 
 
 def simulated_ring_rows(profile: Profile, tail_s: float, stop_s: float = 3.0) -> int:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from ..control.controller import ControllerConfig, ControllerState, ControllerTerms, controller_at_rest, controller_step
 from ..control.envelope import EnvelopeInputs
+from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..drive.port import port_now_ns, port_receive, port_sleep_until, port_sync
 from ..jit import njit
@@ -49,8 +50,7 @@ class Law(NamedTuple):
     """What the law asked for in this tick."""
 
     mode: int
-    reference_rps: float
-    reference_rps2: float
+    reference: Reference  # all zero without a velocity law
     terms: ControllerTerms
 
 
@@ -97,43 +97,41 @@ def exchange(port: Any, config: LoopConfig, status: Words, timing: Timing) -> Ti
 
 @njit
 def follow_profile(
-    blocks: Blocks, cursor: ProfileCursor, tick: int, active: bool, tail_ticks: int
-) -> tuple[ProfileCursor, int, float, float]:
-    """Returns (cursor, sample, reference, derivative). A new profile starts, an ended one is reported as done."""
+    blocks: Blocks, cursor: ProfileCursor, feedforward: FeedforwardConfig, tick: int, active: bool, tail_ticks: int
+) -> tuple[ProfileCursor, int, Reference]:
+    """Returns (cursor, sample, reference). A new profile starts, an ended one is reported as done."""
     number = load_acquire(blocks.control, b.PROFILE_NUMBER)
     if number != cursor.number and active:
         words = blocks.profile_words[number & 1]
         cursor = ProfileCursor(number, tick, words[0], words[1])
     if cursor.start_tick < 0:
-        return cursor, -1, 0.0, 0.0
+        return cursor, -1, steady_reference(0.0)
     sample = tick - cursor.start_tick
     aborted = load_acquire(blocks.control, b.PROFILE_ABORT) == cursor.number
     if sample >= cursor.length + tail_ticks or aborted or not active:
         blocks.status[b.PROFILE_DONE] = cursor.number
-        return ProfileCursor(cursor.number, -1, 0, MODE_IDLE), -1, 0.0, 0.0
-    if sample >= cursor.length:
-        return cursor, sample, 0.0, 0.0
-    slot = cursor.number & 1
-    return cursor, sample, blocks.profiles[slot, 0, sample], blocks.profiles[slot, 1, sample]
+        return ProfileCursor(cursor.number, -1, 0, MODE_IDLE), -1, steady_reference(0.0)
+    profile = blocks.profiles[cursor.number & 1]
+    return cursor, sample, read_reference(feedforward, profile[0], profile[1], cursor.length, sample)
 
 
 @njit
 def apply_law(
-    config: ControllerConfig, state: ControllerState, cursor: ProfileCursor, reference: float, derivative: float,
-    velocity_rps: float, toggle: int, active: bool,
+    config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
+    toggle: int, active: bool,
 ) -> tuple[Law, ControllerState]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
-        return Law(MODE_IDLE, 0.0, 0.0, _terms_of_current(0.0)), controller_at_rest()
-    if cursor.mode == MODE_CURRENT:
-        return Law(MODE_CURRENT, 0.0, 0.0, _terms_of_current(reference)), controller_at_rest()
+        return Law(MODE_IDLE, steady_reference(0.0), _terms_of_current(0.0)), controller_at_rest()
+    if mode == MODE_CURRENT:
+        return Law(MODE_CURRENT, steady_reference(0.0), _terms_of_current(reference.value)), controller_at_rest()
     terms, state = controller_step(config, state, toggle, reference, velocity_rps)
-    return Law(MODE_VELOCITY, reference, derivative, terms), state
+    return Law(MODE_VELOCITY, reference, terms), state
 
 
 @njit
 def _terms_of_current(current_a: float) -> ControllerTerms:
-    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
 
 
 @njit
@@ -173,13 +171,17 @@ def write_row(
     row["turnaround_ns"] = timing.turnaround_ns
     row["late"] = 1 if lateness_ns > config.late_ns else 0
     row["reserved"] = 0
-    row["reference_rps"] = law.reference_rps
-    row["reference_rps2"] = law.reference_rps2
+    row["reference_rps"] = law.reference.value
+    row["reference_rps2"] = law.reference.derivative
+    row["reference_ahead_rps"] = law.reference.ahead
+    row["reference_ahead_rps2"] = law.reference.ahead_derivative
+    row["expected_rps"] = law.reference.expected
     row["mode"] = law.mode
     row["error_rps"] = law.terms.error_rps
     row["proportional_a"] = law.terms.proportional_a
     row["integral_a"] = law.terms.integral_a
     row["friction_nm"] = law.terms.friction_nm
+    row["inertia_nm"] = law.terms.inertia_nm
     row["observation_nm_per_s"] = law.terms.observation_nm_per_s
     row["requested_a"] = law.terms.requested_a
     row["velocity_rps"] = seen.velocity_rps

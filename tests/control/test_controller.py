@@ -15,6 +15,7 @@ from fffo_drive.control.controller import (
     unpack_controller,
     with_limited,
 )
+from fffo_drive.control.feedforward import NO_FEEDFORWARD, steady_reference
 from fffo_drive.control.friction_observer import (
     TOGGLE_FEEDBACK,
     TOGGLE_FEEDFORWARD,
@@ -27,7 +28,9 @@ from fffo_drive.model.friction import FrictionConfig, steady_friction_nm
 PERIOD_S = 5e-4
 KT = 0.148
 TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
-CONFIG = ControllerConfig(PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), KT, 20.0, PERIOD_S)
+CONFIG = ControllerConfig(
+    PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), NO_FEEDFORWARD, KT, 20.0, PERIOD_S
+)
 
 
 def run(config, toggles, references, velocities, state=None):
@@ -35,7 +38,7 @@ def run(config, toggles, references, velocities, state=None):
     state = state or controller_at_rest()
     terms_list = []
     for toggle, reference, velocity in zip(toggles, references, velocities, strict=True):
-        terms, state = controller_step(config, state, int(toggle), float(reference), float(velocity))
+        terms, state = controller_step(config, state, int(toggle), steady_reference(float(reference)), float(velocity))
         terms_list.append(terms)
     return terms_list, state
 
@@ -64,7 +67,7 @@ def test_no_overshoot_of_the_command_after_a_long_saturation():
     peak = 0.0
     config = CONFIG._replace(current_limit_a=1.0)
     for _ in range(4000):
-        terms, state = controller_step(config, state, TOGGLE_OFF, 10.0, velocity)
+        terms, state = controller_step(config, state, TOGGLE_OFF, steady_reference(10.0), velocity)
         velocity += PERIOD_S / inertia * KT * terms.command_a
         peak = max(peak, velocity)
     assert peak < 10.0 * 1.35  # the zero's overshoot; with wind-up it is beyond 2
@@ -90,14 +93,14 @@ def test_a_persistent_error_is_learned_as_friction_up_to_the_clamp():
 
 
 def test_observation_is_frozen_while_the_command_is_limited():
-    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, 0.0, -0.5)
+    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(0.0), -0.5)
     assert terms.observation_nm_per_s == pytest.approx(2.5)
-    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, 0.0, -0.5)
+    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, steady_reference(0.0), -0.5)
     assert terms.observation_nm_per_s == 0.0
     saturated = CONFIG._replace(current_limit_a=0.1)
-    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, 5.0, 0.0)
+    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
     assert first.limited
-    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, 5.0, 0.0)
+    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
     assert second.observation_nm_per_s == 0.0
 
 
@@ -111,16 +114,16 @@ def test_switching_while_running_makes_no_bump(before, after, reference_rps):
     velocities = np.full(n, reference_rps * 0.98)
     references = np.full(n, reference_rps)
     _, state = run(CONFIG, [before] * n, references, velocities)
-    unswitched, _ = controller_step(CONFIG, state, before, reference_rps, reference_rps * 0.98)
-    switched, after_state = controller_step(CONFIG, state, after, reference_rps, reference_rps * 0.98)
+    unswitched, _ = controller_step(CONFIG, state, before, steady_reference(reference_rps), reference_rps * 0.98)
+    switched, after_state = controller_step(CONFIG, state, after, steady_reference(reference_rps), reference_rps * 0.98)
     assert abs(switched.command_a - unswitched.command_a) < 0.02
-    second, _ = controller_step(CONFIG, after_state, after, reference_rps, reference_rps * 0.98)
+    second, _ = controller_step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98)
     assert abs(second.command_a - switched.command_a) < 0.02
 
 
 def test_off_hands_the_estimate_to_the_integrator():
     _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 2000, [1.0] * 2000, [1.0] * 2000)
-    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, 1.0, 1.0)
+    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, steady_reference(1.0), 1.0)
     assert terms.friction_nm == 0.0
     assert after.integral_a == pytest.approx(state.integral_a + state.friction.torque_nm / KT)
 
@@ -128,8 +131,8 @@ def test_off_hands_the_estimate_to_the_integrator():
 def test_feedback_reverses_only_beyond_the_band():
     n = 2000
     _, state = run(CONFIG, [TOGGLE_FEEDBACK] * n, [1.0] * n, [1.0] * n)
-    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, 1.0, -0.09)
-    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, 1.0, -0.11)
+    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.09)
+    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.11)
     assert inside.friction.direction == 1.0
     assert outside.friction.direction == -1.0
 

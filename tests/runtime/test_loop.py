@@ -22,6 +22,7 @@ from runtime.scripted_port import (
 
 from fffo_drive.control import envelope as env
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig
+from fffo_drive.control.feedforward import NO_FEEDFORWARD
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY, Profile
@@ -35,7 +36,9 @@ from fffo_drive.runtime.tick import LoopConfig
 
 PERIOD_NS = 500_000
 TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
-CONTROLLER = ControllerConfig(PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), 0.148, 20.0, 5e-4)
+CONTROLLER = ControllerConfig(
+    PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), NO_FEEDFORWARD, 0.148, 20.0, 5e-4
+)
 LOOP = LoopConfig(PERIOD_NS, 300_000, 100_000, 400_000, 100, 4, 0)
 
 

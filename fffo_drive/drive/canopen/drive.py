@@ -96,10 +96,13 @@ class CanopenDrive:
         feedback = self.port.feedback
         with self._lock, contextlib.suppress(OSError):
             if self._link is not None:
-                sent = int(self.port.memory[SEND_ATTEMPTS]) - int(feedback["send_errors"][0])
-                feedback["dropped_frames"] = self._link.dropped_frames(sent)
+                feedback["dropped_frames"] = self._link.dropped_frames(self._sent_by_loop)
         result: np.ndarray[Any, np.dtype[np.void]] = feedback
         return result
+
+    def _sent_by_loop(self) -> int:
+        port = self.port
+        return int(port.memory[SEND_ATTEMPTS]) - int(port.feedback["send_errors"][0])
 
     @property
     def realtime(self) -> bool:

@@ -11,6 +11,7 @@ from ...jit import njit
 from ...jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv
 from .object_map import FIELD_POSITION, FIELD_STATUSWORD, FIELD_TORQUE, FIELD_VELOCITY
 from .port_memory import (
+    AMBIGUOUS,
     ANSWERED,
     ANSWERED_TWICE,
     CONTROLLER_OFF,
@@ -73,6 +74,8 @@ def _take_answer(port: CanopenPort, slot: int, tick: int, in_time: bool) -> int:
     bit = 1 << slot
     if memory[ANSWERED] & bit != 0:
         memory[ANSWERED_TWICE] |= bit
+        if memory[AMBIGUOUS] == 0:
+            port.feedback[0]["duplicate_feedback"] += 1
     if not in_time or memory[ANSWERED_TWICE] & bit != 0:
         port.feedback[0]["late_feedback"] += 1
     memory[ANSWERED] |= bit

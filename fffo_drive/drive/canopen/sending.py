@@ -14,7 +14,10 @@ ENXIO, ENODEV, ENETDOWN = 6, 19, 100
 def note_bus_state(port: CanopenPort) -> int:
     """Make one flag of the reasons. Returns it."""
     off = 1 if port.memory[CONTROLLER_OFF] != 0 or port.memory[INTERFACE_OFF] != 0 else 0
-    port.feedback[0]["bus_off"] = off
+    feedback = port.feedback[0]
+    if off > feedback["bus_off"]:
+        feedback["bus_losses"] += 1
+    feedback["bus_off"] = off
     return off
 
 

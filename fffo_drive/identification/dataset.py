@@ -1,0 +1,229 @@
+"""Logs into records: clean arrays at one rate, with what is wrong with them said before anything is fitted."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..recording.errors import RecordingError
+from ..recording.load import read_log
+from ..recording.reader import Run
+from ..recording.table import Table, read_table
+from .facts import DriveFacts
+
+Floats = npt.NDArray[np.float64]
+
+GAP_PERIODS = 1.5  # a step in time beyond this many periods is a gap: nothing is simulated across it
+SHORTEST_S = 2.0
+LEAST_MOTION_LSB = 50.0  # a record that never goes this far tells nothing
+SCALE_TOLERANCE = 0.05  # of the velocity against the derivative of the position
+KNOWN_FACTORS = {
+    60.0: "rpm given as rps",
+    1.0 / 60.0: "rps given as rpm",
+    2.0 * np.pi: "rad/s given as rps",
+    1.0 / (2.0 * np.pi): "rps given as rad/s, or the position is in rad",
+    1.0 / 360.0: "the position is in degrees",
+    360.0: "deg/s given as rps",
+    -1.0: "one of the two has the wrong sign",
+    0.001: "mm/s against m/s",
+    1000.0: "mm/s given as m/s",
+}
+
+
+class DataError(RecordingError):
+    """A log that cannot be used for a fit; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One log, (n,) samples at one rate. For a linear axis revolutions stand for m, and Nm for N."""
+
+    name: str
+    path: Path
+    period_s: float
+    torque_constant_nm_per_a: float
+    current_a: Floats  # the command: known without error, and what acts Td later
+    position_rev: Floats
+    velocity_rps: Floats | None  # the drive's own estimate: late and filtered
+    reference_rps: Floats | None  # None: open loop
+    lsb_rev: float
+    breaks: tuple[int, ...]  # samples that come after a gap
+    digest: str  # SHA-256 of the file
+    warnings: tuple[str, ...] = ()
+    measured_current_a: Floats | None = None
+    begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(self.current_a.size)
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return self.samples * self.period_s
+
+    @property
+    def closed_loop(self) -> bool:
+        """True where the command came from a velocity loop."""
+        return self.reference_rps is not None
+
+    def segments(self) -> list[slice]:
+        """Stretches without a gap."""
+        edges = [0, *self.breaks, self.samples]
+        return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+
+
+def load_record(path: str | Path, facts: DriveFacts) -> Record:
+    """Read one log (MCAP, CSV, MAT) by the declared facts.
+
+    Raises DataError with everything that speaks against a fit, RecordingError for a file that cannot be read.
+    """
+    path = Path(path)
+    if path.name.endswith((".mcap", ".mcap.part")):
+        log: Run | Table = read_log(path)
+    else:
+        log = read_table(path, facts.column_map(), allow_gaps=True)
+    columns: dict[str, Floats] = {
+        name: np.ascontiguousarray(log.columns[name], dtype=np.float64)
+        for name in ("time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps")
+        if name in log.columns
+    }
+    warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
+    if isinstance(log, Run):
+        columns = _while_running(log, columns)
+    return _record(path, columns, facts, warnings)
+
+
+def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
+    """`load_record` for several logs; all problems of all of them in one DataError."""
+    records, problems = [], []
+    for path in paths:
+        try:
+            records.append(load_record(path, facts))
+        except RecordingError as error:
+            problems.append(str(error))
+    if problems:
+        raise DataError("\n".join(problems))
+    return records
+
+
+def _while_running(run: Run, columns: dict[str, Floats]) -> dict[str, Floats]:
+    """The part of a recording in which the loop applied torque, with a closed loop told from an open one."""
+    mode = np.asarray(run.column("mode"))
+    active = np.flatnonzero(mode)
+    if not active.size:
+        raise DataError(f"{run.path}: the loop never applied torque in this run")
+    part = slice(int(active[0]), int(active[-1]) + 1)
+    kept = {name: np.ascontiguousarray(values[part]) for name, values in columns.items()}
+    if not (mode[part] == 1).any():
+        kept.pop("reference_rps", None)
+    return kept
+
+
+def _record(path: Path, columns: dict[str, Any], facts: DriveFacts, warnings: list[str]) -> Record:
+    if "current_command_a" not in columns:
+        if "current_a" not in columns:
+            raise DataError(f"{path}: no column gives current_command_a: map the command in `columns` of the facts")
+        warnings.append(f"{path}: no current command; the measured current stands in for it, with its noise and lag")
+        columns["current_command_a"] = columns["current_a"]
+    time_s, current_a = columns["time_s"], columns["current_command_a"]
+    steps = np.diff(time_s)
+    period_s = float(np.median(steps))
+    if facts.sample_rate_hz is not None and abs(period_s * facts.sample_rate_hz - 1.0) > 0.01:
+        raise DataError(
+            f"{path}: sampled at {1.0 / period_s:.6g} Hz, the facts declare {facts.sample_rate_hz:g} Hz: "
+            "a wrong unit of time, or the wrong file"
+        )
+    position_rev = columns.get("position_rev")
+    velocity_rps = columns.get("velocity_rps")
+    if position_rev is None:
+        if velocity_rps is None:
+            raise DataError(f"{path}: neither position_rev nor velocity_rps is given: one of them is needed")
+        warnings.append(f"{path}: no position: the velocity is integrated, and its lag counts as delay")
+        position_rev = np.concatenate([[0.0], np.cumsum(0.5 * (velocity_rps[1:] + velocity_rps[:-1]) * period_s)])
+    lsb_rev = facts.lsb_rev or _resolution(position_rev)
+    record = Record(
+        name=path.name.split(".")[0],
+        path=path,
+        period_s=period_s,
+        torque_constant_nm_per_a=facts.torque_constant_nm_per_a,
+        current_a=current_a,
+        position_rev=position_rev,
+        velocity_rps=velocity_rps,
+        reference_rps=columns.get("reference_rps"),
+        lsb_rev=lsb_rev,
+        breaks=tuple(int(k) + 1 for k in np.flatnonzero(steps > GAP_PERIODS * period_s)),
+        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+        measured_current_a=columns.get("current_a"),
+        begin_s=float(time_s[0]),
+    )
+    problems, found = check_record(record)
+    if problems:
+        raise DataError("\n".join(problems))
+    return Record(**{**vars(record), "warnings": (*warnings, *found)})
+
+
+def _resolution(position_rev: Floats) -> float:
+    """Smallest step that the position makes."""
+    steps = np.abs(np.diff(position_rev))
+    steps = steps[steps > 0.0]
+    return float(np.quantile(steps, 0.001)) if steps.size else 0.0
+
+
+def check_record(record: Record) -> tuple[list[str], list[str]]:
+    """What speaks against a fit on this record, and what is odd: (problems, warnings), one sentence each."""
+    problems: list[str] = []
+    warnings: list[str] = []
+    place = record.path
+    if record.duration_s < SHORTEST_S:
+        problems.append(f"{place}: {record.duration_s:.3g} s long; at least {SHORTEST_S:g} s are needed")
+    for name, values in (("current command", record.current_a), ("position", record.position_rev)):
+        if not np.isfinite(values).all():
+            problems.append(f"{place}: the {name} is not a finite number at sample {int(np.argmin(np.isfinite(values)))}")
+    if problems:
+        return problems, warnings
+    travel_rev = float(np.ptp(record.position_rev))
+    if np.ptp(record.current_a) == 0.0:
+        problems.append(f"{place}: the current command is constant ({record.current_a[0]:g}): nothing is excited")
+    if travel_rev < LEAST_MOTION_LSB * record.lsb_rev or travel_rev == 0.0:
+        problems.append(
+            f"{place}: too little motion: {travel_rev:.3g} rev in all, less than {LEAST_MOTION_LSB:g} counts of the "
+            "sensor; raise the current of the excitation"
+        )
+    if record.breaks:
+        warnings.append(f"{place}: {len(record.breaks)} gap(s) in time; nothing is simulated across them")
+    if not problems and record.velocity_rps is not None:
+        problem = _velocity_scale_problem(record)
+        if problem is not None:
+            problems.append(problem)
+    return problems, warnings
+
+
+def _velocity_scale_problem(record: Record) -> str | None:
+    """The drive's velocity against the derivative of the position: a wrong unit or sign shows as a factor."""
+    assert record.velocity_rps is not None
+    span = max(1, round(0.01 / record.period_s))
+    derived = (record.position_rev[2 * span :] - record.position_rev[: -2 * span]) / (2 * span * record.period_s)
+    own = record.velocity_rps[span:-span]
+    power = float(derived @ derived)
+    if power == 0.0 or float(own @ own) == 0.0:
+        return f"{record.path}: the velocity is zero throughout while the position moves, or the other way round"
+    correlation = float(own @ derived) / np.sqrt(power * float(own @ own))
+    factor = float(own @ derived) / power
+    if abs(correlation) < 0.5:
+        return f"{record.path}: velocity and derivative of the position have nothing in common (r = {correlation:.2f})"
+    if abs(factor - 1.0) <= SCALE_TOLERANCE:
+        return None
+    known = min(KNOWN_FACTORS, key=lambda k: abs(np.log(abs(factor / k))) + (10.0 if factor * k < 0 else 0.0))
+    hint = f": {KNOWN_FACTORS[known]}?" if abs(factor / known - 1.0) < 0.1 else ""
+    return (
+        f"{record.path}: the velocity is {factor:.4g} times the derivative of the position{hint} "
+        "Give the unit of each column in `columns` of the facts"
+    )

@@ -1,0 +1,166 @@
+"""Excitation: profiles that make an axis show its parameters.
+
+Three of them: the paper's current sequence (section IV-B, Fig. 3), its chirp for the frequency response (IV-C), and a
+velocity recipe that separates effects which one motion alone confuses. All are `Profile`s, sampled before anything
+moves; `predict_motion` simulates what an open-loop current will do on the believed axis, so that speed and travel can be
+bounded as well as current.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, piecewise_linear, sigmoid_envelope
+from ..model.axis import AxisConfig, AxisState, simulate
+from ..model.friction import REST
+
+Floats = npt.NDArray[np.float64]
+
+STAIRCASE_SHARES = (0.01, 0.03, 0.07, 0.15, 0.3, 0.5, 0.75, 1.0)  # of the highest speed: eight levels both ways
+DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six lengths of standstill, left at one and the same rate
+COAST_TIME_S = 0.35  # a coast-down as a reference: the speed falls with about the axis' own time constant
+
+
+def chirp(first_hz: float, last_hz: float, duration_s: float, period_s: float) -> Floats:
+    """Sine of falling or rising frequency, exponential in time, amplitude 1. Shape (n,)."""
+    time_s = np.arange(round(duration_s / period_s)) * period_s
+    rate = math.log(last_hz / first_hz) / duration_s
+    phase = 2.0 * math.pi * first_hz * np.expm1(rate * time_s) / rate
+    return np.asarray(np.sin(phase))
+
+
+def identification_sequence(
+    duration_s: float, period_s: float, low_a: float, high_a: float, lowest_hz: float, highest_hz: float
+) -> Profile:
+    """The paper's current sequence: a down-chirp, then an up-chirp, in one biased sigmoid envelope from low to high."""
+    down = chirp(highest_hz, lowest_hz, 0.5 * duration_s, period_s)
+    up = chirp(lowest_hz, highest_hz, 0.5 * duration_s, period_s)
+    wave = np.concatenate([down, up])
+    envelope, _ = sigmoid_envelope(wave.size, low_a, high_a)
+    return _sampled("identify", MODE_CURRENT, period_s, envelope * wave)
+
+
+def frequency_response_chirp(
+    duration_s: float, period_s: float, amplitude_a: float, lowest_hz: float, highest_hz: float
+) -> Profile:
+    """The down-chirp for the frequency response (50 to 0.01 Hz in the paper), at one amplitude of current."""
+    return _sampled("frf", MODE_CURRENT, period_s, amplitude_a * chirp(highest_hz, lowest_hz, duration_s, period_s))
+
+
+def separating_recipe(period_s: float, high_rps: float, acceleration_rps2: float, repeats: int = 2) -> Profile:
+    """Velocity reference that separates effects: see the parts below. The first two parts come again at the end.
+
+    About 100 s at a repeat of 2. `acceleration_rps2` is the highest one; the accelerate/brake pairs use 1/4, 1/2 and all.
+    """
+    parts: list[Floats] = []
+    for _ in range(max(1, repeats) - 1):
+        parts += [_staircase(period_s, high_rps, acceleration_rps2), _triangles(period_s, high_rps)]
+    parts += [
+        _dwells(period_s, high_rps, acceleration_rps2),
+        _pairs(period_s, high_rps, acceleration_rps2),
+        _biased_sines(period_s, high_rps),
+        _coast_downs(period_s, high_rps, acceleration_rps2),
+        _staircase(period_s, high_rps, acceleration_rps2),
+        _triangles(period_s, high_rps),
+    ]
+    return _sampled("recipe", MODE_VELOCITY, period_s, np.concatenate(parts))
+
+
+def _sampled(name: str, mode: int, period_s: float, values: Floats) -> Profile:
+    return Profile(name, mode, period_s, values, np.gradient(values, period_s))
+
+
+def _lines(period_s: float, durations_s: list[float], levels: list[float]) -> Floats:
+    """Straight lines from 0 through `levels`, each reached after its duration."""
+    times = np.concatenate([[0.0], np.cumsum(durations_s)])
+    return piecewise_linear("", MODE_VELOCITY, period_s, times, np.array([0.0, *levels])).values
+
+
+def _staircase(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+    """Constant speeds, upwards one way and then the other: the steady friction curve on both sides."""
+    durations: list[float] = []
+    levels: list[float] = []
+    for sign in (1.0, -1.0):
+        last = 0.0
+        for share in (*STAIRCASE_SHARES, 0.0):
+            level = sign * share * high_rps
+            durations += [max(0.05, 4.0 * abs(level - last) / acceleration_rps2), 0.2 if level == 0.0 else 1.2]
+            levels += [level, level]
+            last = level
+    return _lines(period_s, durations, levels)
+
+
+def _dwells(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+    """Standstills of six lengths, each left by the same slow ramp: break-away against dwell time, torque rate fixed."""
+    durations: list[float] = []
+    levels: list[float] = []
+    for number, dwell_s in enumerate(DWELLS_S):
+        level = 0.15 * high_rps * (1.0 if number % 2 else -1.0)
+        ramp_s = max(0.3, 8.0 * abs(level) / acceleration_rps2)
+        durations += [dwell_s, ramp_s, 0.2, ramp_s]
+        levels += [0.0, level, level, 0.0]
+    return _lines(period_s, durations, levels)
+
+
+def _triangles(period_s: float, high_rps: float) -> Floats:
+    """Slow reversals at two accelerations: presliding in distance (the same) against lag in time (not the same)."""
+    durations: list[float] = []
+    levels: list[float] = []
+    for share, quarter_s in ((0.02, 0.5), (0.02, 0.15), (0.07, 0.5), (0.07, 0.15)):
+        for level in (1.0, 0.0, -1.0, 0.0) * 2:
+            durations.append(quarter_s)
+            levels.append(level * share * high_rps)
+    return _lines(period_s, durations, levels)
+
+
+def _pairs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+    """Accelerate and brake alike at three torques, both ways: inertia and torque against friction, sign by sign."""
+    durations: list[float] = []
+    levels: list[float] = []
+    for share in (0.25, 0.5, 1.0):
+        for sign in (1.0, -1.0):
+            ramp_s = 0.9 * high_rps / (share * acceleration_rps2)
+            durations += [ramp_s, 0.25, ramp_s, 0.15]
+            levels += [0.9 * sign * high_rps, 0.9 * sign * high_rps, 0.0, 0.0]
+    return _lines(period_s, durations, levels)
+
+
+def _biased_sines(period_s: float, high_rps: float) -> Floats:
+    """Oscillation that never reverses, at two rates: frictional lag without presliding; both directions."""
+    time_s = np.arange(round(4.0 / period_s)) * period_s
+    parts = []
+    for sign in (1.0, -1.0):
+        for frequency_hz in (1.0, 5.0):
+            wave = 0.07 * (1.0 - 0.8 * np.cos(2.0 * math.pi * frequency_hz * time_s))
+            parts.append(sign * high_rps * wave * np.minimum(1.0, np.minimum(time_s, time_s[::-1]) / 0.3))
+    return np.concatenate(parts)
+
+
+def _coast_downs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+    """Speed that dies away by itself: next to no torque at all speeds, so no effect of the torque can hide in it."""
+    rise = _lines(period_s, [2.0 * high_rps / acceleration_rps2, 0.3], [high_rps, high_rps])
+    time_s = np.arange(round(5.0 * COAST_TIME_S / period_s)) * period_s
+    fall = high_rps * (np.exp(-time_s / COAST_TIME_S) - math.exp(-5.0) * time_s / time_s[-1])
+    once = np.concatenate([rise, fall, np.zeros(round(0.2 / period_s))])
+    return np.concatenate([once, -once])
+
+
+class MotionForecast(NamedTuple):
+    """What the believed axis does under an open-loop current."""
+
+    speed_rps: float  # highest
+    lowest_rev: float  # extremes of travel from the start
+    highest_rev: float
+
+
+def predict_motion(profile: Profile, axis: AxisConfig) -> MotionForecast:
+    """Simulate a current profile on the believed axis from rest: its highest speed and how far it goes."""
+    if profile.mode != MODE_CURRENT:
+        travel = np.cumsum(profile.values) * profile.period_s
+        return MotionForecast(float(np.abs(profile.values).max()), float(travel.min()), float(travel.max()))
+    states, _ = simulate(axis, AxisState(0.0, 0.0, REST), profile.values, profile.period_s, 2)
+    return MotionForecast(float(np.abs(states[:, 0]).max()), float(states[:, 1].min()), float(states[:, 1].max()))

@@ -1,0 +1,69 @@
+"""Declared facts about a drive: what no log tells, and how a foreign log is to be read.
+
+A YAML file; only the torque constant is needed. For a linear axis (`units: linear`) revolutions, rps and Nm stand for
+m, m/s and N throughout, and the torque constant is a force constant (N per unit of command).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..documents import Record, load
+from ..recording.column_map import Column, ColumnMap
+
+Count = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class ColumnFact(Record):
+    """One column of a foreign log."""
+
+    column: Annotated[str, Field(description="its name in the file")]
+    unit: Annotated[str | None, Field(description="its unit there; default: the signal's own")] = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+class DriveFacts(Record):
+    """What is declared about the drive."""
+
+    torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6, description="declared, never fitted")]
+    rated_current_a: Annotated[float | None, Field(gt=0, le=1e4)] = None
+    gear_ratio: Annotated[float | None, Field(gt=0, le=1e5, description="motor speed over output speed")] = None
+    resolver_bits: Annotated[int | None, Field(ge=8, le=32)] = None
+    position_lsb_rev: Annotated[float | None, Field(gt=0, description="instead of resolver_bits")] = None
+    sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="needed where a log has no time")] = None
+    pole_pairs: Annotated[Count | None, Field(description="electrical turns a revolution")] = None
+    slots: Count | None = None
+    absolute_angle: Annotated[bool, Field(description="the angle's zero is the same in every run")] = False
+    units: Literal["rotary", "linear"] = "rotary"
+    columns: Annotated[
+        dict[str, str | ColumnFact] | None, Field(description="signal: column of the file; default: by name")
+    ] = None
+
+    @property
+    def lsb_rev(self) -> float | None:
+        """Resolution of the position; None where nothing is declared."""
+        if self.position_lsb_rev is not None:
+            return self.position_lsb_rev
+        return None if self.resolver_bits is None else 1.0 / (1 << self.resolver_bits)
+
+    def column_map(self) -> ColumnMap | None:
+        """How a table is read; None to read it by the names of its columns."""
+        if self.columns is None:
+            return None
+        entries = [
+            Column(fact, signal)
+            if isinstance(fact, str)
+            else Column(fact.column, signal, fact.unit, fact.scale, fact.offset)
+            for signal, fact in self.columns.items()
+        ]
+        timed = "time_s" in self.columns
+        return ColumnMap(tuple(entries), None if timed else self.sample_rate_hz, self.units == "linear")
+
+
+def read_facts(path: str | Path) -> DriveFacts:
+    """Read and check a file of declared facts. Raises DocumentError with every error in it."""
+    return load(path, DriveFacts)

@@ -1,0 +1,110 @@
+"""Short simulated windows along a measured position: the residual that the fit makes small.
+
+The axis runs along each record twice. An observer follows the measured position (two small corrections a sample), so
+that at any instant velocity, friction torque and travel since the reversal are those of a motion that agrees with the
+record; through a standstill it holds what the torque balance says. At the start of each window a copy is let go and runs
+free on the command alone. What it is off by, in position and averaged over short blocks, is the residual.
+
+Why position: the drive's own velocity is filtered and late, and the measured current is noisy; the position has no lag
+to first order, and the command is known without any error, in closed loop too.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..jit import njit
+from ..model.axis import AxisConfig, AxisState, axis_step, mean_held_command
+from ..model.friction import FrictionState
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+class ShootingConfig(NamedTuple):
+    """How a record is shot. Gains of the observer are per sample."""
+
+    period_s: float
+    substeps: int
+    samples: int  # of a free run
+    block: int  # samples that are averaged into one residual
+    position_gain: float
+    velocity_gain_per_s: float
+
+
+class Kick(NamedTuple):
+    """A change of the state at the start of every window, for sensitivities."""
+
+    velocity_rps: float
+    friction_nm: float
+
+
+@njit
+def _advance(
+    config: AxisConfig, state: AxisState, offset_nm: float, current_a: Floats, sample: int, delay: float,
+    period_s: float, substeps: int,
+) -> AxisState:  # fmt: skip
+    step_s = period_s / substeps
+    for j in range(substeps):
+        begin = sample + j / substeps - delay
+        mean_a = mean_held_command(current_a, begin, begin + 1.0 / substeps)
+        state = axis_step(config, state, config.torque_constant_nm_per_a * mean_a - offset_nm, step_s)
+    return state
+
+
+@njit
+def _free_run(
+    config: AxisConfig, shooting: ShootingConfig, state: AxisState, offset_nm: float, current_a: Floats,
+    position_rev: Floats, start: int, output: Any,
+) -> None:  # fmt: skip
+    delay = config.delay_s / shooting.period_s
+    sample = start
+    for block in range(shooting.samples // shooting.block):
+        total = 0.0
+        for _ in range(shooting.block):
+            total += position_rev[sample] - state.position_rev
+            state = _advance(
+                config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            )
+            sample += 1
+        output[block] = total / shooting.block
+
+
+@njit
+def shoot(
+    config: AxisConfig, shooting: ShootingConfig, kick: Kick, offset_nm: float, current_a: Floats,
+    position_rev: Floats, starts: Integers, first: int, output: Any,
+) -> None:  # fmt: skip
+    """Residuals (measured minus simulated position, rev) of all windows of a record, from sample `first` on.
+
+    `starts` (w,) first samples of the windows, rising; `output` (w, blocks). `offset_nm` opposes the motor's torque.
+    """
+    state = AxisState(0.0, position_rev[first], FrictionState(0.0, 0.0, 0.0, 0.0))
+    delay = config.delay_s / shooting.period_s
+    sample = first
+    for window in range(starts.size):
+        while True:
+            error_rev = position_rev[sample] - state.position_rev
+            state = AxisState(
+                state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
+                state.position_rev + shooting.position_gain * error_rev,
+                state.friction,
+            )
+            if sample >= starts[window]:
+                break
+            state = _advance(
+                config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            )
+            sample += 1
+        f = state.friction
+        kicked = AxisState(
+            state.velocity_rps + kick.velocity_rps,
+            state.position_rev,
+            FrictionState(f.torque_nm + kick.friction_nm, f.travel_rev, f.omega_nm, f.direction),
+        )
+        _free_run(config, shooting, kicked, offset_nm, current_a, position_rev, starts[window], output[window])
+        state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
+        sample += 1

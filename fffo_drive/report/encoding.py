@@ -1,0 +1,107 @@
+"""Figures as JSON for the page: numbers as base64 of little-endian float32, long records as 16 bits of their range.
+
+16 bits halve a page, so that a minute of a few signals at 2 kHz keeps every sample. A step is 1/65534 of the record's
+range, far below a pixel until the ordinate is zoomed a hundredfold, and below what a resolver tells apart.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .decimation import thinned
+from .figures import Axis, Figure, Floats, Series, Uniform
+
+SHORT = 4096  # up to here float32 costs nothing
+LEVELS = 32767
+MISSING = -32768
+LARGEST_DATA_BYTES = 2_300_000  # base64 of all figures of a page; the page stays below 3 MB with its text and code
+
+Encoded = dict[str, Any]
+
+
+def encode(values: Floats) -> Encoded:
+    """Numbers (n,) for the page, NaN kept: {"f4": base64} or {"i2": base64, "scale", "offset"}."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    if values.size <= SHORT or not high > low:
+        return {"f4": _base64(values.astype("<f4"))}
+    scale, offset = (high - low) / (2 * LEVELS), 0.5 * (high + low)
+    with np.errstate(invalid="ignore"):
+        steps = np.where(np.isfinite(values), np.rint((values - offset) / scale), MISSING)
+    return {"i2": _base64(steps.astype("<i2")), "scale": scale, "offset": offset}
+
+
+def decode(encoded: Encoded) -> Floats:
+    """What the page's script makes of `encode`."""
+    if "f4" in encoded:
+        return np.frombuffer(base64.b64decode(encoded["f4"]), "<f4").astype(np.float64)
+    steps = np.frombuffer(base64.b64decode(encoded["i2"]), "<i2").astype(np.float64)
+    return np.where(steps == MISSING, np.nan, steps * encoded["scale"] + encoded["offset"])
+
+
+def encode_figures(figures: Sequence[Figure], largest_bytes: int = LARGEST_DATA_BYTES) -> list[dict[str, Any]]:
+    """All figures of a page within `largest_bytes` of data: the longest records give way first."""
+    most = max((series.finest for figure in figures for series in figure.series), default=0)
+    while True:
+        encoded = [_figure(figure, most) for figure in figures]
+        if most <= 500 or _data_bytes(encoded) <= largest_bytes:
+            return encoded
+        most = int(most * 0.8)
+
+
+def _data_bytes(encoded: list[dict[str, Any]]) -> int:
+    return sum(
+        len(part.get("f4", "")) + len(part.get("i2", ""))
+        for figure in encoded
+        for series in figure["series"]
+        for part in series.values()
+        if isinstance(part, dict)
+    )
+
+
+def _figure(figure: Figure, most: int) -> dict[str, Any]:
+    return {
+        "name": figure.name,
+        "kind": figure.kind,
+        "title": figure.title,
+        "x": _axis(figure.x),
+        "y": _axis(figure.y),
+        "height": figure.height_px,
+        "group": figure.group,
+        "shareY": figure.share_y,
+        "spans": [span._asdict() for span in figure.spans],
+        "levels": [level._asdict() for level in figure.levels],
+        "series": [_series(series, most) for series in figure.series],
+    }
+
+
+def _axis(axis: Axis) -> dict[str, Any]:
+    return {**axis._asdict(), "text": axis.text}
+
+
+def _series(series: Series, most: int) -> dict[str, Any]:
+    x, y, bucket = thinned(series, min(series.finest, most))
+    described: dict[str, Any] = {
+        "name": series.name,
+        "colour": series.colour,
+        "draw": series.draw,
+        "dash": series.dash,
+        "weight": series.weight,
+        "bucket": bucket,
+        "samples": int(series.y.size),
+        "y": encode(y),
+        "x": {"start": x.start, "step": x.step} if isinstance(x, Uniform) else encode(x),
+    }
+    if series.draw == "bars":
+        described["barWidth"] = series.bar_width
+    if series.low is not None and series.high is not None:
+        described |= {"low": encode(series.low), "high": encode(series.high)}
+    return described
+
+
+def _base64(values: np.ndarray[Any, np.dtype[Any]]) -> str:
+    return base64.b64encode(values.tobytes()).decode("ascii")

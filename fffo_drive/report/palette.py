@@ -1,0 +1,62 @@
+"""Colours of the reports, for light and dark paper; page and static figures take them from here.
+
+The first three hues keep apart under the common colour deficiencies, and no figure relies on hue alone: series also
+differ in dash or marker and carry their names.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Colour(NamedTuple):
+    """One role on light and on dark paper, as #rrggbb."""
+
+    light: str
+    dark: str
+
+
+PAPER = Colour("#ffffff", "#15171a")
+
+# roles of text and furniture
+FURNITURE = {
+    "paper": PAPER,
+    "raised": Colour("#f6f7f8", "#1d2024"),
+    "text": Colour("#16181b", "#e9ebee"),
+    "quiet": Colour("#5a626c", "#a3abb5"),
+    "rule": Colour("#d9dde2", "#343a41"),
+    "grid": Colour("#e8ebee", "#272c31"),
+    "good": Colour("#1a7a3c", "#58c27d"),
+    "caution": Colour("#9a5b00", "#e0a030"),
+    "bad": Colour("#b3261e", "#ff8078"),
+    "focus": Colour("#1f5fbf", "#7fb2ff"),
+}
+
+# colours of series
+SERIES = {
+    "ink": Colour("#16181b", "#e9ebee"),
+    "orange": Colour("#cc4b0c", "#ff8b52"),
+    "green": Colour("#0b8264", "#43c79f"),
+    "blue": Colour("#1f5fbf", "#76abff"),
+    "purple": Colour("#8546b5", "#c493f0"),
+    "grey": Colour("#747c86", "#8f98a3"),
+}
+
+
+def variables(dark: bool) -> str:
+    """All colours as CSS custom properties: furniture as --NAME, series as --series-NAME."""
+    named = {f"--{name}": colour for name, colour in FURNITURE.items()}
+    named.update({f"--series-{name}": colour for name, colour in SERIES.items()})
+    return " ".join(f"{name}: {colour.dark if dark else colour.light};" for name, colour in named.items())
+
+
+def contrast(first: str, second: str) -> float:
+    """Contrast ratio of two colours #rrggbb after WCAG 2: 1 (equal) to 21 (black on white)."""
+    high, low = sorted((_luminance(first), _luminance(second)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
