@@ -123,12 +123,23 @@ def check(data: Any, record: type[M], name: str, lines: dict[Location, int] | No
         raise DocumentError("\n".join(text for _, text in found)) from None
 
 
+def located(name: str, lines: dict[Location, int], key: str, text: str) -> str:
+    """FILE:LINE: KEY: TEXT, for a dotted key with [index] parts; the line of the innermost part that is in the file."""
+    parts = key.replace("]", "").replace("[", ".").split(".")
+    location: Location = tuple(int(part) if part.isdigit() else part for part in parts)
+    return f"{name}:{_line_of(lines, location)}: {key}: {text}"
+
+
+def _line_of(lines: dict[Location, int], location: Location) -> int:
+    return next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
+
+
 def _sentence(
     record: type[BaseModel], data: Any, error: ErrorDetails, name: str, lines: dict[Location, int]
 ) -> tuple[int, str]:
     """(line, text) for one error of pydantic's."""
     location = _keys_only(error["loc"], data)
-    line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
+    line = _line_of(lines, location)
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "extra_forbidden":
         message = "unknown key"

@@ -41,6 +41,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("inertia_nm", "<f8", "Nm", "inertia torque of the reference, injected through 1/Kt"),
     Signal("observation_nm_per_s", "<f8", "Nm/s", "lambda(e), the part of dF/dt that the control error drives"),
     Signal("requested_a", "<f8", "A", "sum of all terms, before the controller's limit and the envelope"),
+    Signal("limited_a", "<f8", "A", "what the envelope let pass, before the wire's resolution"),
     Signal("current_command_a", "<f8", "A", "command on the wire, quantised; acts at the next SYNC"),
     Signal("true_velocity_rps", "<f8", "rps", "shaft velocity (simulated drive in process only, else NaN)"),
     Signal("true_friction_nm", "<f8", "Nm", "friction torque of the plant (simulated drive in process only, else NaN)"),

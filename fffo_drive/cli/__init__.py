@@ -16,6 +16,7 @@ COMMANDS = {
     "run": ("run", "run one profile on a drive, in process or on a bus, and record it"),
     "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
     "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
+    "replay": ("replay", "put a recorded run through the law again, bit for bit"),
     "log": ("log", "read what was recorded: info, recover"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
 }

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..can.link import free_loopback_port
+from ..config.axis import recorder_settings
 from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from ..control.reference import Profile
 from ..drive.port import Drive, DriveIdentity
@@ -30,12 +31,12 @@ from ..evaluation.metrics import (
     tick_statistics,
 )
 from ..jit import PACKAGE_DIRECTORY
-from ..recording.reader import read_run
 from ..runtime.runs import RunOutcome, record_live, timestamp_name
 from ..runtime.session import Session
 from .drives import Plan, make_plan, open_drive, plan_session, run_header
-from .exits import DriveFaultError
+from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
+from .recordings import recorded_rows, recorder_hooks
 from .simulated_process import SimulatedProcess
 
 CONFIGS = PACKAGE_DIRECTORY.parent / "configs"
@@ -98,6 +99,7 @@ def _compare(
 ) -> dict[str, BenchRun]:
     """The three runs on one loop: SYNC goes on between them, without torque."""
     runs: dict[str, BenchRun] = {}
+    settings = recorder_settings(plan.axis)
     with Session(drive, plan_session(plan)) as session:
         for refusal in session.start().refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
@@ -106,19 +108,20 @@ def _compare(
             path = out / f"{name.lower().replace('+', '_')}.mcap"
             header = run_header(plan, identity, toggle)
             with progress_bar(f"{name:8}", quiet) as progress:
-                outcome = record_live(session, plan.profile, toggle, path, header, progress=progress)
+                outcome = record_live(session, plan.profile, toggle, path, header, settings, recorder_hooks(), progress)
             if outcome.fault_text is not None:
                 raise DriveFaultError(f"{name}: {outcome.fault_text}; the record is in {path}")
+            if outcome.gap_text is not None:
+                raise RecordingGapError(f"{name}: {outcome.gap_text}")
             runs[name] = _evaluate(plan.profile, outcome)
     return runs
 
 
 def _evaluate(profile: Profile, outcome: RunOutcome) -> BenchRun:
     """Metrics from what was recorded, read back from the file."""
-    file = outcome.files[-1]
-    rows = read_run(file).rows
+    rows = recorded_rows(outcome.files)
     metrics = run_metrics(rows, profile.period_s, profile.values.size)
-    return BenchRun(metrics, tick_statistics(rows, outcome.late_feedback), file, outcome.recorder.rows_lost)
+    return BenchRun(metrics, tick_statistics(rows, outcome.exchange), outcome.files[-1], outcome.recorder.rows_lost)
 
 
 def _report(plan: Plan, runs: dict[str, BenchRun], as_json: bool) -> None:
@@ -164,11 +167,13 @@ def _metrics_table(runs: dict[str, BenchRun]) -> Table:
 def _ticks_table(runs: dict[str, BenchRun]) -> Table:
     table = Table(title="ticks, and how late they woke in µs", title_justify="left", box=SIMPLE)
     table.add_column("", no_wrap=True)
-    for title in ("ticks", "late", "skipped", "no\nanswer", "late\nanswer", "p50", "p99", "max", "rows\nlost"):
+    counted = ("ticks", "late", "skipped", "no\nanswer", "late\nanswer", "wire\nerrors")
+    for title in (*counted, "p50", "p99", "max", "rows\nlost"):
         table.add_column(title, justify="right", no_wrap=True)
     for name, run in runs.items():
         t = run.ticks
-        counts = (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback)
+        wire_errors = t.bad_frames + t.error_frames + t.bus_losses + t.send_errors + max(t.dropped_frames, 0)
+        counts = (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback, wire_errors)
         lateness = (t.lateness_us_p50, t.lateness_us_p99, t.lateness_us_max)
         table.add_row(name, *map(str, counts), *(f"{value:.0f}" for value in lateness), str(run.rows_lost))
     return table

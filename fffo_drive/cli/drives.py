@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,8 +69,14 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
     if isinstance(section, CanopenDriveSection):
         from ..drive.canopen.drive import CanopenDrive
 
-        return CanopenDrive(section.drive_config(plan.model.torque_constant_nm_per_a, period_ns, bus))
+        on_bus = section.drive_config(plan.model.torque_constant_nm_per_a, period_ns, bus)
+        if on_bus.eds is not None:
+            on_bus = dataclasses.replace(on_bus, eds=str(beside(plan.path, on_bus.eds)))
+        return CanopenDrive(on_bus)
     from ..drive.simulated.in_process import SimulatedDrive
+
+    if bus is not None:
+        require(plan.path, [f"drive.kind: simulated runs in process and has no bus: leave --bus {bus} out"])
 
     config = read_simulated(beside(plan.path, section.file))
     return SimulatedDrive(config.plant, config.device)

@@ -17,23 +17,30 @@ class DriveFaultError(Exception):
     """A run that ended with a fault."""
 
 
+class RecordingGapError(Exception):
+    """A run whose recording is not whole."""
+
+
 def exit_code_of(error: Exception) -> int | None:
     """The exit code of a known error; None for a bug, which shows its traceback."""
     from ..can.link import LinkError
     from ..drive.canopen.object_map import MappingError
     from ..drive.port import BusUnavailableError, DriveError
+    from ..drive.simulated.parameters import PlantConfigError
     from ..recording.errors import RecordingError
     from ..runtime.realtime import RealtimeRefusedError
 
     codes: list[tuple[type[Exception], int]] = [
         (DocumentError, EXIT_BAD_INPUT),
         (MappingError, EXIT_BAD_INPUT),
+        (PlantConfigError, EXIT_BAD_INPUT),
         (BusUnavailableError, EXIT_UNAVAILABLE),
         (LinkError, EXIT_UNAVAILABLE),
         (DriveError, EXIT_DRIVE_FAULT),
         (DriveFaultError, EXIT_DRIVE_FAULT),
         (RealtimeRefusedError, EXIT_NOT_PERMITTED),
         (RecordingError, EXIT_BAD_INPUT),
+        (RecordingGapError, EXIT_IO),
         (FileNotFoundError, EXIT_BAD_INPUT),
         (OSError, EXIT_IO),
     ]

@@ -13,15 +13,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ..config.axis import TOGGLES
-from ..drive.port import Drive
-from ..evaluation.metrics import run_metrics, tick_statistics
-from ..recording.reader import read_run
+from ..config.axis import TOGGLES, recorder_settings
+from ..drive.port import Drive, ExchangeCounts
+from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
 from ..runtime.session import Session
 from .drives import Plan, make_plan, open_drive, plan_session, run_header, toggle_name
-from .exits import DriveFaultError
+from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
+from .recordings import recorded_rows, recorder_hooks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +50,8 @@ def execute(options: argparse.Namespace) -> int:
         _print(summary)
     if outcome.fault_text is not None:
         raise DriveFaultError(f"the run ended with a fault: {outcome.fault_text}")
+    if outcome.gap_text is not None:
+        raise RecordingGapError(outcome.gap_text)
     return 0
 
 
@@ -60,45 +62,55 @@ def _default_path(plan: Plan) -> Path:
 def _run(plan: Plan, drive: Drive, toggle: int, out: Path, quiet: bool) -> RunOutcome:
     identity = drive.connect()
     header = run_header(plan, identity, toggle)
+    settings, hooks = recorder_settings(plan.axis), recorder_hooks()
     if not drive.realtime:
         rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
         with Session(drive, plan_session(plan, rows)) as session:
-            return record_simulated(session, plan.profile, toggle, out, header)
+            return record_simulated(session, plan.profile, toggle, out, header, settings, hooks)
     with Session(drive, plan_session(plan)) as session:
         report = session.start()
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
         with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", quiet) as progress:
-            return record_live(session, plan.profile, toggle, out, header, progress=progress)
+            return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress)
 
 
 def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
     """The result as one JSON object, from what was recorded."""
+    recorder = outcome.recorder
     summary: dict[str, Any] = {
         "axis": plan.axis.name,
         "toggle": toggle_name(toggle),
         "fault": outcome.fault_text,
         "files": [str(file) for file in outcome.files],
-        "rows_lost": outcome.recorder.rows_lost,
+        "rows_written": recorder.rows_written,
+        "rows_lost": recorder.rows_lost,
+        "rows_dropped": recorder.rows_dropped,
+        "write_errors": recorder.write_errors,
     }
-    if outcome.files and outcome.started:
-        rows = read_run(outcome.files[-1]).rows
-        samples = plan.profile.values.size
-        summary["metrics"] = run_metrics(rows, plan.profile.period_s, samples)._asdict()
-        summary["ticks"] = tick_statistics(rows, outcome.late_feedback)._asdict()
+    rows = recorded_rows(outcome.files)
+    if rows.size:
+        summary["ticks"] = tick_statistics(rows, outcome.exchange)._asdict()
+    if profile_rows(rows, plan.profile.values.size).size:
+        summary["metrics"] = run_metrics(rows, plan.profile.period_s, plan.profile.values.size)._asdict()
     return summary
 
 
 def _print(summary: dict[str, Any]) -> None:
     if "metrics" in summary:
-        metrics, ticks = summary["metrics"], summary["ticks"]
+        metrics = summary["metrics"]
         print(
             f"{summary['axis']}, friction {summary['toggle']}: ISE {metrics['ise']:.4g} rps^2 s, "
             f"MAE {metrics['mae']:.4g}, MAX {metrics['max']:.4g}, STD {metrics['std']:.4g} rps"
         )
+    if "ticks" in summary:
+        ticks = summary["ticks"]
         print(
             f"{ticks['ticks']} ticks, {ticks['late']} late, {ticks['skipped']} skipped, "
-            f"{ticks['missing_feedback']} without feedback; rows lost: {summary['rows_lost']}"
+            f"{ticks['missing_feedback']} without feedback; rows lost: {summary['rows_lost'] + summary['rows_dropped']}"
         )
+        wire = [f"{ticks[name]} {name}" for name in ExchangeCounts._fields if ticks[name]]
+        if wire:
+            print(f"on the wire: {', '.join(wire)}")
     for file in summary["files"]:
         print(file)

@@ -109,6 +109,8 @@ class CanopenDriveSection(Record):
             drive_heartbeat_ms=self.drive_heartbeat_ms,
             command_timeout_ms=self.command_timeout_ms,
             abort_connection_option=self.abort_connection_option,
+            answer_timeout_s=self.answer_timeout_s,
+            start_timeout_s=self.start_timeout_s,
             eds=self.eds,
         )
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from ..can.load import Chain, Load
 from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
-from ..documents import DocumentError
+from ..documents import DocumentError, located, parse, read_text
 from ..drive.canopen.config import chain_of, load_of
+from ..drive.canopen.object_map import MappingError
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
 from .axis import AxisFile, CanopenDriveSection
@@ -100,7 +101,10 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
     """What does not fit on the bus even when nothing is in the way."""
     if not isinstance(axis.drive, CanopenDriveSection):
         return []
-    load, chain = bus_sum(axis, model)
+    try:
+        load, chain = bus_sum(axis, model)
+    except MappingError as error:  # it lists the keys of this section
+        return [f"drive: {error}; the period is 1 / loop.rate_hz" if "period" in str(error) else f"drive: {error}"]
     problems = []
     if load.worst > 1.0:
         problems.append(
@@ -116,6 +120,8 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
 
 
 def require(path: str | Path, problems: list[str]) -> None:
-    """Raise DocumentError with one line for each problem, if there is one."""
+    """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned."""
     if problems:
-        raise DocumentError("\n".join(f"{path}: {problem}" for problem in problems))
+        _, lines = parse(read_text(Path(path)), str(path))
+        parts = [problem.partition(": ") for problem in problems]
+        raise DocumentError("\n".join(located(str(path), lines, key, text) for key, _, text in parts))

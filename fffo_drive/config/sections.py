@@ -111,14 +111,14 @@ class RecordingSection(Record):
     """Where runs are written, in files of what size, and how much of them is kept."""
 
     directory: str = "runs"
-    compression: Literal["zstd", "lz4", "none"] = "zstd"
+    compression: Literal["zstd", "none"] = "zstd"
     flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
     fsync_interval_s: Annotated[
         float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
     ] = None
-    rotate_bytes: Annotated[Bytes | None, Field(description="a new file from this size on; null: one file a run")] = None
+    rotate_bytes: Annotated[Bytes | None, Field(description="a new file from this size on; null: no limit")] = None
     rotate_s: Annotated[
-        float | None, Field(ge=1, le=86_400, description="a new file after this time; null: one file a run")
+        float | None, Field(ge=1, le=86_400, description="a new file after this time; null: no limit")
     ] = None
     quota_bytes: Annotated[
         Bytes | None, Field(description="of the recordings in the directory: the oldest finished ones are deleted")
@@ -129,7 +129,7 @@ class RecordingSection(Record):
         if self.quota_bytes is not None and self.rotate_bytes is not None and self.quota_bytes < 2 * self.rotate_bytes:
             raise ValueError("quota_bytes must hold two files of rotate_bytes: one is written, one is kept")
         if self.fsync_interval_s is not None and self.fsync_interval_s < self.flush_interval_s:
-            raise ValueError("fsync_interval_s must not be shorter than flush_interval_s: rows are flushed, then synced")
+            raise ValueError("fsync_interval_s must be at least flush_interval_s: rows are flushed, then synced")
         return self
 
 

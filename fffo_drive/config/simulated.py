@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
-from ..documents import DocumentError, Location, Record, check, parse, read_text
+from ..documents import DocumentError, Record, check, located, parse, read_text
 from ..drive.simulated.node.config import NodeConfig
 from ..drive.simulated.parameters import PlantConfigError
 from .mirror import dataclass_of, record_of
@@ -33,12 +33,4 @@ def read_simulated(path: str | Path) -> NodeConfig:
         return config.validate()
     except PlantConfigError as error:
         found = [line.split(": ", 1) for line in str(error).splitlines()]
-    raise DocumentError("\n".join(_sentence(str(path), lines, key.removeprefix("node."), text) for key, text in found))
-
-
-def _sentence(name: str, lines: dict[Location, int], key: str, text: str) -> str:
-    """FILE:LINE: key: text, for a dotted key with [index] parts; the line of the innermost part that is in the file."""
-    parts = key.replace("]", "").replace("[", ".").split(".")
-    location: Location = tuple(int(part) if part.isdigit() else part for part in parts)
-    line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
-    return f"{name}:{line}: {key}: {text}"
+    raise DocumentError("\n".join(located(str(path), lines, key.removeprefix("node."), text) for key, text in found))

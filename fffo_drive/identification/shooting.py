@@ -35,6 +35,13 @@ class ShootingConfig(NamedTuple):
     velocity_gain_per_s: float
 
 
+class Nuisance(NamedTuple):
+    """What is fitted besides the model, because leaving it out would bend the model."""
+
+    offset_nm: float  # opposes the motor's torque
+    sensor_lag_s2: float  # the measured position is short by this times the acceleration: second order of all lags
+
+
 class Kick(NamedTuple):
     """A change of the state at the start of every window, for sensitivities."""
 
@@ -53,6 +60,39 @@ def _advance(
         mean_a = mean_held_command(current_a, begin, begin + 1.0 / substeps)
         state = axis_step(config, state, config.torque_constant_nm_per_a * mean_a - offset_nm, step_s)
     return state
+
+
+@njit
+def innovations(
+    config: AxisConfig, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats, position_rev: Floats,
+    first: int, output: Any,
+) -> None:  # fmt: skip
+    """What the observer did not foresee, measured minus predicted position (rev), from sample `first` on.
+
+    Means over blocks of `shooting.block` samples: `output` (blocks,), all of them inside the record.
+    """
+    state = AxisState(0.0, position_rev[first], FrictionState(0.0, 0.0, 0.0, 0.0))
+    delay = config.delay_s / shooting.period_s
+    sample = first
+    lag_per_rps_rev = nuisance.sensor_lag_s2 / shooting.period_s
+    short_rev = 0.0
+    for block in range(output.size):
+        total = 0.0
+        for _ in range(shooting.block):
+            error_rev = position_rev[sample] - (state.position_rev - short_rev)
+            total += error_rev
+            state = AxisState(
+                state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
+                state.position_rev + shooting.position_gain * error_rev,
+                state.friction,
+            )
+            before_rps = state.velocity_rps
+            state = _advance(
+                config, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            )
+            short_rev = lag_per_rps_rev * (state.velocity_rps - before_rps)
+            sample += 1
+        output[block] = total / shooting.block
 
 
 @njit

@@ -144,6 +144,7 @@ def run_loop(
 
         row = write_row(ring, head, timing, config, law, seen, feedback)
         controlword = controlword_towards(seen.statusword, goal, reset_ticks > 0, controlword)
+        row["limited_a"] = command_a
         row["current_command_a"] = port_command(port, timing.tick, controlword, command_a)
         row["busy_ns"] = port_now_ns(port) - timing.woke_ns
         row["controlword"] = controlword

@@ -14,7 +14,7 @@ from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.friction_observer import TOGGLE_NAMES
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts
+from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts, port_now_ns
 from ..jit import kernel_digest
 from ..recording.recorder import Recorder
 from ..recording.settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
@@ -83,6 +83,7 @@ def record_simulated(
     settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Run in simulated time, then write all rows. The session's ring must hold the whole run."""
+    hooks = hooks or RecorderHooks(clock_ns=lambda: int(port_now_ns(session.drive.port)))
     # opened before anything moves: a path that cannot be written is an error now
     recorder = Recorder(session.ring, path, _with_offset(header, time.time_ns()), settings, hooks)
     counted = exchange_counts(session.drive.feedback)

@@ -23,9 +23,7 @@ OTHER = (
 )
 
 
-def foreign_file(
-    path, payloads, signals=OTHER, encoding="cdr", schema_encoding="ros2msg", topic=ROW_TOPIC, **options
-):
+def foreign_file(path, payloads, signals=OTHER, encoding="cdr", schema_encoding="ros2msg", topic=ROW_TOPIC, **options):
     """Messages of another writer on `topic`."""
     with path.open("wb") as stream:
         writer = Writer(stream, **options)

@@ -20,9 +20,7 @@ def recording(directory, name: str, age_s: int):
 
 
 def test_oldest_first_and_no_more_than_needed(tmp_path):
-    paths = [
-        recording(tmp_path, f"{name}.mcap", age) for name, age in (("c", 40), ("a", 30), ("d", 20), ("b", 10))
-    ]
+    paths = [recording(tmp_path, f"{name}.mcap", age) for name, age in (("c", 40), ("a", 30), ("d", 20), ("b", 10))]
     size = paths[0].stat().st_size
     assert enforce_quota(tmp_path, 4 * size) == ((), 4 * size, True)
     assert enforce_quota(tmp_path, 3 * size - 1) == ((paths[0], paths[1]), 2 * size, True)

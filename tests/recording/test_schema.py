@@ -35,9 +35,7 @@ def test_any_flat_row_is_aligned_as_a_c_struct(kinds):
     signals = [Signal(f"f{i}", kind, "m/s", "a # b [c] = d") for i, kind in enumerate(kinds)]
     layout = layout_from_schema(schema_text(signals))
     aligned = np.dtype([(f"f{i}", kind) for i, kind in enumerate(kinds)], align=True)
-    assert [layout.dtype.fields[n][1] for n in layout.dtype.names] == [
-        aligned.fields[n][1] for n in aligned.names
-    ]
+    assert [layout.dtype.fields[n][1] for n in layout.dtype.names] == [aligned.fields[n][1] for n in aligned.names]
     assert set(layout.units.values()) == {"m/s"}
     assert set(layout.meanings.values()) == {"a # b [c] = d"}
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+from shared_data import shared_files
 
 from fffo_drive.recording.column_map import Column, ColumnMap
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.load import read_log
 from fffo_drive.recording.table import read_table
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 FIVE = "time_s,current_a,velocity_rps\n0.0,1.5,2\n0.1,1.25,3\n0.2,-1,4.5\n0.3,0.5,5\n0.4,0.25,6\n"
 LINEAR = ColumnMap(
     (
@@ -57,9 +57,7 @@ def test_every_number_comes_back_exactly(tmp_path_factory, values, delimiter, ne
     data = newline.join(lines).encode()
     path = tmp_path_factory.getbasetemp() / ("log.csv.gz" if packed else "log.csv")
     path.write_bytes(gzip.compress(data) if packed else data)
-    mapping = ColumnMap(
-        (Column("current_a", "current_a"), Column("velocity_rps", "velocity_rps")), rate_hz=500.0
-    )
+    mapping = ColumnMap((Column("current_a", "current_a"), Column("velocity_rps", "velocity_rps")), rate_hz=500.0)
     found = read_table(path, mapping)
     assert np.array_equal(found.columns["current_a"], [a for a, _ in values])
     assert np.array_equal(found.columns["velocity_rps"], [b for _, b in values])
@@ -291,19 +289,17 @@ def test_any_text_is_read_or_refused_with_its_name(tmp_path_factory, data):
 
 @pytest.mark.slow
 def test_logs_of_the_blind_drives():
-    """Where the data is at hand: 2 kHz, no gap, all columns."""
-    for path in sorted({*DATA.glob("blind/*/recipe.csv.gz"), *DATA.glob("blind/d01/*.csv.gz")}):
-        found = read_table(
-            path, require=("time_s", "current_command_a", "current_a", "velocity_rps", "position_rev")
-        )
+    """2 kHz, no gap, all columns."""
+    for path in sorted({*shared_files("blind/*/recipe.csv.gz"), *shared_files("blind/d01/*.csv.gz")}):
+        found = read_table(path, require=("time_s", "current_command_a", "current_a", "velocity_rps", "position_rev"))
         assert found.warnings == ()
         assert found.period_s == pytest.approx(5e-4, rel=1e-6)
         assert ("reference_rps" in found.columns) == ("identify" not in path.name)
 
 
 def test_measured_emps_files():
-    """Where the data is at hand: 24841 samples at 1 kHz and the constants of the authors."""
-    for path in sorted(DATA.glob("emps/*.mat")):
+    """24841 samples at 1 kHz and the constants of the authors."""
+    for path in shared_files("emps/*.mat"):
         found = read_table(path, LINEAR)
         assert len(found.time_s) == 24841
         assert found.period_s == pytest.approx(1e-3, rel=1e-3)

@@ -119,9 +119,7 @@ def opened_by_others(path, rows):
     assert found == rows.tobytes()
     with AnyReader([path]) as reader:
         connections = [c for c in reader.connections if c.topic == ROW_TOPIC]
-        ticks = [
-            reader.deserialize(raw, c.msgtype).tick for c, _, raw in reader.messages(connections=connections)
-        ]
+        ticks = [reader.deserialize(raw, c.msgtype).tick for c, _, raw in reader.messages(connections=connections)]
     assert ticks == rows["tick"].tolist()
 
 

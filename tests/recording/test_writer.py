@@ -53,9 +53,7 @@ def test_rows_come_back_bit_for_bit(tmp_path_factory, count, batch, chunk_size, 
 
 
 def test_what_stands_beside_the_rows(tmp_path):
-    writer = RunWriter(
-        tmp_path / "a.mcap", {"axis": "bench"}, [("m.yaml", "application/yaml", b"x: 1\n")], WALL_NS
-    )
+    writer = RunWriter(tmp_path / "a.mcap", {"axis": "bench"}, [("m.yaml", "application/yaml", b"x: 1\n")], WALL_NS)
     writer.write_event(EVENT)
     writer.write_rows(random_rows(10, first_tick=100))
     assert writer.close({"reason": "done"}) == tmp_path / "a.mcap"

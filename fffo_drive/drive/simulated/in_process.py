@@ -45,7 +45,8 @@ from .cia402_device import (
 )
 from .pack import new_state, plant_parameters
 from .parameters import DeviceConfig, PlantConfig
-from .plant import plant_advance, substeps_due
+from .plant import substeps_due
+from .plant_call import call_plant, plant_address
 from .resolver import plant_latch
 from .state import Floats, Integers, PlantParameters, PlantState, Report
 
@@ -69,7 +70,8 @@ SENT_STATUSWORD = 11  # NO_STATUS before the first
 SYNC_NS = 12  # time of the last SYNC
 SYNCS = 13
 BRAKING = 14  # 1 when the power stage was on at the moment quick stop or fault reaction began
-N_WORDS = 15
+PLANT_ADDRESS = 15
+N_WORDS = 16
 
 # SimulatedPort.values
 APPLIED_A = 0  # what the drive makes of the last command
@@ -110,8 +112,7 @@ def _sleep_until(port: SimulatedPort, deadline_ns: int) -> int:
 
 
 @njit
-def _latch(port: SimulatedPort, report: Report) -> None:
-    values = port.values
+def _latch(values: Floats, report: Report) -> None:
     values[LATCHED_RPS] = report.velocity_rps
     values[LATCHED_REV] = report.position_counts / values[COUNTS_PER_REV]
     values[LATCHED_A] = report.current_a
@@ -120,26 +121,25 @@ def _latch(port: SimulatedPort, report: Report) -> None:
 
 
 @njit
-def _brakes(port: SimulatedPort, state: int, velocity_rps: float, step_s: float) -> bool:
+def _brakes(
+    words: Integers, values: Floats, brake: BrakeSettings, state: int, velocity_rps: float, step_s: float
+) -> bool:
     """Run the brake of QUICK STOP ACTIVE or FAULT REACTION ACTIVE. True when nothing is left to wait for."""
-    words, values = port.words, port.values
     option = words[QUICK_STOP_OPTION] if state == QUICK_STOP_ACTIVE else words[FAULT_REACTION_OPTION]
-    ramp_rps, current_a, done = brake_step(
-        port.brake, brake_kind(int(option)), float(values[RAMP_RPS]), velocity_rps, step_s
-    )
+    kind = brake_kind(int(option))
+    ramp_rps, current_a, done = brake_step(brake, kind, float(values[RAMP_RPS]), velocity_rps, step_s)
     values[RAMP_RPS] = ramp_rps
     values[APPLIED_A] = current_a
     return done
 
 
 @njit
-def _device(port: SimulatedPort, velocity_rps: float, step_s: float) -> int:
+def _device(words: Integers, values: Floats, brake: BrakeSettings, velocity_rps: float, step_s: float) -> int:
     """The CiA 402 device takes the last command: next state, which is returned, and current to apply."""
-    words, values = port.words, port.values
     before = int(words[DEVICE_STATE])
     done = True
     if words[BRAKING] != 0:
-        done = _brakes(port, before, velocity_rps, step_s)
+        done = _brakes(words, values, brake, before, velocity_rps, step_s)
     controlword = int(words[CONTROLWORD])
     state, transition = device_step(
         before,
@@ -162,23 +162,23 @@ def _device(port: SimulatedPort, velocity_rps: float, step_s: float) -> int:
     elif words[BRAKING] == 0:
         values[APPLIED_A] = 0.0
     elif transition != NO_TRANSITION:
-        _brakes(port, state, velocity_rps, 0.0)
+        _brakes(words, values, brake, state, velocity_rps, 0.0)
     return state
 
 
 @port_sync.register(SimulatedPort)  # type: ignore[attr-defined, untyped-decorator]
 @njit
 def _sync(port: SimulatedPort, tick: int) -> int:
-    words = port.words
+    words, values = port.words, port.values
     now_ns = int(words[CLOCK_NS])
     substeps = substeps_due(port.state, now_ns)
-    plant_advance(port.parameters, port.state, float(port.values[APPLIED_A]), substeps)
+    call_plant(int(words[PLANT_ADDRESS]), port.parameters, port.state, float(values[APPLIED_A]), substeps)
     report = plant_latch(port.parameters, port.state)
-    _latch(port, report)
+    _latch(values, report)
     step_s = (now_ns - int(words[SYNC_NS])) / 1e9
     words[SYNC_NS] = now_ns
     words[SYNCS] += 1
-    state = _device(port, report.velocity_rps, step_s)
+    state = _device(words, values, port.brake, report.velocity_rps, step_s)
     bits = SW_VOLTAGE_ENABLED | SW_REMOTE
     if report.limited:
         bits |= SW_INTERNAL_LIMIT
@@ -250,6 +250,7 @@ class SimulatedDrive:
         self.plant_config = (plant or PlantConfig()).validate()
         self.device_config = (device or DeviceConfig()).validate()
         config = self.plant_config
+        self._plant_address = plant_address()
         self._port = SimulatedPort(
             feedback=new_feedback(),
             parameters=plant_parameters(config),
@@ -285,6 +286,7 @@ class SimulatedDrive:
         words[STATUS_PERIOD] = device.status_period
         words[TURNAROUND_NS] = round(device.turnaround_s * NS_PER_S)
         words[SENT_STATUSWORD] = NO_STATUS
+        words[PLANT_ADDRESS] = self._plant_address
 
     def connect(self) -> DriveIdentity:
         """The device walks from START to SWITCH ON DISABLED, as a drive does while it boots."""

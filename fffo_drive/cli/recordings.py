@@ -1,0 +1,30 @@
+"""What the subcommands that record have in common: the recorder's bad news at once, and the rows of a run's files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from ..recording.events import Event, Level
+from ..recording.reader import read_run
+from ..recording.settings import RecorderHooks, Rows
+from ..signals import ROW
+
+
+def recorder_hooks() -> RecorderHooks:
+    """The world around a recorder: what goes wrong is on stderr when it happens, not only at the end."""
+    return RecorderHooks(on_event=_tell)
+
+
+def _tell(event: Event) -> None:
+    if event.level >= Level.WARNING:
+        print(f"recorder: {event.text}", file=sys.stderr, flush=True)
+
+
+def recorded_rows(files: Iterable[Path]) -> Rows:
+    """Rows of the files of one run, torn ones included; files that a quota has deleted meanwhile are passed over."""
+    parts = [read_run(file).rows for file in files if file.exists()]
+    return np.concatenate(parts) if parts else np.zeros(0, ROW)

@@ -1,0 +1,203 @@
+"""What a report says: verdict, tables of numbers with intervals, figures, provenance. `report.json` is this, for programs.
+
+The page and the JSON file are made from the same records, so they cannot tell different things.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.metadata import version
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from .. import __version__
+from ..documents import Record
+from .figures import Figure
+
+FORMAT = "fffo_drive/report/1"
+VERSIONED = ("numpy", "numba", "scipy")
+
+Standing = Literal["good", "caution", "bad"]
+
+
+class Verdict(Record):
+    """The first thing that is read: one sentence, and what it rests on."""
+
+    standing: Standing
+    headline: str
+    reasons: list[str] = Field(default_factory=list)
+    cautions: Annotated[list[str], Field(description="what speaks against trusting the headline")] = Field(
+        default_factory=list
+    )
+
+
+class Column(Record):
+    """A column of a table; neighbours of one `group` stand under one heading."""
+
+    label: str
+    unit: str = ""
+    group: str = ""
+
+
+class Cell(Record):
+    """One number as it is, as it is printed, and its interval; or a text alone."""
+
+    text: str
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    best: Annotated[bool, Field(description="the smallest, or best, of its row")] = False
+
+
+class Row(Record):
+    """A line of a table."""
+
+    label: str
+    cells: list[Cell]
+    unit: str = ""
+
+
+class Table(Record):
+    """A table of numbers."""
+
+    name: str
+    title: str
+    note: str
+    corner: Annotated[str, Field(description="heading of the column of labels")] = ""
+    columns: list[Column]
+    rows: list[Row]
+
+
+class SourceFile(Record):
+    """A file that the report rests on."""
+
+    name: str
+    bytes: int
+    sha256: str
+    text: Annotated[str | None, Field(description="content, of a short text")] = None
+
+
+class Provenance(Record):
+    """Where the numbers come from."""
+
+    date: str
+    versions: dict[str, str]
+    files: list[SourceFile]
+    facts: dict[str, str] = Field(default_factory=dict)
+
+
+class FigureEntry(Record):
+    """A figure of the page, without its points."""
+
+    name: str
+    kind: str
+    title: str
+    caption: str
+    x: str
+    y: str
+    series: list[str]
+
+
+class ReportFile(Record):
+    """report.json."""
+
+    format: Literal["fffo_drive/report/1"] = FORMAT
+    kind: str
+    title: str
+    verdict: Verdict
+    tables: list[Table]
+    figures: list[FigureEntry]
+    provenance: Provenance
+    results: Annotated[dict[str, Any], Field(description="what the kind of report adds for programs")] = Field(
+        default_factory=dict
+    )
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading of the page with its figures."""
+
+    title: str
+    text: str
+    figures: tuple[Figure, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that a page shows."""
+
+    kind: str  # bench, identify, evaluate, diagnose
+    title: str
+    subtitle: str
+    verdict: Verdict
+    tables: tuple[Table, ...]
+    sections: tuple[Section, ...]
+    provenance: Provenance
+    results: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Every figure in its order. Raises ValueError when two have one name."""
+        found = tuple(figure for section in self.sections for figure in section.figures)
+        names = [figure.name for figure in found]
+        if len(set(names)) != len(names):
+            raise ValueError(f"figures of one name in a report: {', '.join(sorted(names))}")
+        return found
+
+    def file(self) -> ReportFile:
+        """The report for programs."""
+        entries = [
+            FigureEntry(
+                name=f.name, kind=f.kind, title=f.title, caption=f.caption, x=f.x.text, y=f.y.text,
+                series=[series.name for series in f.series],
+            )
+            for f in self.figures
+        ]  # fmt: skip
+        return ReportFile(
+            kind=self.kind, title=self.title, verdict=self.verdict, tables=list(self.tables), figures=entries,
+            provenance=self.provenance, results=self.results,
+        )  # fmt: skip
+
+
+def number(
+    value: float, digits: int = 3, low: float | None = None, high: float | None = None, best: bool = False
+) -> Cell:
+    """A cell with a number to so many significant digits; a dash for one that is not finite."""
+    if not math.isfinite(value):
+        return Cell(text="–")
+    return Cell(text=significant(value, digits), value=value, low=low, high=high, best=best)
+
+
+def count(value: int) -> Cell:
+    """A cell with a whole number, thousands apart."""
+    return Cell(text=f"{value:,}".replace(",", "\u202f"), value=float(value))
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits, in plain notation between 1e-4 and 1e6."""
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -5 < exponent < 6:
+        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "\u2212")
+    return f"{value:.{digits - 1}e}".replace("-", "\u2212")
+
+
+def source_file(name: str, data: bytes, text: bool = False) -> SourceFile:
+    """A file by its content; `text` keeps a UTF-8 text with it."""
+    content = data.decode("utf-8", "replace") if text else None
+    return SourceFile(name=name, bytes=len(data), sha256=sha256(data).hexdigest(), text=content)
+
+
+def provenance(files: list[SourceFile], facts: Mapping[str, str], now: datetime | None = None) -> Provenance:
+    """Provenance with the versions of what computed."""
+    versions = {"fffo-drive": __version__, "Python": platform.python_version()}
+    versions |= {name: version(name) for name in VERSIONED}
+    date = (now or datetime.now(UTC)).isoformat(timespec="seconds")
+    return Provenance(date=date, versions=versions, files=files, facts=dict(facts))

@@ -1,0 +1,239 @@
+/* The control law and the envelope in C: the same equations in the same order as fffo_drive/control and model/friction. */
+#pragma once
+
+#include <math.h>
+#include <stdbool.h>
+#include "declarations.h"
+
+static inline double larger(double a, double b) { return b > a ? b : a; }
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+static inline int64_t larger_word(int64_t a, int64_t b) { return b > a ? b : a; }
+
+/* ---- 2SEP friction ---- */
+
+static double steady_friction_nm(const struct friction_config *c, double velocity_rps)
+{
+    double speed = fabs(velocity_rps);
+    double ratio = speed / c->stribeck_velocity_rps;
+    double stribeck;
+    if (ratio > STRIBECK_FLOOR)
+        stribeck = exp(-pow(ratio, c->stribeck_exponent));
+    else
+        stribeck = c->stribeck_exponent > 0.0 ? 1.0 : 0.0;
+    double excess_nm = c->static_nm - c->coulomb_nm;
+    return c->coulomb_nm + excess_nm * stribeck + c->viscous_nm_per_rps * speed;
+}
+
+static double hysteresis_amplitude_nm(const struct friction_config *c, double torque_nm, double direction)
+{
+    double distance_nm = c->coulomb_nm - direction * torque_nm;
+    if (c->omega_form == OMEGA_CLIPPED)
+        distance_nm = larger(0.0, distance_nm);
+    else if (c->omega_form == OMEGA_LITERAL)
+        distance_nm = fabs(distance_nm);
+    return direction * distance_nm;
+}
+
+static double mean_decay(double exponent)
+{
+    return exponent < 1e-12 ? 1.0 : -expm1(-exponent) / exponent;
+}
+
+static void friction_step(const struct friction_config *c, struct friction_state *state, double velocity_rps,
+                          double observation_nm_per_s, double period_s)
+{
+    double sign = velocity_rps > 0.0 ? 1.0 : velocity_rps < 0.0 ? -1.0 : 0.0;
+    double speed_rps = fabs(velocity_rps);
+    if (sign != state->direction && sign != 0.0) {
+        state->omega_nm = hysteresis_amplitude_nm(c, state->torque_nm, sign);
+        state->travel_rev = 0.0;
+        state->direction = sign;
+    }
+    double distance_rev = speed_rps * period_s;
+    double steady_nm = steady_friction_nm(c, speed_rps);
+    double lag_per_rev = c->attraction_nm_per_rev / steady_nm;
+    double decay = exp(-lag_per_rev * distance_rev);
+    double stiffness_per_rev = c->stiffness_per_rev;
+
+    double torque_nm = state->torque_nm * decay;
+    torque_nm += state->direction * steady_nm * -expm1(-lag_per_rev * distance_rev);
+    double slower_per_rev = smaller(lag_per_rev, stiffness_per_rev);
+    double gap_per_rev = fabs(lag_per_rev - stiffness_per_rev);
+    double overlap_rev = distance_rev * exp(-slower_per_rev * distance_rev) * mean_decay(gap_per_rev * distance_rev);
+    torque_nm += state->omega_nm * stiffness_per_rev * exp(-stiffness_per_rev * state->travel_rev) * overlap_rev;
+    torque_nm += observation_nm_per_s * period_s * mean_decay(lag_per_rev * distance_rev);
+    state->torque_nm = torque_nm;
+    state->travel_rev += distance_rev;
+}
+
+static struct friction_state settled_friction(const struct friction_config *c, double velocity_rps)
+{
+    struct friction_state state = {0.0, 0.0, 0.0, 0.0};
+    if (velocity_rps == 0.0)
+        return state;
+    state.direction = velocity_rps > 0.0 ? 1.0 : -1.0;
+    state.torque_nm = state.direction * steady_friction_nm(c, velocity_rps);
+    return state;
+}
+
+/* ---- PI with friction observer ---- */
+
+static double observer_velocity_rps(const struct observer_config *c, const struct friction_state *state, int64_t toggle,
+                                    double reference_rps, double velocity_rps)
+{
+    if (toggle == TOGGLE_FEEDFORWARD)
+        return reference_rps;
+    if (fabs(velocity_rps) <= c->feedback_band_rps && velocity_rps * state->direction <= 0.0)
+        return 0.0;
+    return velocity_rps;
+}
+
+static void clamp_estimate(const struct observer_config *c, struct friction_state *state)
+{
+    state->torque_nm = smaller(larger(state->torque_nm, -c->clamp_nm), c->clamp_nm);
+}
+
+static void hand_over(const struct controller_config *c, struct controller_state *state, int64_t toggle,
+                      const struct reference *reference, double velocity_rps)
+{
+    if (toggle == TOGGLE_OFF) {
+        state->integral_a += state->friction.torque_nm / c->torque_constant_nm_per_a;
+        state->friction = (struct friction_state){0.0, 0.0, 0.0, 0.0};
+    } else if (state->toggle == TOGGLE_OFF) {
+        double driven_rps = observer_velocity_rps(&c->observer, &state->friction, toggle, reference->ahead, velocity_rps);
+        state->friction = settled_friction(&c->observer.friction, driven_rps);
+        clamp_estimate(&c->observer, &state->friction);
+        state->integral_a -= state->friction.torque_nm / c->torque_constant_nm_per_a;
+    }
+    state->toggle = toggle;
+}
+
+static void controller_step(const struct controller_config *c, struct controller_state *state, int64_t toggle,
+                            const struct reference *reference, double velocity_rps, struct controller_terms *terms)
+{
+    if (toggle != state->toggle)
+        hand_over(c, state, toggle, reference, velocity_rps);
+    double error_rps = reference->expected - velocity_rps;
+    double observation_nm_per_s = 0.0;
+    if (toggle != TOGGLE_OFF) {
+        if (!state->limited)
+            observation_nm_per_s = c->observer.gain_nm_per_rev * error_rps;
+        double driven_rps = observer_velocity_rps(&c->observer, &state->friction, toggle, reference->ahead, velocity_rps);
+        friction_step(&c->observer.friction, &state->friction, driven_rps, observation_nm_per_s, c->period_s);
+        clamp_estimate(&c->observer, &state->friction);
+    }
+    double inertia_nm = c->feedforward.inertia_nm_s2_per_rev * reference->ahead_derivative;
+    double feedforward_a = (state->friction.torque_nm + inertia_nm) / c->torque_constant_nm_per_a;
+    double limit_a = c->current_limit_a;
+    double proportional_a = c->pi.proportional_a_per_rps * error_rps;
+    double candidate_a = state->integral_a + c->pi.integral_a_per_rev * error_rps * c->period_s;
+    double sum_a = proportional_a + candidate_a + feedforward_a;
+    if (!((fabs(sum_a) > limit_a || state->limited) && error_rps * sum_a > 0.0))
+        state->integral_a = candidate_a;
+    double requested_a = proportional_a + state->integral_a + feedforward_a;
+    double command_a = smaller(larger(requested_a, -limit_a), limit_a);
+    state->limited = command_a != requested_a;
+    *terms = (struct controller_terms){
+        .error_rps = error_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
+        .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm,
+        .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
+        .limited = state->limited,
+    };
+}
+
+static void unpack_controller(const double *block, struct controller_config *c)
+{
+    c->pi = (struct pi_config){block[0], block[1]};
+    c->observer.friction = (struct friction_config){block[2], block[3], block[4], block[5],
+                                                    block[6], block[7], block[8], (int64_t)block[9]};
+    c->observer.gain_nm_per_rev = block[10];
+    c->observer.clamp_nm = block[11];
+    c->observer.feedback_band_rps = block[12];
+    c->feedforward = (struct feedforward_config){block[13], block[14], block[15]};
+    c->torque_constant_nm_per_a = block[16];
+    c->current_limit_a = block[17];
+    c->period_s = block[18];
+}
+
+/* ---- the envelope ---- */
+
+static double i2t_capacity_a2s(const struct envelope_config *c)
+{
+    double continuous_a2 = c->continuous_current_a * c->continuous_current_a;
+    return (c->current_limit_a * c->current_limit_a - continuous_a2) * c->i2t_time_s;
+}
+
+static int64_t find_trip(const struct envelope_config *c, const struct envelope_state *state,
+                         const struct envelope_inputs *seen)
+{
+    if (seen->bus_off)
+        return TRIP_BUS_OFF;
+    if (seen->reboots > 0)
+        return TRIP_REBOOT;
+    if (seen->emergencies > 0)
+        return TRIP_EMERGENCY;
+    if (seen->statusword & STATUS_FAULT)
+        return TRIP_DRIVE_FAULT;
+    if (c->heartbeat_timeout_ns > 0 && seen->heartbeat_age_ns > c->heartbeat_timeout_ns)
+        return TRIP_HEARTBEAT;
+    if (!seen->wanted)
+        return TRIP_NONE;
+    if (state->was_enabled && !seen->enabled)
+        return TRIP_DRIVE_LEFT;
+    if (!(isfinite(seen->requested_a) && isfinite(seen->velocity_rps) && isfinite(seen->position_rev)))
+        return TRIP_NOT_A_NUMBER;
+    if (seen->feedback_age >= c->feedback_missing_ticks)
+        return TRIP_FEEDBACK_MISSING;
+    if (seen->status_age >= c->status_missing_ticks)
+        return TRIP_STATUS_MISSING;
+    if (fabs(seen->velocity_rps) > c->speed_limit_rps)
+        return TRIP_OVERSPEED;
+    if (!(c->position_low_rev <= seen->position_rev && seen->position_rev <= c->position_high_rev))
+        return TRIP_POSITION_WINDOW;
+    if (state->following_s > c->following_error_s)
+        return TRIP_FOLLOWING_ERROR;
+    if (c->i2t_trips && state->i2t_a2s > i2t_capacity_a2s(c))
+        return TRIP_I2T;
+    return TRIP_NONE;
+}
+
+static double clamp_command(const struct envelope_config *c, const struct envelope_state *state, double requested_a,
+                            int64_t *limits)
+{
+    double limit_a = c->current_limit_a;
+    if (!c->i2t_trips && state->i2t_a2s > i2t_capacity_a2s(c)) {
+        limit_a = c->continuous_current_a;
+        if (fabs(requested_a) > limit_a)
+            *limits |= LIMIT_I2T;
+    }
+    double command_a = smaller(larger(requested_a, -limit_a), limit_a);
+    if (command_a != requested_a)
+        *limits |= LIMIT_CURRENT;
+    double step_a = c->slew_a_per_s * c->period_s;
+    double slewed_a = smaller(larger(command_a, state->last_command_a - step_a), state->last_command_a + step_a);
+    if (slewed_a != command_a)
+        *limits |= LIMIT_SLEW;
+    return slewed_a;
+}
+
+static double envelope_step(const struct envelope_config *c, struct envelope_state *state,
+                            const struct envelope_inputs *seen, int64_t *limits, int64_t *trip)
+{
+    double following_s = 0.0;
+    if (seen->wanted && seen->closed_loop && fabs(seen->error_rps) > c->following_error_rps)
+        following_s = state->following_s + c->period_s;
+    state->following_s = following_s;
+    *trip = find_trip(c, state, seen);
+    *limits = 0;
+    double command_a = 0.0;
+    if (*trip == TRIP_NONE && seen->wanted) {
+        command_a = clamp_command(c, state, seen->requested_a, limits);
+        if (seen->statusword & STATUS_INTERNAL_LIMIT)
+            *limits |= LIMIT_DRIVE;
+    }
+    double excess_a2 = command_a * command_a - c->continuous_current_a * c->continuous_current_a;
+    state->i2t_a2s = larger(0.0, state->i2t_a2s + excess_a2 * c->period_s);
+    state->last_command_a = command_a;
+    state->was_enabled = seen->wanted && seen->enabled;
+    return command_a;
+}

@@ -1,0 +1,346 @@
+/* The loop of fffo_drive/runtime in C: the same tick on the same memory, for the benchmark of the cycle. */
+#define _GNU_SOURCE
+#include <string.h>
+#include "law.h"
+#include "bus.h"
+
+#define FAULT_RESET_TICKS 40
+
+/* ---- CiA 402, seen from the master ---- */
+
+static int64_t state_of(int64_t statusword)
+{
+    static const int64_t rows[][3] = {
+        {STATE_NOT_READY, 0x4F, 0x00}, {STATE_SWITCH_ON_DISABLED, 0x4F, 0x40},
+        {STATE_READY_TO_SWITCH_ON, 0x6F, 0x21}, {STATE_SWITCHED_ON, 0x6F, 0x23},
+        {STATE_OPERATION_ENABLED, 0x6F, 0x27}, {STATE_QUICK_STOP_ACTIVE, 0x6F, 0x07},
+        {STATE_FAULT_REACTION_ACTIVE, 0x4F, 0x0F}, {STATE_FAULT, 0x4F, 0x08},
+    };
+    for (unsigned i = 0; i < sizeof rows / sizeof rows[0]; i++)
+        if ((statusword & rows[i][1]) == rows[i][2])
+            return rows[i][0];
+    return STATE_UNKNOWN;
+}
+
+static bool has_torque(int64_t statusword)
+{
+    int64_t state = state_of(statusword);
+    return state == STATE_UNKNOWN || state == STATE_OPERATION_ENABLED || state == STATE_QUICK_STOP_ACTIVE ||
+           state == STATE_FAULT_REACTION_ACTIVE;
+}
+
+static int64_t controlword_towards(int64_t statusword, int64_t goal, bool fault_reset, int64_t last)
+{
+    int64_t state = state_of(statusword);
+    if (state == STATE_FAULT) {
+        bool edge = last == CONTROL_DISABLE_VOLTAGE || last == CONTROL_FAULT_RESET;
+        return fault_reset && edge ? CONTROL_FAULT_RESET : CONTROL_DISABLE_VOLTAGE;
+    }
+    if (goal == GOAL_QUICK_STOP)
+        return CONTROL_QUICK_STOP;
+    if (goal == GOAL_READY || goal == GOAL_ENABLED) {
+        if (state == STATE_SWITCH_ON_DISABLED)
+            return CONTROL_SHUTDOWN;
+        if (state == STATE_READY_TO_SWITCH_ON)
+            return CONTROL_SWITCH_ON;
+        if (state == STATE_SWITCHED_ON || state == STATE_OPERATION_ENABLED)
+            return goal == GOAL_ENABLED ? CONTROL_ENABLE_OPERATION : CONTROL_SWITCH_ON;
+    }
+    return CONTROL_DISABLE_VOLTAGE;
+}
+
+/* ---- the drive on the other end, outside the time that is measured ---- */
+
+static int64_t close_part(struct cycle_port *port)
+{
+    int64_t now_ns = monotonic_ns();
+    if (port->words[MARK_NS] > 0)
+        port->cycles_ns[port->words[CYCLE]] += now_ns - port->words[MARK_NS];
+    return now_ns;
+}
+
+static void answer(struct cycle_port *port, int64_t tick)
+{
+    while (recv((int)port->peer_rx_fd, port->received, FRAME_SIZE, MSG_DONTWAIT) == FRAME_SIZE) {
+    }
+    send((int)port->peer_tx_fd, port->motion[tick % port->motion_n], FRAME_SIZE, MSG_DONTWAIT);
+    if (tick % STATUS_EVERY == 0)
+        send((int)port->peer_tx_fd, port->status, FRAME_SIZE, MSG_DONTWAIT);
+}
+
+static void begin_cycle(struct cycle_port *port, int64_t deadline_ns)
+{
+    int64_t now_ns = close_part(port);
+    if (port->words[MARK_NS] > 0)
+        port->words[CYCLE] += 1;
+    if (port->paced) {
+        sleep_until(deadline_ns);
+        now_ns = monotonic_ns();
+    }
+    port->words[MARK_NS] = now_ns;
+}
+
+/* ---- pieces of the tick ---- */
+
+static int64_t take_parameters(struct blocks *blocks, int64_t in_use_number, double *scratch, double *in_use)
+{
+    int64_t number = load_acquire(&blocks->control[PARAMETER_NUMBER]);
+    if (number == in_use_number)
+        return in_use_number;
+    memcpy(scratch, blocks->parameters[number & 1], sizeof blocks->parameters[0]);
+    if (load_acquire(&blocks->control[PARAMETER_NUMBER]) != number) {
+        blocks->status[STALE_BLOCKS] += 1;
+        return in_use_number;
+    }
+    memcpy(in_use, scratch, sizeof blocks->parameters[0]);
+    return number;
+}
+
+static double read_samples(const double *samples, int64_t length, double position)
+{
+    int64_t below = (int64_t)floor(position);
+    double share = position - below;
+    double first = 0 <= below && below < length ? samples[below] : 0.0;
+    if (share == 0.0)
+        return first;
+    double second = -1 <= below && below < length - 1 ? samples[below + 1] : 0.0;
+    return first + share * (second - first);
+}
+
+static struct reference follow_profile(struct blocks *blocks, struct profile_cursor *cursor,
+                                       const struct feedforward_config *feedforward, int64_t tick, bool active,
+                                       int64_t tail_ticks, int64_t *sample_out)
+{
+    const struct reference nothing = {0.0, 0.0, 0.0, 0.0, 0.0};
+    *sample_out = -1;
+    int64_t number = load_acquire(&blocks->control[PROFILE_NUMBER]);
+    if (number != cursor->number && active) {
+        const int64_t *words = blocks->profile_words[number & 1];
+        *cursor = (struct profile_cursor){number, tick, words[0], words[1]};
+    }
+    if (cursor->start_tick < 0)
+        return nothing;
+    int64_t sample = tick - cursor->start_tick;
+    bool aborted = load_acquire(&blocks->control[PROFILE_ABORT]) == cursor->number;
+    if (sample >= cursor->length + tail_ticks || aborted || !active) {
+        blocks->status[PROFILE_DONE] = cursor->number;
+        *cursor = (struct profile_cursor){cursor->number, -1, 0, MODE_IDLE};
+        return nothing;
+    }
+    *sample_out = sample;
+    const double *values = blocks->profiles[cursor->number & 1][0];
+    const double *derivatives = blocks->profiles[cursor->number & 1][1];
+    double ahead = sample + feedforward->ahead_ticks;
+    return (struct reference){
+        .value = read_samples(values, cursor->length, (double)sample),
+        .derivative = read_samples(derivatives, cursor->length, (double)sample),
+        .ahead = read_samples(values, cursor->length, ahead),
+        .ahead_derivative = read_samples(derivatives, cursor->length, ahead),
+        .expected = read_samples(values, cursor->length, sample - feedforward->behind_ticks),
+    };
+}
+
+static struct law apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
+                            const struct reference *reference, double velocity_rps, int64_t toggle, bool active)
+{
+    struct law law = {.mode = MODE_IDLE};
+    if (!active || mode == MODE_CURRENT) {
+        if (active) {
+            law.mode = MODE_CURRENT;
+            law.terms.requested_a = law.terms.command_a = reference->value;
+        }
+        *state = (struct controller_state){.toggle = TOGGLE_OFF};
+        return law;
+    }
+    law.mode = MODE_VELOCITY;
+    law.reference = *reference;
+    controller_step(config, state, toggle, reference, velocity_rps, &law.terms);
+    return law;
+}
+
+static struct envelope_inputs look(const struct feedback *feedback, const struct timing *timing,
+                                   const struct baseline *baseline, const struct law *law, bool wanted, bool enabled)
+{
+    return (struct envelope_inputs){
+        .requested_a = law->terms.command_a,
+        .velocity_rps = feedback->velocity_rps,
+        .position_rev = feedback->position_rev,
+        .error_rps = law->terms.error_rps,
+        .feedback_age = timing->tick - feedback->velocity_tick,
+        .status_age = timing->tick - feedback->status_tick,
+        .statusword = feedback->statusword,
+        .emergencies = feedback->emergency_count - baseline->emergencies,
+        .reboots = feedback->boot_count - baseline->boots,
+        .bus_off = feedback->bus_off != 0,
+        .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
+        .wanted = wanted,
+        .enabled = enabled,
+        .closed_loop = law->mode == MODE_VELOCITY,
+    };
+}
+
+static void write_row(struct row *row, const struct timing *timing, const struct loop_config *config,
+                      const struct law *law, const struct envelope_inputs *seen, const struct feedback *feedback)
+{
+    int64_t lateness_ns = timing->woke_ns - timing->deadline_ns;
+    row->tick = timing->tick;
+    row->deadline_ns = timing->deadline_ns;
+    row->lateness_ns = lateness_ns;
+    row->turnaround_ns = timing->turnaround_ns;
+    row->late = lateness_ns > config->late_ns;
+    row->reserved = 0;
+    row->reference_rps = law->reference.value;
+    row->reference_rps2 = law->reference.derivative;
+    row->reference_ahead_rps = law->reference.ahead;
+    row->reference_ahead_rps2 = law->reference.ahead_derivative;
+    row->expected_rps = law->reference.expected;
+    row->mode = law->mode;
+    row->error_rps = law->terms.error_rps;
+    row->proportional_a = law->terms.proportional_a;
+    row->integral_a = law->terms.integral_a;
+    row->friction_nm = law->terms.friction_nm;
+    row->inertia_nm = law->terms.inertia_nm;
+    row->observation_nm_per_s = law->terms.observation_nm_per_s;
+    row->requested_a = law->terms.requested_a;
+    row->velocity_rps = seen->velocity_rps;
+    row->position_rev = seen->position_rev;
+    row->velocity_age = seen->feedback_age;
+    row->status_age = seen->status_age;
+    row->statusword = seen->statusword;
+    row->current_a = feedback->current_a;
+    row->true_velocity_rps = feedback->true_velocity_rps;
+    row->true_friction_nm = feedback->true_friction_nm;
+}
+
+static int64_t goal_after_trip(const struct envelope_config *config, int64_t trip, int64_t goal)
+{
+    if (trip == TRIP_NONE)
+        return goal;
+    return config->reactions[trip] == REACTION_QUICK_STOP ? GOAL_QUICK_STOP : GOAL_DISABLED;
+}
+
+int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, const struct envelope_config *envelope_config,
+                 struct blocks *blocks, double *scratch, struct ring *ring, int64_t first_deadline_ns)
+{
+    struct canopen_port *port = &cycle->canopen;
+    struct feedback *feedback = port->feedback;
+    int64_t *control = blocks->control, *status = blocks->status;
+    double *in_use = scratch + sizeof blocks->parameters[0] / sizeof(double);
+    int64_t parameter_number = take_parameters(blocks, -1, scratch, in_use);
+    status[PARAMETERS_IN_USE] = parameter_number;
+    struct controller_config controller_config;
+    unpack_controller(in_use, &controller_config);
+    struct controller_state controller = {.toggle = TOGGLE_OFF};
+    struct envelope_state envelope = {.was_enabled = 0};
+    struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
+    struct baseline baseline = {feedback->emergency_count, feedback->boot_count};
+    int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
+    int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
+    int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
+    int64_t tick = 0, ticks_run = 0;
+
+    for (;;) {
+        begin_cycle(cycle, larger_word(deadline_ns, last_sync_ns + config->minimum_gap_ns));
+        int64_t woke_ns = monotonic_ns();
+        int64_t missed = woke_ns > deadline_ns ? (woke_ns - deadline_ns) / config->period_ns : 0;
+        status[SKIPPED_TICKS] += missed;
+        struct timing timing = {tick + missed, deadline_ns + missed * config->period_ns, woke_ns, -1};
+        last_sync_ns = woke_ns;
+
+        bus_sync(port, timing.tick);
+        close_part(cycle);
+        answer(cycle, timing.tick);
+        cycle->words[MARK_NS] = monotonic_ns();
+        int64_t sync_ns = monotonic_ns();
+        if (bus_receive(port, timing.tick, sync_ns + config->cutoff_ns))
+            timing.turnaround_ns = feedback->received_ns - sync_ns;
+        else
+            status[MISSING_FEEDBACK] += 1;
+        if (timing.woke_ns - timing.deadline_ns > config->late_ns)
+            status[LATE_TICKS] += 1;
+
+        int64_t number = take_parameters(blocks, parameter_number, scratch, in_use);
+        if (number != parameter_number) {
+            parameter_number = status[PARAMETERS_IN_USE] = number;
+            unpack_controller(in_use, &controller_config);
+        }
+        number = load_acquire(&control[RESET_NUMBER]);
+        if (number != reset_number) {
+            reset_number = number;
+            reset_ticks = FAULT_RESET_TICKS;
+            trip = TRIP_NONE;
+            envelope = (struct envelope_state){.was_enabled = 0};
+            baseline = (struct baseline){feedback->emergency_count, feedback->boot_count};
+        }
+        int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
+        if (stopping_ticks > 0)
+            goal = GOAL_DISABLED;
+
+        bool enabled = state_of(feedback->statusword) == STATE_OPERATION_ENABLED;
+        bool wanted = goal == GOAL_ENABLED && trip == TRIP_NONE && reset_ticks == 0;
+        bool was_running = cursor.start_tick >= 0;
+        int64_t sample;
+        struct reference reference = follow_profile(blocks, &cursor, &controller_config.feedforward, timing.tick,
+                                                    wanted && enabled, config->tail_ticks, &sample);
+        if (was_running && cursor.start_tick < 0 && load_acquire(&control[AUTOSTOP]) != 0) {
+            stopping_ticks = 1;
+            goal = GOAL_DISABLED;
+            wanted = false;
+        }
+        struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
+                                   toggle, wanted && enabled);
+
+        struct envelope_inputs seen = look(feedback, &timing, &baseline, &law, wanted, enabled);
+        int64_t limits, found;
+        double command_a = envelope_step(envelope_config, &envelope, &seen, &limits, &found);
+        if (limits != 0)
+            controller.limited = 1;
+        if (law.terms.limited)
+            limits |= LIMIT_CONTROLLER;
+        if (found != TRIP_NONE && trip == TRIP_NONE && reset_ticks == 0) {
+            trip = found;
+            status[TRIP_TICK] = timing.tick;
+        }
+        goal = goal_after_trip(envelope_config, trip, goal);
+        if (trip != TRIP_NONE)
+            command_a = 0.0;
+
+        struct row *row = &ring->rows[head & (ring->rows_n - 1)];
+        write_row(row, &timing, config, &law, &seen, feedback);
+        controlword = controlword_towards(seen.statusword, goal, reset_ticks > 0, controlword);
+        row->current_command_a = bus_command(port, controlword, command_a);
+        row->busy_ns = monotonic_ns() - timing.woke_ns;
+        row->controlword = controlword;
+        row->limits = limits;
+        row->trip = trip;
+        row->profile_sample = sample;
+        row->toggle = toggle;
+        head += 1;
+        store_release(&ring->words[HEAD], head);
+        status[DEADLINE_NS] = timing.deadline_ns;
+        status[MODE] = row->mode;
+        status[TRIP] = row->trip;
+        status[STATUSWORD] = row->statusword;
+        status[PROFILE_SAMPLE] = row->profile_sample;
+        store_release(&status[TICK], timing.tick);
+        bus_housekeeping(port);
+
+        if (reset_ticks > 0)
+            reset_ticks -= 1;
+        ticks_run += 1;
+        if (stopping_ticks > 0) {
+            stopping_ticks += 1;
+            if (!has_torque(seen.statusword) || stopping_ticks > config->stop_ticks)
+                break;
+        }
+        if (load_acquire(&control[STOP]) != 0)
+            break;
+        if (config->max_ticks > 0 && ticks_run >= config->max_ticks)
+            break;
+        tick = timing.tick + 1;
+        deadline_ns = timing.deadline_ns + config->period_ns;
+    }
+    bus_command(port, 0, 0.0);
+    store_release(&status[FINISHED], 1);
+    return ticks_run;
+}

@@ -1,0 +1,199 @@
+"""Cycle of the compiled loop against the same loop in C: receive, compute, send, row, housekeeping."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import cycle_port
+import numpy as np
+from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
+from cycle_port import CyclePort, Ends, drive_config, loopback_bus, socket_pair
+from in_c import Declarations, compile_c, compiler_version, packed
+from numba import typeof
+
+from fffo_drive.can import frame
+from fffo_drive.cli.drives import Plan, make_plan, plan_session
+from fffo_drive.control import envelope, friction_observer, reference
+from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, controller_at_rest, unpack_controller
+from fffo_drive.control.envelope import EnvelopeInputs, envelope_at_rest
+from fffo_drive.control.feedforward import steady_reference
+from fffo_drive.drive import cia402
+from fffo_drive.drive.canopen import object_map, port_memory, service_queue
+from fffo_drive.drive.port import FEEDBACK
+from fffo_drive.model import friction
+from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.loop import run_loop
+from fffo_drive.runtime.ring import new_ring
+from fffo_drive.runtime.tick import Baseline, Law, ProfileCursor, Timing
+from fffo_drive.signals import ROW
+
+NAME = "loop_cycle"
+AXIS = ROOT / "configs" / "axis_canopen.yaml"
+TARGET = 1.10
+AHEAD_NS = 1_000_000_000  # the first deadline lies far ahead, so that no cycle is late and none is skipped
+CLOCK_FIELDS = ("deadline_ns", "lateness_ns", "turnaround_ns", "busy_ns", "late")
+CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
+    (b, ()),
+    (port_memory, ()),
+    (frame, ()),
+    (cia402, ("STATE_", "CONTROL_", "GOAL_")),
+    (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_")),
+    (object_map, ("FIELD_",)),
+    (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS")),
+    (friction, ("OMEGA_", "STRIBECK_FLOOR")),
+    (friction_observer, ("TOGGLE_",)),
+    (reference, ("MODE_",)),
+    (cycle_port, ("STATUS_EVERY", "CYCLE", "MARK_NS")),
+)
+
+Rows = np.ndarray[Any, np.dtype[np.void]]
+
+
+class Memory(NamedTuple):
+    """What one run of the loop works on; the arguments of `run_loop`, and what keeps its sockets open."""
+
+    port: CyclePort
+    blocks: b.Blocks
+    scratch: np.ndarray[Any, np.dtype[np.float64]]
+    ring: Any
+    ends: Ends
+
+
+class CycleRun(NamedTuple):
+    """What a run left behind."""
+
+    cycles_ns: np.ndarray[Any, np.dtype[np.int64]]
+    rows: Rows
+
+
+class Cycles:
+    """The loop in both languages, on any pair of sockets."""
+
+    def __init__(self, plan: Plan, toggle: int = friction_observer.TOGGLE_FEEDFORWARD) -> None:
+        self._plan = plan
+        self._toggle = toggle
+        self._session = plan_session(plan)
+        memory = self._memory(socket_pair, 1, paced=False)
+        self._in_c = compile_c("loop.c", _declarations(memory, self._session.loop, self._session.envelope))
+        self._in_c.run_loop.restype = ctypes.c_int64
+        self._compile(memory)
+        memory.ends.close()
+
+    def _memory(self, bus: Callable[[], Ends], cycles: int, paced: bool) -> Memory:
+        ends = bus()
+        port = cycle_port.cycle_port(drive_config(self._plan), ends, self._plan.profile, cycles, paced)
+        blocks = b.new_blocks(self._session.controller, self._plan.profile.values.size)
+        blocks.control[b.TOGGLE] = self._toggle
+        blocks.control[b.GOAL] = cia402.GOAL_ENABLED
+        b.publish_profile(blocks, self._plan.profile)
+        return Memory(port, blocks, np.zeros((2, CONTROLLER_BLOCK_SIZE)), new_ring(cycles), ends)
+
+    def _compile(self, memory: Memory) -> None:
+        arguments = (memory.port, self._session.loop, self._session.envelope, *memory[1:4], 0)
+        run_loop.compile(tuple(typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
+
+    def run(self, language: str, bus: Callable[[], Ends], cycles: int, paced: bool = False, ahead_ns: int = AHEAD_NS) -> CycleRun:
+        """One run of `cycles` cycles by the kernels or by C ("numba", "C"), in the calling thread."""
+        memory = self._memory(bus, cycles, paced)
+        loop = self._session.loop._replace(max_ticks=cycles)
+        try:
+            first_ns = cycle_port.port_now_ns(memory.port) + ahead_ns
+            if language == "C":
+                self._run_c(memory, loop, first_ns)
+            else:
+                run_loop(memory.port, loop, self._session.envelope, *memory[1:4], first_ns)
+        finally:
+            memory.ends.close()
+        return CycleRun(memory.port.cycles_ns[: cycles - 1], memory.ring.rows[:cycles])
+
+    def _run_c(self, memory: Memory, loop: Any, first_ns: int) -> None:
+        records = (memory.port, loop, self._session.envelope, memory.blocks)
+        buffers = [ctypes.create_string_buffer(packed(record)) for record in records]
+        scratch = ctypes.c_void_p(memory.scratch.ctypes.data)
+        ring = ctypes.create_string_buffer(packed(memory.ring))
+        self._in_c.run_loop(*buffers, scratch, ring, ctypes.c_int64(first_ns))
+
+
+def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
+    made = Declarations()
+    for module, beginnings in CONSTANTS:
+        made.constants(module, *beginnings)
+    made.dtype("row", ROW)
+    made.dtype("feedback", FEEDBACK)
+    made.record(memory.port, "cycle_port")
+    for record in (
+        loop, envelope_config, envelope_at_rest(), memory.blocks, memory.ring,
+        unpack_controller(memory.blocks.parameters[0]), controller_at_rest(),
+        Timing(0, 0, 0, 0), ProfileCursor(0, 0, 0, 0), Baseline(0, 0),
+        EnvelopeInputs(0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0, False, 0, False, False, False),
+        Law(0, steady_reference(0.0), _no_terms()),
+    ):  # fmt: skip
+        made.record(record)
+    return made.text
+
+
+def _no_terms() -> Any:
+    from fffo_drive.runtime.tick import _terms_of_current
+
+    return _terms_of_current(0.0)
+
+
+def differing_fields(one: Rows, other: Rows) -> list[str]:
+    """Fields of rows that are not the same number in both, those of the clock aside."""
+    names = [name for name in ROW.names or () if name not in CLOCK_FIELDS]
+    return [name for name in names if not np.array_equal(one[name], other[name], equal_nan=ROW[name].kind == "f")]
+
+
+def figures_of(run: CycleRun) -> Figures:
+    """Median, 99th percentile and smallest cycle, in nanoseconds."""
+    median, late = np.quantile(run.cycles_ns, [0.5, 0.99])
+    return {"median": float(median), "p99": float(late), "least": float(run.cycles_ns.min())}
+
+
+def run() -> int:
+    """The command."""
+    options = parser(NAME, __doc__ or "", 40, 6)
+    options.add_argument("--cycles", type=int, help="cycles in a pass and variant (default 4000; 1000 with --sample)")
+    chosen = options.parse_args()
+    cycles = chosen.cycles or (1000 if chosen.sample else 4000)
+    report = Report(NAME, "One cycle of the loop (receive, compute, send, row, housekeeping), compiled by numba and by gcc -O2.")
+    loop = Cycles(make_plan(AXIS))
+    buses = {"socket pair": socket_pair, "loopback bus": loopback_bus}
+    for text, bus in buses.items():
+        ours, theirs = loop.run("numba", bus, cycles), loop.run("C", bus, cycles)
+        differing = differing_fields(ours.rows, theirs.rows)
+        report.facts[f"{text}: differing fields"] = differing
+        report.facts[f"{text}: largest command"] = float(np.abs(ours.rows["current_command_a"]).max())
+        if differing:
+            raise RuntimeError(f"not the same work: {', '.join(differing)} differ between numba and C")
+    variants = {
+        f"{text}, {language}": (lambda bus=bus, language=language: figures_of(loop.run(language, bus, cycles)))
+        for text, bus in buses.items()
+        for language in ("numba", "C")
+    }
+    with shown(NAME) as progress:
+        found = interleaved(variants, passes_of(chosen), progress)
+    for text in buses:
+        ours, theirs = found[f"{text}, numba"], found[f"{text}, C"]
+        report.ratio(f"{text}: median cycle, numba over C", paired_ratio(ours["median"], theirs["median"]), TARGET)
+        report.ratio(f"{text}: 99th percentile, numba over C", paired_ratio(ours["p99"], theirs["p99"]))
+    report.table(
+        ("variant", "least cycle, us", "median, us", "99 %, us"),
+        [
+            (name, *(f"{np.median(figures[key]) / 1e3:.2f}" for key in ("least", "median", "p99")))
+            for name, figures in found.items()
+        ],
+    )
+    report.notes += [
+        f"{passes_of(chosen)} passes of {cycles} cycles each; C by {compiler_version()}, -O2.",
+        "Every row of both loops holds the same numbers (the clock's fields aside), bit for bit.",
+        "The drive answers in the same thread, outside the measured time; cycles follow one another without a pause.",
+    ]
+    return finish(report, chosen)
+
+
+if __name__ == "__main__":
+    main(run)
