@@ -319,7 +319,9 @@ def test_nothing_goes_out_while_the_controller_is_off_the_bus(bench):
     assert bench.count("bus_off") == 0
     port_housekeeping(bench.port, 1)
     port_housekeeping(bench.port, 1)
-    assert [frame.can_id for frame in bench.heard()] == [0x80, 0x77F]  # the old service frame is gone
+    stop, *others = bench.heard()
+    assert (stop.can_id, stop.data) == (0x200 + NODE, struct.pack("<Hh", 0x02, 0))  # in front of the first SYNC
+    assert [frame.can_id for frame in others] == [0x80, 0x77F]  # the old service frame is gone
 
 
 def test_a_frame_from_the_bus_shows_that_it_is_back(bench):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from node_rig import Rig
+from node.node_rig import Rig
 
 CONFIGURE = "601#2316100164007F00"  # 0x1016:1 = node 127, 100 ms
 CONFIGURED = "581#6016100100000000"

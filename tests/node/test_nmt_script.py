@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from node_rig import Rig
+from node.node_rig import Rig
 
 
 def test_power_on_is_announced_by_boot_up_and_ends_in_pre_operational() -> None:

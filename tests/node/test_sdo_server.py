@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from node_rig import Rig
+from node.node_rig import Rig
 
 
 def test_expedited_upload_and_download() -> None:

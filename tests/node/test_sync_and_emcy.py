@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from node_rig import Rig
+from node.node_rig import Rig
 
 INVALID_VALUE, DEVICE_STATE, UNSUPPORTED = 0x06090030, 0x08000022, 0x06010000
 

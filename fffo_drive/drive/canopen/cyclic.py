@@ -10,7 +10,8 @@ SYNC the last is used and the earlier ones are late. What comes after
   see turnaround_ns of the row for that.
 
 Nothing is sent while the bus is off: no command may go out late. The way back is an error frame
-"restarted", a frame from the bus, or, when the interface was gone, a SYNC that the kernel takes.
+"restarted", a frame from the bus, or, when the interface was gone, a frame that the kernel takes. The first
+frame then is a command without torque, in front of SYNC: what the drive still holds from before must not act.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import math
 
 from ...jit import njit
 from ...jit.libc import EINTR, monotonic_ns, sleep_until, wait_readable
+from ..cia402 import CONTROL_QUICK_STOP
 from ..port import (
     port_command,
     port_housekeeping,
@@ -34,6 +36,7 @@ from .port_memory import (
     CONTROLLER_OFF,
     EXPECTED,
     NEXT_HEARTBEAT_NS,
+    RETURNING,
     CanopenPort,
 )
 from .receiving import read_frame, take_frame
@@ -45,6 +48,17 @@ __all__ = ["CanopenPort"]  # the kernels below are reached through the functions
 MAX_DRAINED = 1 << 14  # frames read before one SYNC, so that a flood cannot hold the loop
 FLOOD_CHECK = 32  # frames between two looks at the clock while receiving
 TORQUE_LIMIT = 32767.0
+
+
+@njit
+def _send_command(port: CanopenPort, controlword: int, permille: int) -> int:
+    """Send the RPDO. Returns 0, or -errno."""
+    frame = port.command_frame
+    frame[port.controlword_at] = controlword & 0xFF
+    frame[port.controlword_at + 1] = (controlword >> 8) & 0xFF
+    frame[port.torque_at] = permille & 0xFF
+    frame[port.torque_at + 1] = (permille >> 8) & 0xFF
+    return send_frame(port, frame.ctypes.data)
 
 
 @port_now_ns.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
@@ -75,6 +89,11 @@ def _sync(port: CanopenPort, tick: int) -> int:
     memory[EXPECTED] = 0
     if memory[CONTROLLER_OFF] != 0:
         return -ENETDOWN
+    if memory[RETURNING] != 0:
+        result = _send_command(port, CONTROL_QUICK_STOP, 0)
+        if result != 0:
+            return result
+        memory[RETURNING] = 0
     result = send_frame(port, port.sync_frame.ctypes.data)
     if result == 0:
         memory[EXPECTED] = port.answer_mask
@@ -111,12 +130,7 @@ def _command(port: CanopenPort, tick: int, controlword: int, current_a: float) -
     if current_a == current_a:  # no torque for a NaN
         limited = min(max(current_a * port.scaling.permille_per_a, -TORQUE_LIMIT), TORQUE_LIMIT)
         permille = math.floor(limited + 0.5)
-    frame = port.command_frame
-    frame[port.controlword_at] = controlword & 0xFF
-    frame[port.controlword_at + 1] = (controlword >> 8) & 0xFF
-    frame[port.torque_at] = permille & 0xFF
-    frame[port.torque_at + 1] = (permille >> 8) & 0xFF
-    if send_frame(port, frame.ctypes.data) != 0 or permille == 0:
+    if _send_command(port, controlword, permille) != 0 or permille == 0:
         return 0.0
     return permille / port.scaling.permille_per_a
 

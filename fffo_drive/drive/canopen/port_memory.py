@@ -27,7 +27,8 @@ NEXT_HEARTBEAT_NS = 7
 SEND_ATTEMPTS = 8  # on tx_fd by the loop
 CONTROLLER_OFF = 9  # error frame "bus off"
 INTERFACE_OFF = 10  # the kernel says that the interface is down or gone
-MEMORY_WORDS = 11
+RETURNING = 11  # 1 from a loss of the bus until the drive was told to stop
+MEMORY_WORDS = 12
 
 Bytes = np.ndarray[Any, np.dtype[np.uint8]]
 Words = np.ndarray[Any, np.dtype[np.int64]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...can import frame as can
 from ...jit import njit
 from ...jit.libc import MSG_DONTWAIT, send
-from .port_memory import CONTROLLER_OFF, INTERFACE_OFF, SEND_ATTEMPTS, CanopenPort
+from .port_memory import CONTROLLER_OFF, INTERFACE_OFF, RETURNING, SEND_ATTEMPTS, CanopenPort
 
 ENXIO, ENODEV, ENETDOWN = 6, 19, 100
 
@@ -17,6 +17,7 @@ def note_bus_state(port: CanopenPort) -> int:
     feedback = port.feedback[0]
     if off > feedback["bus_off"]:
         feedback["bus_losses"] += 1
+        port.memory[RETURNING] = 1
     feedback["bus_off"] = off
     return off
 

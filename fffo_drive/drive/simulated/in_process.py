@@ -25,65 +25,43 @@ from ..port import (
     port_sleep_until,
     port_sync,
 )
-from .braking import BrakeSettings, brake_kind, brake_step
-from .cia402_device import (
-    FAULT,
-    FAULT_REACTION_ACTIVE,
-    NO_TRANSITION,
-    OPERATION_ENABLED,
-    QUICK_STOP_ACTIVE,
-    START,
-    SW_FOLLOWS_COMMAND,
-    SW_INTERNAL_LIMIT,
-    SW_REMOTE,
-    SW_VOLTAGE_ENABLED,
-    SWITCH_ON_DISABLED,
-    clears_target,
-    device_step,
-    follows_target,
-    statusword_of,
-)
+from .braking import BrakeSettings
+from .cia402_device import FAULT, START, SWITCH_ON_DISABLED, device_step
 from .pack import new_state, plant_parameters
 from .parameters import DeviceConfig, PlantConfig
-from .plant import substeps_due
-from .plant_call import call_plant, plant_address
-from .resolver import plant_latch
-from .state import Floats, Integers, PlantParameters, PlantState, Report
+from .state import Floats, Integers, PlantParameters, PlantState
+from .sync_cycle import (
+    APPLIED_A,
+    CLOCK_NS,
+    CONTROLWORD,
+    COUNTS_PER_REV,
+    CYCLE_ADDRESS,
+    DEVICE_STATE,
+    FAULT_PRESENT,
+    FAULT_REACTION_OPTION,
+    LATCHED_A,
+    LATCHED_FRICTION_NM,
+    LATCHED_REV,
+    LATCHED_RPS,
+    LATCHED_STATUSWORD,
+    LATCHED_TRUE_RPS,
+    N_VALUES,
+    N_WORDS,
+    NO_STATUS,
+    PERMILLE_PER_A,
+    QUICK_STOP_OPTION,
+    SENT_STATUSWORD,
+    STATUS_PERIOD,
+    SYNC_NS,
+    SYNCS,
+    TARGET_PERMILLE,
+    TURNAROUND_NS,
+    call_cycle,
+    cycle_address,
+)
 
 INT16_MAX = 32767
 NMT_OPERATIONAL = 5
-NO_STATUS = -1
-
-# SimulatedPort.words
-CLOCK_NS = 0  # time of the port's clock
-DEVICE_STATE = 1
-CONTROLWORD = 2  # of the last command
-PREVIOUS_CONTROLWORD = 3  # of the command before the one that the device took last
-TARGET_PERMILLE = 4  # of the last command
-FAULT_PRESENT = 5
-QUICK_STOP_OPTION = 6
-FAULT_REACTION_OPTION = 7
-STATUS_PERIOD = 8
-TURNAROUND_NS = 9
-LATCHED_STATUSWORD = 10  # of this SYNC
-SENT_STATUSWORD = 11  # NO_STATUS before the first
-SYNC_NS = 12  # time of the last SYNC
-SYNCS = 13
-BRAKING = 14  # 1 when the power stage was on at the moment quick stop or fault reaction began
-PLANT_ADDRESS = 15
-N_WORDS = 16
-
-# SimulatedPort.values
-APPLIED_A = 0  # what the drive makes of the last command
-PERMILLE_PER_A = 1
-RAMP_RPS = 2  # of the brake
-LATCHED_RPS = 3
-LATCHED_REV = 4
-LATCHED_A = 5
-LATCHED_TRUE_RPS = 6
-LATCHED_FRICTION_NM = 7
-COUNTS_PER_REV = 8
-N_VALUES = 9
 
 
 class SimulatedPort(NamedTuple):
@@ -111,80 +89,10 @@ def _sleep_until(port: SimulatedPort, deadline_ns: int) -> int:
     return 0
 
 
-@njit
-def _latch(values: Floats, report: Report) -> None:
-    values[LATCHED_RPS] = report.velocity_rps
-    values[LATCHED_REV] = report.position_counts / values[COUNTS_PER_REV]
-    values[LATCHED_A] = report.current_a
-    values[LATCHED_TRUE_RPS] = report.true_velocity_rps
-    values[LATCHED_FRICTION_NM] = report.true_friction_nm
-
-
-@njit
-def _brakes(
-    words: Integers, values: Floats, brake: BrakeSettings, state: int, velocity_rps: float, step_s: float
-) -> bool:
-    """Run the brake of QUICK STOP ACTIVE or FAULT REACTION ACTIVE. True when nothing is left to wait for."""
-    option = words[QUICK_STOP_OPTION] if state == QUICK_STOP_ACTIVE else words[FAULT_REACTION_OPTION]
-    kind = brake_kind(int(option))
-    ramp_rps, current_a, done = brake_step(brake, kind, float(values[RAMP_RPS]), velocity_rps, step_s)
-    values[RAMP_RPS] = ramp_rps
-    values[APPLIED_A] = current_a
-    return done
-
-
-@njit
-def _device(words: Integers, values: Floats, brake: BrakeSettings, velocity_rps: float, step_s: float) -> int:
-    """The CiA 402 device takes the last command: next state, which is returned, and current to apply."""
-    before = int(words[DEVICE_STATE])
-    done = True
-    if words[BRAKING] != 0:
-        done = _brakes(words, values, brake, before, velocity_rps, step_s)
-    controlword = int(words[CONTROLWORD])
-    state, transition = device_step(
-        before,
-        controlword,
-        int(words[PREVIOUS_CONTROLWORD]),
-        words[FAULT_PRESENT] != 0,
-        done,
-        int(words[QUICK_STOP_OPTION]),
-    )
-    words[PREVIOUS_CONTROLWORD] = controlword
-    words[DEVICE_STATE] = state
-    if clears_target(transition):
-        words[TARGET_PERMILLE] = 0
-    if transition != NO_TRANSITION:
-        powered = before in (OPERATION_ENABLED, QUICK_STOP_ACTIVE)
-        words[BRAKING] = 1 if powered and state in (QUICK_STOP_ACTIVE, FAULT_REACTION_ACTIVE) else 0
-        values[RAMP_RPS] = velocity_rps
-    if follows_target(state):
-        values[APPLIED_A] = words[TARGET_PERMILLE] / values[PERMILLE_PER_A]
-    elif words[BRAKING] == 0:
-        values[APPLIED_A] = 0.0
-    elif transition != NO_TRANSITION:
-        _brakes(words, values, brake, state, velocity_rps, 0.0)
-    return state
-
-
 @port_sync.register(SimulatedPort)  # type: ignore[attr-defined, untyped-decorator]
 @njit
 def _sync(port: SimulatedPort, tick: int) -> int:
-    words, values = port.words, port.values
-    now_ns = int(words[CLOCK_NS])
-    substeps = substeps_due(port.state, now_ns)
-    call_plant(int(words[PLANT_ADDRESS]), port.parameters, port.state, float(values[APPLIED_A]), substeps)
-    report = plant_latch(port.parameters, port.state)
-    _latch(values, report)
-    step_s = (now_ns - int(words[SYNC_NS])) / 1e9
-    words[SYNC_NS] = now_ns
-    words[SYNCS] += 1
-    state = _device(words, values, port.brake, report.velocity_rps, step_s)
-    bits = SW_VOLTAGE_ENABLED | SW_REMOTE
-    if report.limited:
-        bits |= SW_INTERNAL_LIMIT
-    elif follows_target(state):
-        bits |= SW_FOLLOWS_COMMAND
-    words[LATCHED_STATUSWORD] = statusword_of(state, bits)
+    call_cycle(port.parameters, port.state, port.brake, port.words, port.values)
     return 0
 
 
@@ -250,7 +158,7 @@ class SimulatedDrive:
         self.plant_config = (plant or PlantConfig()).validate()
         self.device_config = (device or DeviceConfig()).validate()
         config = self.plant_config
-        self._plant_address = plant_address()
+        self._cycle_address = cycle_address()
         self._port = SimulatedPort(
             feedback=new_feedback(),
             parameters=plant_parameters(config),
@@ -286,7 +194,7 @@ class SimulatedDrive:
         words[STATUS_PERIOD] = device.status_period
         words[TURNAROUND_NS] = round(device.turnaround_s * NS_PER_S)
         words[SENT_STATUSWORD] = NO_STATUS
-        words[PLANT_ADDRESS] = self._plant_address
+        words[CYCLE_ADDRESS] = self._cycle_address
 
     def connect(self) -> DriveIdentity:
         """The device walks from START to SWITCH ON DISABLED, as a drive does while it boots."""

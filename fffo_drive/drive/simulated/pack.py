@@ -133,9 +133,7 @@ def _put_resolver(numbers: Floats, config: PlantConfig) -> None:
 
 def _kernels(config: PlantConfig) -> list[tuple[str, dict[str, float]]]:
     """Effects that run in the plant, in the order of their stages (and in one stage as configured)."""
-    running = [
-        (name, values) for name, values in config.present_effects() if EFFECTS[name].kernel is not None
-    ]
+    running = [(name, values) for name, values in config.present_effects() if EFFECTS[name].kernel is not None]
     return sorted(running, key=lambda item: EFFECTS[item[0]].stage)
 
 

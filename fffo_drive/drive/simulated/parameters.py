@@ -83,17 +83,13 @@ class PlantConfig:
     dc_link_v: float = key(48.0, "V", 1.0, 1000.0, "DC-link voltage")
     resistance_ohm: float = key(0.35, "ohm", 1e-3, 100.0, "resistance of the winding")
     electrical_time_constant_s: float = key(1.2e-3, "s", 2e-4, 0.1, "L/R of the winding")
-    current_bandwidth_hz: float = key(
-        1000.0, "Hz", 50.0, 5000.0, "bandwidth of the current loop (rate 11 kHz)"
-    )
+    current_bandwidth_hz: float = key(1000.0, "Hz", 50.0, 5000.0, "bandwidth of the current loop (rate 11 kHz)")
     gear_ratio: float = key(160.0, "-", 0.001, 1e4, "motor speed over output speed")
     delay_s: float = key(0.003, "s", 0.0, 0.1, "end-to-end delay, all of it")
     sync_period_s: float = key(0.0005, "s", 1e-4, 0.1, "period of the SYNC for which delay_s holds")
     extra_delay_s: float = key(0.0, "s", 0.0, 0.5, "transport delay beyond delay_s")
     current_noise_a: float = key(0.01, "A", 0.0, 10.0, "noise of the measured current")
-    roughness_nm: float = key(
-        0.0004, "Nm", 0.0, 1.0, "standard deviation of the coloured torque of rough surfaces"
-    )
+    roughness_nm: float = key(0.0004, "Nm", 0.0, 1.0, "standard deviation of the coloured torque of rough surfaces")
     roughness_hz: float = key(15.0, "Hz", 0.01, 2000.0, "its bandwidth")
     initial_angle_rev: float = key(0.0, "rev", -1e4, 1e4, "angle of the motor shaft at power-on")
     motor_inertia_share: float = key(1.0, "-", 0.05, 1.0, "share of the inertia on the motor shaft (effects)")
@@ -113,16 +109,12 @@ class PlantConfig:
         found = range_errors(self)
         found += self.friction.errors("friction.")
         for k, effect in enumerate(self.effects):
-            found += [
-                (f"effects[{k}].{name}", text) for name, text in effect_errors(effect.name, effect.parameters)
-            ]
+            found += [(f"effects[{k}].{name}", text) for name, text in effect_errors(effect.name, effect.parameters)]
         if found:
             return found
         if self.delay_s > 0.0 and delay_budget(self).transport_s < 0.0:
             least_s = self.delay_s - delay_budget(self).transport_s
-            found.append(
-                ("delay_s", f"{self.delay_s:g} is less than its fixed parts, {least_s:.6f} s in all")
-            )
+            found.append(("delay_s", f"{self.delay_s:g} is less than its fixed parts, {least_s:.6f} s in all"))
         prepared = self.prepared()
         for name, text in range_errors(prepared):
             found.append((name, f"{text} once all effects are counted"))
@@ -187,9 +179,7 @@ class DeviceConfig:
     status_period: int = key(10, "-", 1, 10_000, "statusword and current are sent every so many SYNCs")
     turnaround_s: float = key(0.0, "s", 0.0, 0.1, "from SYNC to the drive's answer")
     quick_stop_option: int = key(QUICK_STOP_OPTION_DEFAULT, "-", 0, 7, "0x605A: 0 to 3, 5 to 7")
-    fault_reaction_option: int = key(
-        2, "-", 0, 3, "0x605E: 0 coast, 1 slow ramp, 2 quick ramp, 3 current limit"
-    )
+    fault_reaction_option: int = key(2, "-", 0, 3, "0x605E: 0 coast, 1 slow ramp, 2 quick ramp, 3 current limit")
     slow_ramp_rps2: float = key(50.0, "rps2", 0.01, 1e5, "deceleration of the slow down ramp")
     quick_ramp_rps2: float = key(200.0, "rps2", 0.01, 1e5, "deceleration of the quick stop ramp")
     brake_gain_a_per_rps: float = key(0.4, "A/rps", 1e-3, 100.0, "gain of the drive's own speed loop")

@@ -67,9 +67,7 @@ class FrictionConfig:
         if self.kind not in KINDS:
             found.append((f"{path}kind", f"{self.kind!r} is not one of {', '.join(KINDS)}"))
         if len(self.surfaces) > MAX_SURFACES:
-            found.append(
-                (f"{path}surfaces", f"{len(self.surfaces)} surfaces; 0 to {MAX_SURFACES} are possible")
-            )
+            found.append((f"{path}surfaces", f"{len(self.surfaces)} surfaces; 0 to {MAX_SURFACES} are possible"))
         found += [
             (f"{path}surfaces[{k}].stiction_nm", f"{s.stiction_nm:g} is below coulomb_nm {s.coulomb_nm:g} Nm")
             for k, s in enumerate(self.surfaces)

@@ -38,7 +38,6 @@ def call_effect(address: int, signals: Vector, parameters: Vector, memory: Vecto
 @overload(call_effect)
 def _call_effect_overload(address: Any, signals: Any, parameters: Any, memory: Any) -> Any:
     def implementation(address: Any, signals: Any, parameters: Any, memory: Any) -> None:
-        # numba supplies the typing context
-        _jump(address, signals, parameters, memory)  # type: ignore[call-arg]
+        _jump(address, signals, parameters, memory)
 
     return implementation

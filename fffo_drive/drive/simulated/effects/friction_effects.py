@@ -123,9 +123,7 @@ def quadratic_drag(signals: Vector, parameters: Vector, memory: Vector) -> None:
 
 
 def _stribeck_shape(config: PlantConfig, values: Values) -> PlantConfig:
-    friction = config.friction.scaled(
-        rise=1.0 + values["rise_share"], stribeck_velocity=1.0 + values["velocity_share"]
-    )
+    friction = config.friction.scaled(rise=1.0 + values["rise_share"], stribeck_velocity=1.0 + values["velocity_share"])
     return replace(config, friction=friction)
 
 
@@ -137,9 +135,7 @@ def _frictional_lag(config: PlantConfig, values: Values) -> PlantConfig:
     return replace(config, friction=config.friction.scaled(memory=1.0 + values["length_share"]))
 
 
-_SHARE = Parameter(
-    "share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True
-)
+_SHARE = Parameter("share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True)
 _DRIFT = (
     Parameter("share", "-", 0.3, -0.9, 5.0, "change in the end, as a share", True),
     Parameter("time_constant_s", "s", 60.0, 0.1, 100_000.0, "time constant"),
@@ -157,11 +153,7 @@ EFFECTS = (
         "asymmetric_viscous",
         s.LEVEL,
         asymmetric_viscous,
-        (
-            _SHARE._replace(
-                default=0.3, meaning="change of the coefficient in positive direction, as a share"
-            ),
-        ),
+        (_SHARE._replace(default=0.3, meaning="change of the coefficient in positive direction, as a share"),),
         "viscous friction differs between the directions",
     ),
     Effect(
@@ -187,11 +179,7 @@ EFFECTS = (
         "frictional_lag",
         s.PREPARED,
         None,
-        (
-            Parameter(
-                "length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True
-            ),
-        ),
+        (Parameter("length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True),),
         "friction follows the Stribeck curve over another distance",
         _frictional_lag,
     ),
@@ -200,9 +188,7 @@ EFFECTS = (
         s.LEVEL,
         dwell_stiction,
         (
-            Parameter(
-                "rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True
-            ),
+            Parameter("rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True),
             Parameter("time_constant_s", "s", 3.0, 0.01, 10_000.0, "time constant of the rise"),
             Parameter("release_rev", "rev", 0.03, 0.0001, 10.0, "travel over which it is lost"),
             Parameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact rests"),
@@ -221,9 +207,7 @@ EFFECTS = (
         s.LEVEL,
         position_dependent_friction,
         (
-            Parameter(
-                "wave_share", "-", 0.25, -0.9, 0.9, "amplitude of the wave, as a share of the level", True
-            ),
+            Parameter("wave_share", "-", 0.25, -0.9, 0.9, "amplitude of the wave, as a share of the level", True),
             Parameter("window_share", "-", 0.0, -0.9, 10.0, "change inside the window, as a share", True),
             Parameter("period_rev", "rev", 8.0, 0.1, 10_000.0, "period along the travel"),
             Parameter("centre_rev", "rev", 0.0, -10_000.0, 10_000.0, "centre of the window"),
@@ -249,9 +233,7 @@ EFFECTS = (
         s.LEVEL,
         thermal_drift,
         (
-            Parameter(
-                "per_k", "1/K", -0.03, -0.2, 0.2, "relative change of viscous friction per kelvin", True
-            ),
+            Parameter("per_k", "1/K", -0.03, -0.2, 0.2, "relative change of viscous friction per kelvin", True),
             Parameter("k_per_w", "K/W", 4.0, 0.0, 1000.0, "temperature rise per watt of friction loss"),
             Parameter("time_constant_s", "s", 40.0, 0.1, 100_000.0, "thermal time constant"),
         ),

@@ -110,9 +110,7 @@ EFFECTS = (
             Parameter("gap_rev", "rev", 0.02, 0.0, 1.0, "width of the gap at the motor shaft", True),
             Parameter("load_share", "-", 0.3, 0.01, 0.9, "share of the inertia behind the gap"),
             Parameter("friction_share", "-", 0.3, 0.0, 0.9, "share of the friction level behind the gap"),
-            Parameter(
-                "contact_hz", "Hz", 250.0, 10.0, 1500.0, "resonance of the closed joint: its stiffness"
-            ),
+            Parameter("contact_hz", "Hz", 250.0, 10.0, 1500.0, "resonance of the closed joint: its stiffness"),
         ),
         "gap between motor and load",
         _backlash,

@@ -38,16 +38,12 @@ def effect_errors(name: str, given: Mapping[str, float]) -> list[tuple[str, str]
     errors = []
     for key, value in given.items():
         if key not in known:
-            text = (
-                f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
-            )
+            text = f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
             errors.append((f"parameters.{key}", text))
             continue
         p = known[key]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            errors.append(
-                (f"parameters.{key}", f"{value!r} is not a number ({p.low:g} to {p.high:g} {p.unit})")
-            )
+            errors.append((f"parameters.{key}", f"{value!r} is not a number ({p.low:g} to {p.high:g} {p.unit})"))
         elif not p.low <= value <= p.high:
             errors.append((f"parameters.{key}", f"{value:g} is outside {p.low:g} to {p.high:g} {p.unit}"))
     return errors
@@ -68,9 +64,7 @@ def effect_table() -> str:
         head = f"| `{effect.name}` | {STAGE_NAMES[effect.stage]} | {effect.description} "
         for p in effect.parameters:
             strength = " (strength)" if p.strength else ""
-            cells = (
-                f"| `{p.name}`: {p.meaning}{strength} | {p.unit} | {p.default:g} | {p.low:g} to {p.high:g} |"
-            )
+            cells = f"| `{p.name}`: {p.meaning}{strength} | {p.unit} | {p.default:g} | {p.low:g} to {p.high:g} |"
             lines.append(head + cells)
             head = "| | | "
     return "\n".join(lines)

@@ -44,7 +44,7 @@ TIME_S = 6  # since power-on
 VELOCITY_RPS = 7
 ANGLE_REV = 8
 CURRENT_A = 9  # mean current of the sub-step (from stage TORQUE on)
-FRICTION_NM = 10  # torque of the base friction (from stage LOAD on)
+FRICTION_NM = 10  # torque of the base friction (from stage LOAD on; before it, that of the last sub-step)
 # changed by effects, at their stage
 COMMAND_A = 11
 TORQUE_NM = 12

@@ -30,9 +30,7 @@ def _run_stage(effects: Effects, stage: int) -> None:
 
 
 @njit
-def effects_on_demand(
-    effects: Effects, time_s: float, velocity_rps: float, angle_rev: float, demand_a: float
-) -> float:
+def effects_on_demand(effects: Effects, time_s: float, velocity_rps: float, angle_rev: float, demand_a: float) -> float:
     """Begin a sub-step for the effects, and let them change the current demand (A)."""
     signals = effects.signals
     signals[slots.TIME_S] = time_s
@@ -44,9 +42,7 @@ def effects_on_demand(
 
 
 @njit
-def effects_on_torque(
-    effects: Effects, current_a: float, torque_nm: float, scales: Scales
-) -> tuple[float, Scales]:
+def effects_on_torque(effects: Effects, current_a: float, torque_nm: float, scales: Scales) -> tuple[float, Scales]:
     """Motor torque (Nm) and scales of the base friction, as the effects change them."""
     signals = effects.signals
     signals[slots.CURRENT_A] = current_a

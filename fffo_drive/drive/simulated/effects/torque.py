@@ -41,9 +41,7 @@ def unbalance(signals: Vector, parameters: Vector, memory: Vector) -> None:
 def periodic_disturbance(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """A torque that is periodic in time, such as a neighbouring machine makes."""
     amplitude_nm, frequency_hz, phase_rev = parameters[0], parameters[1], parameters[2]
-    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(
-        _TURN * (frequency_hz * signals[s.TIME_S] + phase_rev)
-    )
+    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(_TURN * (frequency_hz * signals[s.TIME_S] + phase_rev))
 
 
 @njit
