@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -123,14 +123,22 @@ def check(data: Any, record: type[M], name: str, lines: dict[Location, int] | No
         raise DocumentError("\n".join(text for _, text in found)) from None
 
 
-def located(name: str, lines: dict[Location, int], key: str, text: str) -> str:
-    """FILE:LINE: KEY: TEXT, for a dotted key with [index] parts; the line of the innermost part that is in the file."""
+def refuse(path: str | Path, problems: Iterable[tuple[str, str]]) -> None:
+    """Raise DocumentError, if there are any (dotted key, what is wrong with it): FILE:LINE: KEY: TEXT each."""
+    found = list(problems)
+    if found:
+        _, lines = parse(read_text(Path(path)), str(path))
+        raise DocumentError("\n".join(f"{path}:{_line_of(lines, _location(key))}: {key}: {text}" for key, text in found))
+
+
+def _location(key: str) -> Location:
+    """Parts of a dotted key with [index] parts."""
     parts = key.replace("]", "").replace("[", ".").split(".")
-    location: Location = tuple(int(part) if part.isdigit() else part for part in parts)
-    return f"{name}:{_line_of(lines, location)}: {key}: {text}"
+    return tuple(int(part) if part.isdigit() else part for part in parts)
 
 
 def _line_of(lines: dict[Location, int], location: Location) -> int:
+    """Line of the innermost part that is in the file."""
     return next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
 
 

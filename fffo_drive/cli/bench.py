@@ -1,7 +1,8 @@
 """The paper's comparison, live: PI, PI+FBFO and PI+FFFO on one reference at 2 kHz over CANopen.
 
 Starts the simulated drive as a CANopen node in a process of its own on a loopback bus of its own, brings it up, runs
-the three controllers in real time, records one MCAP file a run, and prints Table II's metrics and the tick statistics.
+the three controllers in real time, records one MCAP file a run, prints Table II's metrics and the tick statistics, and
+writes the report page with its pictures beside the recordings.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from rich.table import Table
 from ..can.link import free_loopback_port
 from ..config.axis import recorder_settings
 from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
-from ..control.reference import Profile
 from ..drive.port import Drive, DriveIdentity
 from ..evaluation.metrics import (
     PAPER_TABLE_2,
@@ -31,12 +31,14 @@ from ..evaluation.metrics import (
     tick_statistics,
 )
 from ..jit import PACKAGE_DIRECTORY
+from ..recording.reader import read_run
+from ..report.bench import BenchRecord, write_bench_report
 from ..runtime.runs import RunOutcome, record_live, timestamp_name
 from ..runtime.session import Session
 from .drives import Plan, make_plan, open_drive, plan_session, run_header
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
-from .recordings import recorded_rows, recorder_hooks
+from .recordings import recorder_hooks
 from .simulated_process import SimulatedProcess
 
 CONFIGS = PACKAGE_DIRECTORY.parent / "configs"
@@ -51,6 +53,7 @@ class BenchRun(NamedTuple):
     ticks: TickStatistics
     file: Path
     rows_lost: int
+    record: BenchRecord
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +85,9 @@ def execute(options: argparse.Namespace) -> int:
         identity = drive.connect()
         console.print(f"drive: {identity.device_name}, serial {identity.serial_number}", soft_wrap=True)
         runs = _compare(plan, drive, identity, out, options.json, process)
-    _report(plan, runs, options.json)
+    with console.status("drawing the report"):
+        report = write_bench_report({name: run.record for name, run in runs.items()}, out)
+    _report(runs, report.page, options.json)
     return 0
 
 
@@ -113,26 +118,29 @@ def _compare(
                 raise DriveFaultError(f"{name}: {outcome.fault_text}; the record is in {path}")
             if outcome.gap_text is not None:
                 raise RecordingGapError(f"{name}: {outcome.gap_text}")
-            runs[name] = _evaluate(plan.profile, outcome)
+            runs[name] = _evaluate(plan, outcome)
     return runs
 
 
-def _evaluate(profile: Profile, outcome: RunOutcome) -> BenchRun:
-    """Metrics from what was recorded, read back from the file."""
-    rows = recorded_rows(outcome.files)
-    metrics = run_metrics(rows, profile.period_s, profile.values.size)
-    return BenchRun(metrics, tick_statistics(rows, outcome.exchange), outcome.files[-1], outcome.recorder.rows_lost)
+def _evaluate(plan: Plan, outcome: RunOutcome) -> BenchRun:
+    """Metrics from what was recorded, read back from the files."""
+    parts = tuple(read_run(file) for file in outcome.files if file.exists())
+    record = BenchRecord(parts, outcome.exchange, outcome.recorder.rows_lost, plan.axis.loop.late_share)
+    metrics = run_metrics(record.rows, plan.profile.period_s, plan.profile.values.size)
+    ticks = tick_statistics(record.rows, outcome.exchange)
+    return BenchRun(metrics, ticks, outcome.files[-1], outcome.recorder.rows_lost, record)
 
 
-def _report(plan: Plan, runs: dict[str, BenchRun], as_json: bool) -> None:
+def _report(runs: dict[str, BenchRun], page: Path, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(as_object(runs), indent=2))
+        print(json.dumps({**as_object(runs), "report": str(page)}, indent=2))
         return
     console = Console()
     console.print(_metrics_table(runs))
     console.print(_ticks_table(runs))
     for run in runs.values():
         console.print(f"{run.file}", highlight=False, soft_wrap=True)
+    console.print(f"report: {page}", highlight=False, soft_wrap=True)
 
 
 def as_object(runs: dict[str, BenchRun]) -> dict[str, Any]:

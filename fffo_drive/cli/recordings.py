@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,8 +11,19 @@ import numpy as np
 
 from ..recording.events import Event, Level
 from ..recording.reader import read_run
+from ..recording.rotation import is_taken
 from ..recording.settings import RecorderHooks, Rows
 from ..signals import ROW
+
+
+def claim(out: Path) -> None:
+    """Make the directory of a recording and see that its name is free, before anything else begins. Raises OSError."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(error.errno, f"no directory for recordings: {error.strerror}", str(out.parent)) from error
+    if is_taken(out):
+        raise FileExistsError(errno.EEXIST, "a recording of this name is there; it is not overwritten", str(out))
 
 
 def recorder_hooks() -> RecorderHooks:

@@ -21,7 +21,7 @@ from ..runtime.session import Session
 from .drives import Plan, make_plan, open_drive, plan_session, run_header, toggle_name
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
-from .recordings import recorded_rows, recorder_hooks
+from .recordings import claim, recorded_rows, recorder_hooks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +39,7 @@ def execute(options: argparse.Namespace) -> int:
     plan = make_plan(options.config, None if wanted is None else (wanted,))
     toggle = plan.toggle if wanted is None else wanted
     out = Path(options.out) if options.out else _default_path(plan)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    claim(out)
 
     drive = open_drive(plan, options.bus)
     outcome = _run(plan, drive, toggle, out, quiet=options.json)

@@ -7,21 +7,18 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import signal
-import threading
-from typing import Any
 
 from ..can.link import open_link
 from ..config.simulated import read_simulated
-from ..drive.simulated.node.process import run_node
+from ..documents import DocumentError
+from ..drive.simulated.node.process import run_node, stop_on_signals
+from ..drive.simulated.parameters import PlantConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("file", metavar="FILE", help="simulated drive (YAML)")
-    parser.add_argument(
-        "--bus", default="loopback:29500", help="socketcan:vcan0 or loopback:PORT (default: %(default)s)"
-    )
+    parser.add_argument("--bus", default="loopback:29500", help="socketcan:vcan0, loopback:PORT (default: %(default)s)")
     parser.add_argument("--node", type=int, metavar="ID", help="node id instead of the file's")
 
 
@@ -29,14 +26,11 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     config = read_simulated(options.file)
     if options.node is not None:
-        config = dataclasses.replace(config, node_id=options.node).validate()
-    stop = threading.Event()
-
-    def leave(signal_number: int, frame: Any) -> None:
-        stop.set()
-
-    signal.signal(signal.SIGTERM, leave)
-    signal.signal(signal.SIGINT, leave)
+        try:
+            config = dataclasses.replace(config, node_id=options.node).validate()
+        except PlantConfigError as error:
+            raise DocumentError(f"--node: {error}") from None
+    stop = stop_on_signals()
     with open_link(options.bus) as link:
         run_node(config, link, stop)
     return 0

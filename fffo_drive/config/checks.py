@@ -7,7 +7,7 @@ from pathlib import Path
 from ..can.load import Chain, Load
 from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
-from ..documents import DocumentError, located, parse, read_text
+from ..documents import refuse
 from ..drive.canopen.config import chain_of, load_of
 from ..drive.canopen.object_map import MappingError
 from ..model.parameters import ModelFile
@@ -121,7 +121,5 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
 
 def require(path: str | Path, problems: list[str]) -> None:
     """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned."""
-    if problems:
-        _, lines = parse(read_text(Path(path)), str(path))
-        parts = [problem.partition(": ") for problem in problems]
-        raise DocumentError("\n".join(located(str(path), lines, key, text) for key, _, text in parts))
+    parts = [problem.partition(": ") for problem in problems]
+    refuse(path, [(key, text) for key, _, text in parts])

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
-from ..documents import DocumentError, Record, check, located, parse, read_text
+from ..documents import Record, load, refuse
 from ..drive.simulated.node.config import NodeConfig
 from ..drive.simulated.parameters import PlantConfigError
 from .mirror import dataclass_of, record_of
@@ -26,11 +26,11 @@ SimulatedDriveRecord: type[Record] = create_model(
 
 def read_simulated(path: str | Path) -> NodeConfig:
     """Read and check the file of a simulated drive. Raises DocumentError with every error in it."""
-    data, lines = parse(read_text(Path(path)), str(path))
-    record: Any = check(data, SimulatedDriveRecord, str(path), lines)
+    record: Any = load(path, SimulatedDriveRecord)
     config = dataclass_of(NodeConfig, record)
     try:
-        return config.validate()
+        config.validate()
     except PlantConfigError as error:
-        found = [line.split(": ", 1) for line in str(error).splitlines()]
-    raise DocumentError("\n".join(located(str(path), lines, key.removeprefix("node."), text) for key, text in found))
+        found = [line.partition(": ") for line in str(error).splitlines()]
+        refuse(path, [(key.removeprefix("node."), text) for key, _, text in found])
+    return config

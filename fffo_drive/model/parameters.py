@@ -15,7 +15,7 @@ import yaml
 from pydantic import Field
 
 from .. import units
-from ..documents import DocumentError, Record, load
+from ..documents import Record, load, refuse
 from .axis import AxisConfig
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
@@ -123,14 +123,11 @@ def read_model(path: str | Path) -> ModelFile:
         for part in key.split("."):
             quantity = getattr(quantity, part)
         if not low <= quantity.value <= high:
-            errors.append(f"{path}: {key}.value: {quantity.value:g} is outside {low:g} .. {high:g}")
+            errors.append((f"{key}.value", f"{quantity.value:g} is outside {low:g} .. {high:g}"))
     if model.content_hash is not None and model.content_hash != content_hash(model):
-        errors.append(
-            f"{path}: content_hash does not match the content: the file was edited by hand. Remove the line to accept "
-            "the edit, or restore the file"
-        )
-    if errors:
-        raise DocumentError("\n".join(errors))
+        text = "does not match the content: the file was edited by hand. Remove the line to accept the edit, or restore"
+        errors.append(("content_hash", f"{text} the file"))
+    refuse(path, errors)
     return model
 
 

@@ -20,6 +20,7 @@ from .run_files import RunFiles
 from .settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 
 SOURCE = "recorder"
+WRITE_ROWS = 4096  # between two looks at the size of the file: a run in simulated time comes in one piece
 EVENT_QUEUE = 4096  # events kept while no file is open; older ones are counted as lost
 
 
@@ -125,8 +126,9 @@ class Recorder:
         if batch.lost and not self._overrunning:
             self._report(Level.ERROR, f"the ring ran over: {batch.lost} rows lost", {"rows_lost": batch.lost})
         self._overrunning = batch.lost > 0
-        self._files.write(batch.rows, self._events, now_ns)
-        self._files.keep_house(now_ns)
+        for begin in range(0, max(len(batch.rows), 1), WRITE_ROWS):
+            self._files.write(batch.rows[begin : begin + WRITE_ROWS], self._events, now_ns)
+            self._files.keep_house(now_ns)
         if self._hooks.on_rows is not None and len(batch.rows):
             self._call(self._hooks.on_rows, batch.rows)
         return len(batch.rows)

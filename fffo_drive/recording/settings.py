@@ -30,7 +30,7 @@ class RunHeader:
 class RotationPolicy:
     """When to begin a new file, and how much a directory may hold. None: no limit.
 
-    A file may exceed `max_bytes` by the rows of one drain and its index. `quota_bytes` counts all recordings
+    A file may exceed `max_bytes` by `recorder.WRITE_ROWS` rows and its index. `quota_bytes` counts all recordings
     of this program in the directory, the one being written included; the oldest finished ones are deleted.
     """
 

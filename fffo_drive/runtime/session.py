@@ -113,6 +113,8 @@ class Session:
 
         Raises RealtimeRefusedError when the configuration requires what the system refuses.
         """
+        if self.config.realtime_required:
+            self._rehearse_realtime()
         self.compile()
         self._thread = threading.Thread(target=self._run, name="fffo-loop", daemon=True)
         self._thread.start()
@@ -146,6 +148,16 @@ class Session:
             self.ring,
             first_deadline_ns,
         )
+
+    def _rehearse_realtime(self) -> None:
+        """On a thread that ends at once: a refusal is told now, not after the seconds that compiling takes."""
+        request = self.config.realtime._replace(lock_memory=False)  # that one holds for the whole process
+        reports: list[RealtimeReport] = []
+        thread = threading.Thread(target=lambda: reports.append(enter_realtime(request)))
+        thread.start()
+        thread.join()
+        if reports and reports[0].refusals:
+            raise RealtimeRefusedError("; ".join(reports[0].refusals))
 
     def _run(self) -> None:
         try:

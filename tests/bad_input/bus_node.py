@@ -23,15 +23,20 @@ ENABLE_OPERATION = 0x0F
 
 
 class BusNode:
-    """`prepare` gets the node before it boots: to take an object away, or to refuse a write."""
+    """`prepare` gets the node before it boots (to refuse a write, say), `after_boot` after it."""
 
     def __init__(
-        self, bus: str, config: NodeConfig | None = None, prepare: Callable[[Node], None] | None = None
+        self,
+        bus: str,
+        config: NodeConfig | None = None,
+        prepare: Callable[[Node], None] | None = None,
+        after_boot: Callable[[Node], None] | None = None,
     ) -> None:
         self.plant = RigidBody()
         self.node = Node(config or NodeConfig(), self.plant)
         if prepare is not None:
             prepare(self.node)
+        self._after_boot = after_boot
         self.heard: list[Frame] = []
         self.states: set[int] = set()
         self._link = open_link(bus)
@@ -40,6 +45,8 @@ class BusNode:
 
     def __enter__(self) -> BusNode:
         self._send(self.node.start(time.monotonic_ns()))
+        if self._after_boot is not None:
+            self._after_boot(self.node)
         self._thread.start()
         return self
 

@@ -1,6 +1,6 @@
 """Mistakes that people make, each with the command that meets it, its exit code and what the message must say.
 
-A case edits the shipped files in a directory of its own, puts nodes on a bus of its own, and runs the command line in
+A case edits the files beside this one in a directory of its own, puts nodes on a bus of its own, and runs the command line in
 this process. `said` are parts that the message must have: place, what is allowed, what to do.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import shutil
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -28,11 +27,12 @@ from fffo_drive.drive.simulated.node.core import Node
 from fffo_drive.drive.simulated.node.eds import eds_text
 from fffo_drive.drive.simulated.node.objects import DEVICE_TYPE
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-AXIS, BUS_AXIS, DRIVE, MODEL = "axis_simulated.yaml", "axis_canopen.yaml", "simulated_drive.yaml", "models/table1.yaml"
+FILES = Path(__file__).resolve().parent / "files"
+AXIS, BUS_AXIS, DRIVE, MODEL = "axis.yaml", "bus.yaml", "drive.yaml", "model.yaml"
 CHECK = ("config", "check")
 
 Files = dict[str, str]
+Preparation = Callable[[Node], None]
 Visitor = Callable[[str], AbstractContextManager[object]]  # somebody on the bus
 
 
@@ -60,10 +60,9 @@ class Result(NamedTuple):
 def run_case(case: Case, directory: Path) -> Result:
     """Run the command of a case in `directory` (empty)."""
     bus = f"loopback:{free_loopback_port()}"
-    files = {name: (CONFIGS / name).read_text() for name in (AXIS, BUS_AXIS, DRIVE, MODEL)}
+    files = {name: (FILES / name).read_text() for name in (AXIS, BUS_AXIS, DRIVE, MODEL)}
     case.edit(files)
     for name, text in files.items():
-        (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_text(text)
     words = [bus if word == "BUS" else word for word in case.words]
     stderr, stdout = io.StringIO(), io.StringIO()
@@ -108,7 +107,7 @@ def _plain(text: str, directory: Path, bus: str) -> str:
 
 
 def changed(name: str, old: str, new: str) -> Callable[[Files], None]:
-    """Replace a part of a shipped file, which must be there."""
+    """Replace a part of a file, which must be there."""
 
     def edit(files: Files) -> None:
         assert old in files[name], f"{name} does not hold {old!r} any more"
@@ -159,17 +158,24 @@ QUICK = drive_key("start_timeout_s: 0.1")
 # --- visitors
 
 
-def node(config: NodeConfig | None = None, prepare: Callable[[Node], None] | None = None) -> Visitor:
+def node(
+    config: NodeConfig | None = None, prepare: Preparation | None = None, after_boot: Preparation | None = None
+) -> Visitor:
     """A simulated drive."""
-    return lambda bus: BusNode(bus, config, prepare)
+    return lambda bus: BusNode(bus, config, prepare, after_boot)
 
 
-def put(index: int, sub: int, value: int) -> Callable[[Node], None]:
+def put(index: int, sub: int, value: int) -> Preparation:
     """A drive in which an object says something else."""
     return lambda node: node.od.put(index, sub, value)
 
 
-def refuse(index: int, code: Abort) -> Callable[[Node], None]:
+def put_on_bus(index: int, sub: int, data: bytes) -> Preparation:
+    """A drive to which somebody wrote an object."""
+    return lambda node: node.od.download(index, sub, data)
+
+
+def refuse(index: int, code: Abort) -> Preparation:
     """A drive that takes no write to an object."""
 
     def guard(sub: int, value: int) -> None:
@@ -212,8 +218,8 @@ CASES = (
     ),
     Case(
         "wrong unit: milliseconds in place of seconds", RUN, 78,
-        (rf"{MODEL}:\d+: delay_s\.value: [2-4] is outside 0 .. 0.1",),
-        changed(MODEL, "delay_s: {value: 0.00", "delay_s: {value: "),
+        (rf"{MODEL}:\d+: delay_s\.value: 2.75 is outside 0 .. 0.1",),
+        changed(MODEL, "delay_s: {value: 0.00275", "delay_s: {value: 2.75"),
     ),
     Case(
         "out of range", RUN, 78, (rf"{AXIS}:\d+: controller\.proportional_a_per_rps: .*greater than 0 \(got -1\)",),
@@ -232,12 +238,18 @@ CASES = (
         (rf"{AXIS}:\d+: envelope: continuous_current_a must not exceed current_limit_a",),
         changed(AXIS, "continuous_current_a: 8.3", "continuous_current_a: 20"),
     ),
+    Case(
+        "model edited by hand", RUN, 78,
+        (rf"{MODEL}:\d+: content_hash: does not match .*edited by hand.*Remove the line to accept",),
+        added(MODEL, "content_hash: 0123456789abcdef\n"),
+    ),
+    Case("text that is no YAML", RUN, 78, (rf"{AXIS}:\d+: not valid YAML",), added(AXIS, "recording: [\n")),
     Case("missing axis file", RUN, 78, (f"{AXIS}: cannot be read: No such file",), without(AXIS)),
     Case("missing model file", RUN, 78, (f"{MODEL}: cannot be read: No such file",), without(MODEL)),
     Case("missing file of the simulated drive", RUN, 78, (f"{DRIVE}: cannot be read: No such file",), without(DRIVE)),
     Case(
         "unknown effect of the simulated drive", RUN, 78,
-        (rf"{DRIVE}:\d+: plant\.effects\[0\]: .*coging.*cogging",),
+        (rf"{DRIVE}:\d+: plant\.effects\[0\]\.name: no effect is called 'coging' \(did you mean 'cogging'",),
         changed(DRIVE, "  effects: []", "  effects: [{name: coging}]"),
     ),
     Case(
@@ -252,7 +264,7 @@ CASES = (
     # what the file asks for
     Case(
         "velocity reference beyond the limit", RUN, 78,
-        (rf"{AXIS}:\d+: profile: peak of 15 rps is beyond envelope\.speed_limit_rps 10",),
+        (rf"{AXIS}:\d+: profile: peak of 14\.\d+ rps is beyond envelope\.speed_limit_rps 10",),
         changed(AXIS, "speed_limit_rps: 25", "speed_limit_rps: 10"),
     ),
     Case(
@@ -317,7 +329,7 @@ CASES = (
     ),
     Case(
         "node id of nobody", RUN_ON_BUS, 69, ("node 1 does not answer .*node id right.*Heard of: node 2",), QUICK,
-        (node(replace(NodeConfig(), node_id=2), put(0x1017, 0, 10)),),
+        (node(replace(NodeConfig(), node_id=2), after_boot=put_on_bus(0x1017, 0, bytes([10, 0]))),),
     ),
     Case(
         "two nodes of one id", RUN_ON_BUS, 70, ("two nodes have (the|this) id",),
@@ -380,7 +392,21 @@ CASES = (
         (f"{MODEL}: a file of this name is there; it is not overwritten",),
     ),
     Case(
-        "an output where none can be", (*RUN, "--out", f"{MODEL}/run.mcap"), 74, (f"{MODEL}: (Not a directory|File exists)",),
+        "an output that is there already, of a run", (*RUN, "--out", DRIVE), 74,
+        (f"{DRIVE}: a recording of this name is there; it is not overwritten",),
+    ),
+    Case(
+        "an output where none can be", (*RUN, "--out", f"{MODEL}/run.mcap"), 74,
+        (f"{MODEL}: no directory for recordings: (Not a directory|File exists)",),
+    ),
+    Case(
+        "recording.directory where none can be", RUN, 74, (f"{MODEL}: no directory for recordings",),
+        added(AXIS, f"recording: {{directory: {MODEL}}}\n"),
+    ),
+    # the machine
+    Case(
+        "real-time properties that the system refuses", RUN_ON_BUS, 77, (r"CPU 4095 for the loop: .*allowed here: \[",),
+        added(BUS_AXIS, "realtime: {cpu: 4095, priority: 0, lock_memory: false}\n"), (node(),),
     ),
     # usage
     Case("unknown option", (*RUN, "--bass", "BUS"), 2, ("unrecognized arguments: --bass",)),
@@ -394,9 +420,7 @@ def shown(message: str) -> str:
     lines = message.splitlines()
     if lines and lines[0].startswith("usage:"):
         lines = lines[-1:]
+    lines = [re.sub(r" \(choose from .*\)", "", line) for line in lines]  # grows with the commands
+    lines = [re.sub(r"\d+ SDO answers to \d+", "N SDO answers to M", line) for line in lines]
+    lines = [re.sub(r"allowed here: .*", "allowed here: ...", line) for line in lines]
     return "<br>".join(re.sub(r"\s+", " ", line).replace("|", r"\|") for line in lines)
-
-
-def copy_of(source: Path, target: Path) -> None:
-    """Shipped files, for a look by hand."""
-    shutil.copytree(source, target, dirs_exist_ok=True)

@@ -151,9 +151,9 @@ def test_a_model_edited_by_hand_is_noticed_and_units_mistaken_are_absurd(tmp_pat
     write_model(path, read_model(CONFIGS / "models" / "table1.yaml"))
     assert read_model(path).content_hash is not None
     path.write_text(path.read_text().replace("0.025", "0.026"))
-    assert "content_hash does not match" in errors_of(path, read_model)
-    path.write_text(MODEL.replace("{value: 0.003, source: \"paper", "{value: 3, source: \"paper"))
-    assert "delay_s.value: 3 is outside 0 .. 0.1" in errors_of(path, read_model)
+    assert "content_hash: does not match" in errors_of(path, read_model)
+    path.write_text(MODEL.replace("delay_s: {value: 0.00275", "delay_s: {value: 2.75"))
+    assert "delay_s.value: 2.75 is outside 0 .. 0.1" in errors_of(path, read_model)
 
 
 def test_the_record_of_the_simulated_drive_is_its_dataclass():

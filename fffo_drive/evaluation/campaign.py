@@ -1,0 +1,169 @@
+"""Many runs on the simulated drive in process: cases, each a seed with all its controllers, over all cores."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from typing import NamedTuple
+
+from ..control.controller import ControllerConfig
+from ..control.envelope import TRIP_NONE, TRIP_TEXTS
+from ..control.reference import Profile
+from ..drive.simulated.in_process import SimulatedDrive
+from ..drive.simulated.parameters import DeviceConfig, PlantConfig
+from ..recording.ring_reader import RingReader
+from ..runtime import blocks as b
+from ..runtime.session import Session, SessionConfig
+from .measures import Measures, Yardstick, measure
+from .metrics import Floats, Rows
+from .trace import Trace, trace_of
+
+
+class Candidate(NamedTuple):
+    """A controller under test."""
+
+    name: str
+    toggle: int  # friction_observer.TOGGLE_*
+    controller: ControllerConfig
+
+
+class Case(NamedTuple):
+    """One seed: the same axis, noise and reference for every candidate."""
+
+    seed: int
+    plant: PlantConfig  # its seed is the case's
+    device: DeviceConfig
+    session: SessionConfig  # the controller in it is replaced by the candidate's
+    profile: Profile
+    candidates: tuple[Candidate, ...]
+    yardstick: Yardstick
+    cutouts_s: tuple[tuple[float, float], ...]  # start and end of what is kept to be looked at
+
+
+class Cutout(NamedTuple):
+    """A piece of a run, arrays (n,)."""
+
+    start_s: float
+    period_s: float
+    reference_rps: Floats
+    velocity_rps: Floats  # the shaft's where it is known, else the measured one
+
+
+class Evaluation(NamedTuple):
+    """One run, measured. `measures` is None when the envelope tripped before anything could be."""
+
+    candidate: str
+    seed: int
+    trip: int
+    measures: Measures | None
+    cutouts: tuple[Cutout, ...]
+
+    @property
+    def fault_text(self) -> str | None:
+        """Why the run does not count; None when it does."""
+        if self.trip != TRIP_NONE:
+            return TRIP_TEXTS[self.trip]
+        return None if self.measures is not None else "the profile did not run"
+
+
+def simulate(case: Case, candidate: Candidate) -> tuple[Rows, int]:
+    """Rows of one run, and the trip that ended it (envelope.TRIP_*)."""
+    drive = SimulatedDrive(case.plant, case.device)
+    drive.connect()
+    session = Session(drive, case.session._replace(controller=candidate.controller))
+    session.run_profile(case.profile, candidate.toggle)
+    return RingReader(session.ring).read().rows, session.status(b.TRIP)
+
+
+def run_case(case: Case) -> list[Evaluation]:
+    """All candidates of a case, one after the other."""
+    return [_evaluate(case, candidate) for candidate in case.candidates]
+
+
+def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
+    rows, trip = simulate(case, candidate)
+    if trip != TRIP_NONE:
+        return Evaluation(candidate.name, case.seed, trip, None, ())
+    trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
+    return Evaluation(candidate.name, case.seed, trip, measure(trace, case.yardstick), cut(trace, case.cutouts_s))
+
+
+def cut(trace: Trace, windows_s: tuple[tuple[float, float], ...]) -> tuple[Cutout, ...]:
+    """Pieces of a run."""
+    velocity_rps = trace.measured_rps if trace.true_rps is None else trace.true_rps
+    pieces = []
+    for start_s, end_s in windows_s:
+        span = slice(round(start_s / trace.period_s), round(end_s / trace.period_s))
+        pieces.append(Cutout(start_s, trace.period_s, trace.reference_rps[span].copy(), velocity_rps[span].copy()))
+    return tuple(pieces)
+
+
+def warm_up(case: Case) -> None:
+    """Compile here what the workers need, so that they load it: two compiling at once take twice as long each."""
+    drive = SimulatedDrive(case.plant, case.device)
+    Session(drive, case.session._replace(longest_profile=1, ring_rows=1)).compile()
+
+
+def run_campaign(
+    cases: Iterable[Case], workers: int | None = None, progress: Callable[[int], None] | None = None
+) -> list[Evaluation]:
+    """All cases, in their order; `progress` gets the number of runs done. `workers`: None for all cores.
+
+    Cases are taken from the iterable as workers become free, so that they may be made one by one.
+    """
+    return [evaluation for found in map_cases(run_case, cases, workers, progress) for evaluation in found]
+
+
+def map_cases(
+    function: Callable[[Case], list[Evaluation]],
+    cases: Iterable[Case],
+    workers: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[list[Evaluation]]:
+    """`function` of each case in processes of their own, in the order of the cases."""
+    workers = workers or len(os.sched_getaffinity(0))
+    remaining: Iterator[Case] = iter(cases)
+    first = next(remaining, None)
+    if first is None:
+        return []
+    warm_up(first)
+    results: dict[int, list[Evaluation]] = {}
+    done = 0
+    if workers == 1:
+        for number, case in enumerate(_chained(first, remaining)):
+            results[number] = function(case)
+            done += len(results[number])
+            if progress is not None:
+                progress(done)
+        return [results[number] for number in sorted(results)]
+    # spawned, not forked: a forked process would inherit the locks of threads that it does not have
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        pending: dict[Future[list[Evaluation]], int] = {}
+        for number, case in enumerate(_chained(first, remaining)):
+            pending[pool.submit(function, case)] = number
+            while len(pending) >= 2 * workers:
+                done = _collect(pending, results, done, progress)
+        while pending:
+            done = _collect(pending, results, done, progress)
+    return [results[number] for number in sorted(results)]
+
+
+def _chained(first: Case, remaining: Iterator[Case]) -> Iterator[Case]:
+    yield first
+    yield from remaining
+
+
+def _collect(
+    pending: dict[Future[list[Evaluation]], int],
+    results: dict[int, list[Evaluation]],
+    done: int,
+    progress: Callable[[int], None] | None,
+) -> int:
+    for future in wait(pending, return_when=FIRST_COMPLETED).done:
+        results[pending.pop(future)] = future.result()
+        done += len(future.result())
+    if progress is not None:
+        progress(done)
+    return done

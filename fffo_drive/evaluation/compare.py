@@ -1,0 +1,72 @@
+"""Controllers against each other over seeds: means with intervals, and ratios of runs that saw the same noise.
+
+Seeds vary the reference's phases as well, so that much of the scatter is common to all controllers: ratios are taken
+between runs of one seed, and their intervals come from resampling seeds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from .metrics import Floats
+
+LEVEL = 0.95
+RESAMPLES = 10_000
+
+
+class Interval(NamedTuple):
+    """A figure and its 95 % interval; both ends NaN with a single seed."""
+
+    value: float
+    low: float
+    high: float
+
+    def overlaps(self, other: Interval) -> bool:
+        """True when the intervals share a point, and when one of them is not known."""
+        return not (self.high < other.low or other.high < self.low)
+
+
+def mean_interval(values: Floats) -> Interval:
+    """Mean of independent values (n,) with Student's interval."""
+    mean = float(values.mean())
+    if values.size < 2:
+        return Interval(mean, float("nan"), float("nan"))
+    half = float(student_t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
+    return Interval(mean, mean - half, mean + half)
+
+
+def ratio_interval(values: Floats, others: Floats) -> Interval:
+    """Ratio of the means of paired values (n,), with the percentile interval of resampled seeds."""
+    total = float(others.mean())
+    if total == 0.0:
+        return Interval(float("nan"), float("nan"), float("nan"))
+    ratio = float(values.mean()) / total
+    if values.size < 2:
+        return Interval(ratio, float("nan"), float("nan"))
+    draws = np.random.default_rng(0).integers(0, values.size, (RESAMPLES, values.size))
+    ratios = values[draws].mean(axis=1) / others[draws].mean(axis=1)
+    low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    return Interval(ratio, float(low), float(high))
+
+
+class MetricComparison(NamedTuple):
+    """One metric of all controllers, by name."""
+
+    absolute: dict[str, Interval]
+    percent: dict[str, Interval]  # of the smallest, as Table II has it
+    smallest: str
+
+
+def compare_metric(values: dict[str, Floats]) -> MetricComparison:
+    """Compare paired values (seeds,) by controller. Raises ValueError when there is none."""
+    if not values:
+        raise ValueError("no controller to compare")
+    smallest = min(values, key=lambda name: float(values[name].mean()))
+    percent = {}
+    for name, own in values.items():
+        ratio = ratio_interval(own, values[smallest])
+        percent[name] = Interval(100.0 * ratio.value, 100.0 * ratio.low, 100.0 * ratio.high)
+    return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, smallest)

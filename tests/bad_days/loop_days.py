@@ -1,0 +1,188 @@
+"""The bad days of the loop, each a script for `world.World`, and what is told of them. Run by `run_all`, interpreted."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import time
+from collections.abc import Callable
+
+import numpy as np
+from bad_days.world import NS_PER_MS, PERIOD_NS, RPDO1, SYNC, TPDO1, Day, World, live
+
+from fffo_drive.can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, Frame, pack_frame
+from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+
+US = 1_000
+BEGIN, BACK, TICKS = 200, 260, 480  # by BEGIN the drive is enabled and the profile runs
+ENOBUFS, ENETDOWN = 105, 100
+
+Effect = Callable[[bytes, int], list[tuple[int, bytes]]]
+
+
+def on(world: World, can_id: int, first: int, ticks: int, effect: Effect) -> None:
+    """Let something happen to frames of one identifier during some ticks, in either direction."""
+
+    def wire(frame: Frame, raw: bytes, flight_ns: int) -> list[tuple[int, bytes]]:
+        if frame.can_id == can_id and first <= world.tick < first + ticks:
+            return effect(raw, flight_ns)
+        return [(flight_ns, raw)]
+
+    if can_id in (RPDO1, SYNC):
+        world.to_drive = wire
+    else:
+        world.to_host = wire
+
+
+def delayed(extra_us: int) -> Effect:
+    return lambda raw, flight_ns: [(flight_ns + extra_us * US, raw)]
+
+
+def lost(raw: bytes, flight_ns: int) -> list[tuple[int, bytes]]:
+    return []
+
+
+def instead(frame: bytes) -> Effect:
+    return lambda raw, flight_ns: [(flight_ns, frame)]
+
+
+def quiet(world: World) -> None:
+    pass
+
+
+def late(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, delayed(300))  # beyond the cut-off, before the next SYNC
+
+
+def a_period_late(world: World) -> None:
+    """The drive is held up: this answer comes after the next SYNC, and the next one after it, as on a real bus."""
+    extra_us = {BEGIN: 600, BEGIN + 1: 110}
+    on(world, TPDO1, BEGIN, 2, lambda raw, flight_ns: [(flight_ns + extra_us[world.tick] * US, raw)])
+
+
+def duplicate(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, lambda raw, flight_ns: [(flight_ns, raw), (flight_ns + 10 * US, raw)])
+
+
+def reordered(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, delayed(600))  # behind the answer to the next SYNC
+
+
+def missing_once(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, lost)
+
+
+def missing_for_good(world: World) -> None:
+    on(world, TPDO1, BEGIN, 10_000, lost)
+
+
+def short(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, bytes(7))))
+
+
+def extended(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, struct.pack("<ii", 2**30, 2**30), extended=True)))
+
+
+def remote(world: World) -> None:
+    on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, bytes(8), remote=True)))
+
+
+def sync_lost_once(world: World) -> None:
+    on(world, SYNC, BEGIN, 1, lost)
+
+
+def sync_lost_for_good(world: World) -> None:
+    on(world, SYNC, BEGIN, 10_000, lost)
+
+
+def commands_lost(world: World) -> None:
+    on(world, RPDO1, BEGIN, 10_000, lost)
+
+
+def send_queue_full(world: World) -> None:
+    world.at = [(BEGIN, _refuse(ENOBUFS)), (BEGIN + 3, _refuse(0))]
+
+
+def interface_gone(world: World) -> None:
+    world.at = [(BEGIN, _refuse(ENETDOWN)), (BACK, _refuse(0))]
+
+
+def _refuse(error: int) -> Callable[[World], None]:
+    return lambda world: setattr(world, "refusal", error)
+
+
+def bus_off(world: World) -> None:
+    """The controller says so, and nothing reaches us until it says that it is back."""
+    world.at = [
+        (BEGIN, lambda w: w.say(ERROR_BUS_OFF, error=True)),
+        (BACK, lambda w: w.say(ERROR_RESTARTED, error=True)),
+    ]
+    world.to_host = lambda frame, raw, flight_ns: [] if BEGIN <= world.tick < BACK else [(flight_ns, raw)]
+
+
+def stopped_shortly(world: World) -> None:
+    world.stalls = {BEGIN: 10 * PERIOD_NS + 150 * US}
+
+
+def stopped_long(world: World) -> None:
+    world.stalls = {BEGIN: 400 * NS_PER_MS}
+
+
+def rebooted(world: World) -> None:
+    world.at = [(BEGIN, lambda w: w.node.faults.inject(Fault(FaultKind.REBOOT, duration_s=0.002)))]
+
+
+def clock_stepped(world: World) -> None:
+    """CLOCK_REALTIME is not only stepped: nobody may even read it."""
+
+    def read() -> int:
+        raise AssertionError("the loop read the wall clock")
+
+    time.time = time.time_ns = read  # type: ignore[assignment]
+
+
+DAYS = (
+    quiet, late, a_period_late, duplicate, reordered, missing_once, missing_for_good, short, extended, remote,
+    sync_lost_once, sync_lost_for_good, commands_lost, send_queue_full, interface_gone, bus_off, stopped_shortly,
+    stopped_long, rebooted, clock_stepped,
+)  # fmt: skip
+
+
+def told(day: Day) -> dict[str, object]:
+    """What the tests want to know."""
+    world, rows = day.world, day.rows
+    ages = rows["velocity_age"].astype(int)
+    held = ages[1:] > 0
+    commands = [(tick, *struct.unpack("<Hh", frame.data)) for tick, frame in world.sent if frame.can_id == RPDO1]
+    trip_tick = int(rows["tick"][np.argmax(rows["trip"] != 0)]) if day.trip else -1
+    woke_ns = rows["deadline_ns"] + rows["lateness_ns"]
+    return {
+        "counts": {k: v for k, v in day.statistics.items() if isinstance(v, int) and v and k != "ticks"},
+        "trip": day.trip,
+        "trip_tick": trip_tick,
+        "oldest": int(ages.max()),
+        "held_but_changed": int(np.count_nonzero(rows["velocity_rps"][1:][held] != rows["velocity_rps"][:-1][held])),
+        "torque_after_trip": sum(torque != 0 for tick, _, torque in commands if day.trip and tick >= trip_tick),
+        "away": [tick for tick, _ in world.sent if BEGIN <= tick < BACK],
+        "first_back": next(((word, torque) for tick, word, torque in commands if tick >= BACK), None),
+        "applied_back": sum(torque != 0 for tick, torque in world.torques if tick >= BACK),
+        "smallest_gap": float(np.diff(woke_ns).min() / PERIOD_NS),
+        "profile_shift": len(np.unique((rows["tick"].astype(int) - rows["profile_sample"])[BEGIN - 50 :])) - 1,
+        "drive_state": world.node.drive.state,
+        "rows": hashlib.sha256(rows.tobytes()).hexdigest(),
+    }
+
+
+def run_all() -> list[dict[str, object]]:
+    """All days."""
+    clocks = time.time, time.time_ns
+    found = []
+    for day in DAYS:
+        world = World()
+        day(world)
+        try:
+            found.append({"day": day.__name__, **told(live(world, ticks=TICKS))})
+        finally:
+            time.time, time.time_ns = clocks
+    return found
