@@ -1,4 +1,4 @@
-"""What a report says: verdict, tables of numbers with intervals, figures, provenance. `report.json` is this, for programs.
+"""What a report says: verdict, tables of numbers with intervals, figures, provenance; report.json is this for programs.
 
 The page and the JSON file are made from the same records, so they cannot tell different things.
 """
@@ -20,7 +20,6 @@ from .. import __version__
 from ..documents import Record
 from .figures import Figure
 
-FORMAT = "fffo_drive/report/1"
 VERSIONED = ("numpy", "numba", "scipy")
 
 Standing = Literal["good", "caution", "bad"]
@@ -107,7 +106,7 @@ class FigureEntry(Record):
 class ReportFile(Record):
     """report.json."""
 
-    format: Literal["fffo_drive/report/1"] = FORMAT
+    format: Literal["fffo_drive/report/1"] = "fffo_drive/report/1"
     kind: str
     title: str
     verdict: Verdict

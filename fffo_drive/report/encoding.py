@@ -64,12 +64,14 @@ def _data_bytes(encoded: list[dict[str, Any]]) -> int:
 
 
 def _figure(figure: Figure, most: int) -> dict[str, Any]:
+    abscissae = [series.abscissae for series in figure.series]
     return {
         "name": figure.name,
         "kind": figure.kind,
         "title": figure.title,
         "x": _axis(figure.x),
         "y": _axis(figure.y),
+        "extent": [min(float(x.min()) for x in abscissae), max(float(x.max()) for x in abscissae)],
         "height": figure.height_px,
         "group": figure.group,
         "shareY": figure.share_y,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -136,13 +137,13 @@ def histogram(name: str, values: Floats, edges: Floats, colour: str, draw: Draw 
 
 
 def normal_curve(name: str, values: Floats, edges: Floats) -> Series:
-    """What `histogram` would show were the values normal, with their own mean and standard deviation."""
+    """What `histogram` would show were the values normal, with the same mean and deviation (NaN where it is 0)."""
     centres = 0.5 * (edges[1:] + edges[:-1])
-    deviation = float(values.std())
-    if deviation == 0.0:
-        raise ValueError("the values do not vary: there is no normal curve for them")
-    density = np.exp(-0.5 * ((centres - values.mean()) / deviation) ** 2) / (deviation * np.sqrt(2.0 * np.pi))
-    return Series(name, centres, 100.0 * density * np.diff(edges), "ink", dash="dashed", weight=1.2)
+    deviation = float(values.std()) or math.nan
+    distance = (centres - float(values.mean())) / deviation
+    scale = 100.0 / (deviation * math.sqrt(2.0 * math.pi))
+    share: Floats = np.asarray(scale * np.exp(-0.5 * distance * distance) * np.diff(edges), dtype=np.float64)
+    return Series(name, centres, share, "ink", dash="dashed", weight=1.2)
 
 
 class Group(NamedTuple):
@@ -162,7 +163,7 @@ def grouped_bars(groups: Mapping[str, Group], marks: Mapping[str, Sequence[float
     heights: list[float] = []
     for number, (name, group) in enumerate(groups.items()):
         offset = (number - 0.5 * (len(groups) - 1)) * pitch
-        x = np.arange(len(group.values)) + offset
+        x = np.arange(len(group.values), dtype=np.float64) + offset
         low, high = (None if end is None else np.asarray(end, dtype=np.float64) for end in (group.low, group.high))
         y = np.asarray(group.values, dtype=np.float64)
         series.append(Series(name, x, y, group.colour, "bars", low=low, high=high, bar_width=0.9 * pitch))

@@ -1,7 +1,7 @@
 """Colours of the reports, for light and dark paper; page and static figures take them from here.
 
-The first three hues keep apart under the common colour deficiencies, and no figure relies on hue alone: series also
-differ in dash or marker and carry their names.
+Orange, green and blue keep apart under the common colour deficiencies and, by lightness, on grey prints. No figure
+relies on colour alone: series also differ in dash, weight or marker and carry their names.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ FURNITURE = {
 # colours of series
 SERIES = {
     "ink": Colour("#16181b", "#e9ebee"),
-    "orange": Colour("#cc4b0c", "#ff8b52"),
+    "orange": Colour("#dd5d10", "#ff9a66"),
     "green": Colour("#0b8264", "#43c79f"),
-    "blue": Colour("#1f5fbf", "#76abff"),
+    "blue": Colour("#1a54b0", "#5b96f5"),
     "purple": Colour("#8546b5", "#c493f0"),
     "grey": Colour("#747c86", "#8f98a3"),
 }

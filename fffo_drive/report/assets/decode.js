@@ -49,17 +49,6 @@ const Data = (() => {
     return i > 0 && (i >= s.y.length || x - s.x(i - 1) < s.x(i) - x) ? i - 1 : i;
   }
 
-  /* [min, max] of the abscissae of some series. */
-  function extent(all) {
-    let min = Infinity, max = -Infinity;
-    for (const s of all) {
-      const last = (s.xs ? s.xs.length : s.y.length) - 1;
-      const every = s.sorted ? [0, last] : s.xs.keys();
-      for (const i of every) { min = Math.min(min, s.x(i)); max = Math.max(max, s.x(i)); }
-    }
-    return [min, max];
-  }
-
   /* [min, max] of the ordinates in view, intervals included; null when nothing is. */
   function range(all, xMin, xMax, positive) {
     let min = Infinity, max = -Infinity;
@@ -76,5 +65,5 @@ const Data = (() => {
     return max >= min ? [min, max] : null;
   }
 
-  return { series, inView, nearest, extent, range };
+  return { series, inView, nearest, range };
 })();

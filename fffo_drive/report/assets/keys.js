@@ -2,7 +2,7 @@
 (() => {
   "use strict";
 
-  JSON.parse(document.getElementById("figure-data").textContent).forEach(Plots.make);
+  Plots.makeAll(JSON.parse(document.getElementById("figure-data").textContent));
 
   function step(plot, direction) {
     const { u } = plot, width = u.over.clientWidth;

@@ -21,13 +21,15 @@ const Paint = (() => {
   /* A line through every point, or through the extremes of each pixel column when there are many points to a pixel. */
   function traceLine(ctx, s, from, to, X, Y) {
     const dense = s.sorted && to - from > 4 * Math.abs(X(s.x(to - 1)) - X(s.x(from)));
-    let pen = false, column = NaN, low = 0, high = 0, last = 0;
+    const bridged = s.bucket > 1 ? 0 : 20; // a few samples that are missing do not break a line, a stretch of them does
+    let pen = false, missing = 0, column = NaN, low = 0, high = 0, last = 0;
     const flush = () => { ctx.lineTo(column, low); ctx.lineTo(column, high); ctx.lineTo(column, last); };
     for (let i = from; i < to; i++) {
       if (Number.isNaN(s.y[i])) {
-        if (s.bucket > 1 || s.breaks) pen = false; // a sample that is missing is bridged, a stretch of them is not
+        if (++missing > bridged && pen) { if (dense) flush(); pen = false; column = NaN; }
         continue;
       }
+      missing = 0;
       const x = X(s.x(i)), y = Y(s.y[i]);
       if (!dense) { pen ? ctx.lineTo(x, y) : ctx.moveTo(x, y); pen = true; continue; }
       const here = Math.round(x);
@@ -122,9 +124,19 @@ const Paint = (() => {
 
   function levels(u, figure) {
     const ctx = u.ctx, px = uPlot.pxRatio, { left, top, width, height } = u.bbox;
-    ctx.strokeStyle = ctx.fillStyle = variable("quiet");
+    ctx.strokeStyle = variable("text");
     ctx.lineWidth = px;
     ctx.font = font(11 * px);
+    ctx.textBaseline = "middle";
+    const say = (text, x, y) => {
+      const wide = ctx.measureText(text).width + 6 * px, from = ctx.textAlign === "left" ? x - 3 * px : x - wide + 3 * px;
+      ctx.globalAlpha = 0.85;
+      ctx.fillStyle = variable("paper");
+      ctx.fillRect(from, y - 8 * px, wide, 15 * px);
+      ctx.globalAlpha = 1;
+      ctx.fillStyle = variable("text");
+      ctx.fillText(text, x, y);
+    };
     for (const level of figure.levels) {
       const p = Math.round(mapper(u, level.upright ? "x" : "y")(level.value)) + 0.5;
       ctx.setLineDash([4 * px, 3 * px]);
@@ -134,8 +146,8 @@ const Paint = (() => {
       ctx.setLineDash([]);
       const beyond = level.upright && p > left + 0.6 * width;
       ctx.textAlign = level.upright && !beyond ? "left" : "right";
-      if (level.upright) ctx.fillText(level.label, p + (beyond ? -4 : 4) * px, top + 12 * px);
-      else ctx.fillText(level.label, left + width - 4 * px, p - 4 * px);
+      if (level.upright) say(level.label, p + (beyond ? -5 : 5) * px, top + 12 * px);
+      else say(level.label, left + width - 5 * px, p - 9 * px);
     }
   }
 

@@ -14,7 +14,7 @@ const Plots = (() => {
   function fullX(figure) {
     if (figure.x.limits) return figure.x.limits;
     if (figure.x.categories.length) return [-0.6, figure.x.categories.length - 0.4];
-    const [min, max] = Data.extent(figure.series);
+    const [min, max] = figure.extent;
     const pad = figure.kind === "xy" && !figure.x.log ? 0.03 * (max - min) : 0;
     return [min - pad, max + pad];
   }
@@ -22,17 +22,20 @@ const Plots = (() => {
   function rangeY(plot, xMin, xMax) {
     const { figure } = plot, whole = xMin <= plot.full[0] && xMax >= plot.full[1];
     if (figure.y.limits && whole) return figure.y.limits;
-    const all = figure.shareY ? inGroup(plot).filter((p) => p.figure.shareY).flatMap((p) => p.figure.series) : figure.series;
+    const all = figure.shareY ? inGroup(plot).filter((p) => p.figure.shareY && p.figure.y.text === figure.y.text).flatMap((p) => p.figure.series) : figure.series;
     const found = Data.range(all, xMin, xMax, figure.y.log);
     let [min, max] = found || (figure.y.log ? [0.1, 1] : [0, 1]);
     for (const level of figure.levels) if (!level.upright) { min = Math.min(min, level.value); max = Math.max(max, level.value); }
-    if (figure.y.log) return [10 ** Math.floor(Math.log10(min)), 10 ** Math.ceil(Math.log10(max * 1.01))];
+    if (figure.y.log) return [10 ** Math.floor(Math.log10(min)), 10 ** Math.ceil(Math.log10(max) - 1e-6)];
     const grounded = figure.kind === "histogram" || figure.kind === "bars";
     const pad = 0.06 * (max - min || Math.abs(max) || 1);
     return grounded ? [Math.min(0, min), max + pad] : [min - pad, max + pad];
   }
 
-  function axis(side, spec, extra) {
+  const GROUP_AXIS = 52; // figures that zoom together stand with their ordinates one above the other
+
+  function axis(side, spec, group, extra) {
+    const ordinate = group ? GROUP_AXIS : (u, values) => 14 + 6.6 * Math.max(2, ...(values || []).map((v) => (v ? v.length : 0)));
     return {
       side,
       scale: side === 2 ? "x" : "y",
@@ -42,7 +45,7 @@ const Plots = (() => {
       font: Paint.font(11.5),
       labelGap: side === 3 ? 2 : 0,
       gap: 4,
-      size: side === 2 ? 28 : (u, values) => 14 + 6.6 * Math.max(2, ...(values || []).map((v) => (v ? v.length : 0))),
+      size: side === 2 ? 28 : ordinate,
       stroke: () => Paint.variable("quiet"),
       grid: { stroke: () => Paint.variable("grid"), width: 1 },
       ticks: { stroke: () => Paint.variable("rule"), width: 1, size: 4 },
@@ -50,35 +53,56 @@ const Plots = (() => {
     };
   }
 
+  /* Powers of ten in view, and 1-2-5 between them when less than two decades are. */
+  function decades(u, number, min, max) {
+    const found = [], fine = max / min < 100 ? [1, 2, 5] : [1];
+    for (let e = Math.floor(Math.log10(min)); e <= Math.ceil(Math.log10(max)); e++)
+      for (const f of fine) { const v = f * 10 ** e; if (v >= min * 0.999 && v <= max * 1.001) found.push(v); }
+    return found;
+  }
+
   function axes(figure) {
     const categories = figure.x.categories;
     const named = { splits: () => categories.map((_, i) => i), values: (u, at) => at.map((i) => categories[i]), grid: { show: false }, ticks: { show: false } };
     const minus = (u, splits) => splits.map((v) => (v === null ? null : String(+v.toPrecision(8)).replace("-", "−")));
-    const power = (u, splits) => splits.map((v) => (v === null ? null : v >= 1e-3 && v < 1e5 ? String(+v.toPrecision(3)) : "1e" + Math.round(Math.log10(v)).toString().replace("-", "−")));
-    const values = (spec) => ({ values: spec.log ? power : minus });
-    return [axis(2, figure.x, categories.length ? named : { space: 60, ...values(figure.x) }), axis(3, figure.y, { space: 34, ...values(figure.y) })];
+    const power = (u, splits) => splits.map((v) => (v >= 1e-3 && v < 1e5 ? String(+v.toPrecision(3)) : "1e" + Math.round(Math.log10(v)).toString().replace("-", "−")));
+    const kind = (spec, space) => (spec.log ? { splits: decades, filter: (u, splits) => splits, values: power } : { space, values: minus });
+    return [axis(2, figure.x, figure.group, categories.length ? named : kind(figure.x, 60)), axis(3, figure.y, figure.group, kind(figure.y, 34))];
   }
 
+  /* uPlot sets scales later, in one go: what is in view is therefore kept here. */
   function setX(plot, min, max) {
     const [low, high] = plot.full;
     const width = Math.min(high - low, Math.max(max - min, (high - low) * 1e-5));
     const start = Math.min(Math.max(min, low), high - width);
-    for (const other of inGroup(plot)) other.u.setScale("x", { min: start, max: start + width });
+    for (const other of inGroup(plot)) other.view = [start, start + width];
+    inGroup(plot).forEach(redraw);
   }
 
+  function redraw(plot) {
+    const [xMin, xMax] = plot.view, [yMin, yMax] = rangeY(plot, xMin, xMax);
+    plot.u.batch(() => {
+      plot.u.setScale("x", { min: xMin, max: xMax });
+      plot.u.setScale("y", { min: yMin, max: yMax });
+    });
+  }
+
+  /* On a logarithmic axis shares are shares of decades. */
+  const bend = (plot) => (plot.figure.x.log ? [Math.log10, (v) => 10 ** v] : [(v) => v, (v) => v]);
+
   function zoom(plot, factor, centre) {
-    const { min, max } = plot.u.scales.x;
-    const about = centre === undefined ? (min + max) / 2 : centre;
-    setX(plot, about - (about - min) * factor, about + (max - about) * factor);
+    const [to, back] = bend(plot), [min, max] = plot.view.map(to);
+    const about = centre === undefined ? (min + max) / 2 : to(centre);
+    setX(plot, back(about - (about - min) * factor), back(about + (max - about) * factor));
   }
 
   function move(plot, share) {
-    const { min, max } = plot.u.scales.x;
-    setX(plot, min + share * (max - min), max + share * (max - min));
+    const [to, back] = bend(plot), [min, max] = plot.view.map(to), [low, high] = plot.full.map(to);
+    const by = Math.min(high - max, Math.max(low - min, share * (max - min)));
+    setX(plot, back(min + by), back(max + by));
   }
 
   const showAll = (plot) => setX(plot, ...plot.full);
-  const redraw = (plot) => plot.u.setScale("x", { min: plot.u.scales.x.min, max: plot.u.scales.x.max });
 
   function readOff(plot) {
     const { u, figure } = plot, left = u.cursor.left;
@@ -116,15 +140,14 @@ const Plots = (() => {
 
   function options(plot, width) {
     const { figure } = plot;
-    const right = plot.named ? Math.ceil(Paint.nameWidth(figure.series)) + 12 : 12;
     return {
       width,
       height: figure.height,
-      padding: [figure.spans.length ? 20 : 10, right, 0, 0],
+      padding: [figure.spans.length ? 20 : 10, plot.right, 0, 0],
       legend: { show: false },
       scales: {
-        x: { time: false, distr: figure.x.log ? 3 : 1, auto: false, min: plot.full[0], max: plot.full[1] },
-        y: { distr: figure.y.log ? 3 : 1, auto: true, range: (u) => rangeY(plot, u.scales.x.min ?? plot.full[0], u.scales.x.max ?? plot.full[1]) },
+        x: { time: false, distr: figure.x.log ? 3 : 1, auto: false, range: (u, min, max) => [min, max] },
+        y: { distr: figure.y.log ? 3 : 1, auto: false, range: () => rangeY(plot, ...plot.view) },
       },
       axes: axes(figure),
       series: [{}, { show: true, stroke: "transparent", points: { show: false } }],
@@ -157,7 +180,7 @@ const Plots = (() => {
   }
 
   function csv(plot) {
-    const { min, max } = plot.u.scales.x, lines = [`series,${plot.figure.x.text.replace(/,/g, "")},${plot.figure.y.text.replace(/,/g, "")}`];
+    const [min, max] = plot.view, lines = [`series,${plot.figure.x.text.replace(/,/g, "")},${plot.figure.y.text.replace(/,/g, "")}`];
     for (const s of plot.figure.series) {
       if (!s.shown) continue;
       const [from, to] = Data.inView(s, min, max);
@@ -170,19 +193,29 @@ const Plots = (() => {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
 
-  function make(encoded) {
+  const named = (figure) => figure.series.length > 1 && figure.series.every((s) => s.draw === "line");
+
+  function make(encoded, right) {
     const box = document.getElementById("figure-" + encoded.name), host = box.querySelector(".plot");
     const figure = { ...encoded, series: encoded.series.map(Data.series) };
-    const lines = figure.series.every((s) => s.draw === "line");
-    const plot = { figure, host, full: fullX(figure), named: lines && figure.series.length > 1 };
+    const full = fullX(figure);
+    const plot = { figure, host, full, view: full, named: named(figure), right };
     made.push(plot);
     legend(plot, box.querySelector(".legend"));
     box.querySelector(".detail").textContent = detail(figure);
     plot.u = new uPlot(options(plot, host.clientWidth), [[...plot.full], [null, null]], host);
     const actions = { in: () => zoom(plot, 0.5), out: () => zoom(plot, 2), all: () => showAll(plot), csv: () => csv(plot) };
     for (const button of box.querySelectorAll("[data-do]")) button.addEventListener("click", actions[button.dataset.do]);
-    return plot;
   }
 
-  return { make, made, zoom, move, showAll, redraw, readOff };
+  /* All figures; room for names at the right is that of the widest one in a group. */
+  function makeAll(figures) {
+    const room = (figure) => (named(figure) ? Math.ceil(Paint.nameWidth(figure.series)) + 12 : 12);
+    for (const figure of figures) {
+      const beside = figure.group ? figures.filter((other) => other.group === figure.group) : [figure];
+      make(figure, Math.max(...beside.map(room)));
+    }
+  }
+
+  return { makeAll, made, zoom, move, showAll, redraw, readOff };
 })();

@@ -1,0 +1,311 @@
+"""The report of a bench: what the friction observer was worth against PI, and whether the loop was sound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..drive.port import ExchangeCounts
+from ..evaluation.metrics import (
+    PAPER_TABLE_2,
+    ErrorMetrics,
+    Rows,
+    TickStatistics,
+    percent_of_smallest,
+    run_metrics,
+    tick_statistics,
+)
+from ..recording.reader import Run
+from . import bench_figures as draw
+from .document import (
+    Cell,
+    Column,
+    Provenance,
+    Report,
+    Row,
+    Section,
+    Table,
+    Verdict,
+    count,
+    number,
+    provenance,
+    source_file,
+)
+from .figures import Figure
+from .intervals import Interval, ratio_intervals
+from .page import ReportPaths, write_report
+
+Intervals = dict[str, dict[str, Interval]]
+
+PICTURE_NAMES = ("bench.svg", "bench.png")
+STRETCH_S = 1.0
+UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
+SOUND_LATE_SHARE = 0.01
+SOUND_MISSING_SHARE = 0.01
+LATE_SHARE_OF_PERIOD = 0.2
+
+
+class BenchRecord(NamedTuple):
+    """One controller's run as it was read back, in the order of its files."""
+
+    parts: tuple[Run, ...]
+    exchange: ExchangeCounts = ExchangeCounts()  # the port's counts, which are not in the rows
+    rows_lost: int = 0
+    late_share: float = LATE_SHARE_OF_PERIOD  # lateness of a late tick, of the period
+
+    @property
+    def rows(self) -> Rows:
+        """All rows of the run."""
+        return self.parts[0].rows if len(self.parts) == 1 else np.concatenate([part.rows for part in self.parts])
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """What stands at the head of the first file."""
+        return self.parts[0].metadata
+
+
+class BenchResult(NamedTuple):
+    """What the records say."""
+
+    data: draw.BenchData
+    metrics: dict[str, ErrorMetrics]
+    ticks: dict[str, TickStatistics]
+    rows_lost: dict[str, int]
+    intervals: Intervals
+    late_us: float
+
+
+def evaluate(records: Mapping[str, BenchRecord]) -> BenchResult:
+    """Metrics, ticks and intervals of the runs. Raises ValueError when the runs do not share one profile."""
+    profiles = {(r.metadata.get("period_s", "?"), r.metadata.get("profile_samples", "?")) for r in records.values()}
+    if len(profiles) != 1 or "?" in next(iter(profiles)):
+        raise ValueError(f"a bench compares runs of one profile; these have (period, samples) {sorted(profiles)}")
+    period_text, samples_text = next(iter(profiles))
+    period_s, samples = float(period_text), int(samples_text)
+    rows = {name: record.rows for name, record in records.items()}
+    data = draw.bench_data(rows, period_s, samples)
+    metrics = {name: run_metrics(run, period_s, samples) for name, run in rows.items()}
+    errors = {name: data.error_rps(name) for name in rows}
+    best = {key: min(metrics, key=lambda name: getattr(metrics[name], key)) for key in ErrorMetrics._fields}
+    return BenchResult(
+        data,
+        metrics,
+        {name: tick_statistics(run, records[name].exchange) for name, run in rows.items()},
+        {name: record.rows_lost for name, record in records.items()},
+        ratio_intervals(errors, best, max(1, round(STRETCH_S / period_s))),
+        1e6 * period_s * next(iter(records.values())).late_share,
+    )
+
+
+def bench_report(records: Mapping[str, BenchRecord]) -> Report:
+    """The report of the runs by controller; those of the paper are called PI, PI+FBFO and PI+FFFO."""
+    result = evaluate(records)
+    cutouts = draw.choose_cutouts(result.data.reference_rps, result.data.period_s)
+    head = next(iter(records.values())).metadata
+    seconds = result.data.reference_rps.size * result.data.period_s
+    return Report(
+        kind="bench",
+        title=f"Bench of {', '.join(records)}",
+        subtitle=(
+            f"Axis {head.get('axis', 'unnamed')}, {head.get('drive', 'drive not named')}: the same "
+            f"{seconds:g} s of reference velocity under each controller, at {1.0 / result.data.period_s:g} Hz."
+        ),
+        verdict=_verdict(result),
+        tables=(_metrics_table(result), _ticks_table(result)),
+        sections=_sections(result, cutouts),
+        provenance=_provenance(records),
+        results=_results(result),
+    )
+
+
+def write_bench_report(records: Mapping[str, BenchRecord], directory: Path) -> ReportPaths:
+    """Write report.html, report.json, bench.svg and bench.png into the directory of the runs."""
+    from .static import write_overview
+
+    report = bench_report(records)
+    paths = write_report(report, directory)
+    write_overview(overview_rows(report), [directory / name for name in PICTURE_NAMES])
+    return paths
+
+
+def overview_rows(report: Report) -> list[list[Figure]]:
+    """The figures of the one-page picture, row by row."""
+    by_name = {figure.name: figure for figure in report.figures}
+    cutouts = [figure for name, figure in by_name.items() if name.startswith("cutout-")]
+    histograms = [figure for name, figure in by_name.items() if name.startswith("histogram-")]
+    rows = [[by_name["profile"]], cutouts[:2], cutouts[2:], histograms]
+    return [row for row in [*rows, [by_name["metrics"], by_name["lateness"]]] if row]
+
+
+def _sections(result: BenchResult, cutouts: list[draw.Cutout]) -> tuple[Section, ...]:
+    data = result.data
+    friction = draw.friction_figures(data, cutouts)
+    sections = [
+        Section("Tracking", "Where the direction changes, PI waits for its integral to overcome the friction.",
+                (draw.profile_figure(data, cutouts), *draw.cutout_figures(data, cutouts))),
+        Section("Error", "Distribution of the velocity error, and its metrics.",
+                (*draw.histogram_figures(data), draw.metrics_figure(result.metrics, result.intervals),
+                 draw.exceedance_figure(data))),
+        Section("Whole run", "These figures zoom together.", (draw.velocity_figure(data), *draw.error_figures(data))),
+        Section("Friction estimate", "What the observer adds to the command, as torque.", tuple(friction)),
+        Section("Ticks", "Whether the loop kept time.",
+                (draw.lateness_figure(data, result.late_us), draw.turnaround_figure(data),
+                 *draw.lateness_courses(data, result.late_us))),
+    ]  # fmt: skip
+    return tuple(section for section in sections if section.figures)
+
+
+def _verdict(result: BenchResult) -> Verdict:
+    cautions = _cautions(result)
+    names = list(result.metrics)
+    if "PI" not in names or len(names) < 2:
+        best = min(names, key=lambda name: result.metrics[name].mae)
+        return Verdict(
+            standing="caution" if cautions else "good",
+            headline=f"{best} has the smallest mean error.",
+            cautions=cautions,
+        )
+    best = min((name for name in names if name != "PI"), key=lambda name: result.metrics[name].ise)
+    own, base = result.metrics[best], result.metrics["PI"]
+    if own.ise >= base.ise:
+        headline = f"PI alone is best: {best} brings the ISE to {own.ise / base.ise:.2f} times that of PI."
+        return Verdict(standing="bad", headline=headline, reasons=_reasons(result, names), cautions=cautions)
+    headline = (
+        f"{best} takes the squared error (ISE) of PI down to {_percent(own.ise, base.ise)} "
+        f"and the mean error (MAE) to {_percent(own.mae, base.mae)}."
+    )
+    return Verdict(
+        standing="caution" if cautions else "good",
+        headline=headline,
+        reasons=_reasons(result, names),
+        cautions=cautions,
+    )
+
+
+def _reasons(result: BenchResult, names: list[str]) -> list[str]:
+    """Whether the controllers come in the paper's order, one sentence for all metrics that agree."""
+    paper = [name for name in PAPER_TABLE_2 if name in names]
+    if len(paper) < 3:
+        return []
+    by_order: dict[str, list[str]] = {}
+    for key in ErrorMetrics._fields:
+        ranking = sorted(paper, key=lambda name: getattr(result.metrics[name], key))
+        published = sorted(paper, key=lambda name: PAPER_TABLE_2[name][key])
+        order = f"{' < '.join(ranking)}, {'as' if ranking == published else 'unlike'} in the paper"
+        by_order.setdefault(order, []).append(key.upper())
+    return [f"{', '.join(keys)}: {order}." for order, keys in by_order.items()]
+
+
+def _cautions(result: BenchResult) -> list[str]:
+    """What makes the comparison weaker than it looks."""
+    due = {name: ticks.ticks + ticks.skipped for name, ticks in result.ticks.items()}
+    untimely = {name: (ticks.late + ticks.skipped) / due[name] for name, ticks in result.ticks.items()}
+    unanswered = {name: ticks.missing_feedback / due[name] for name, ticks in result.ticks.items()}
+    cautions = []
+    if max(untimely.values()) > SOUND_LATE_SHARE:
+        cautions.append(f"Ticks late or skipped: {_shares(untimely)}.")
+        if max(untimely.values()) > 2.0 * min(untimely.values()):
+            cautions.append("The runs did not meet the same timing; on a quieter machine they compare better.")
+    if max(unanswered.values()) > SOUND_MISSING_SHARE:
+        cautions.append(f"SYNCs without an answer before the cut-off: {_shares(unanswered)}.")
+    if any(result.rows_lost.values()):
+        lost = ", ".join(f"{name} {rows}" for name, rows in result.rows_lost.items())
+        cautions.append(f"Rows that the recorder lost: {lost}.")
+    return cautions
+
+
+def _shares(shares: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {100.0 * share:.1f} %" for name, share in shares.items())
+
+
+def _percent(value: float, of: float) -> str:
+    return f"{100.0 * value / of:.0f} %" if of > 0 else "–"
+
+
+def _metrics_table(result: BenchResult) -> Table:
+    percent = percent_of_smallest(result.metrics)
+    columns: list[Column] = []
+    for name in result.metrics:
+        columns += [Column(label=label, group=name) for label in ("value", "% of best", "paper")]
+    rows = []
+    for key in ErrorMetrics._fields:
+        cells: list[Cell] = []
+        for name, metrics in result.metrics.items():
+            share = percent[name][key]
+            best = getattr(metrics, key) == min(getattr(other, key) for other in result.metrics.values())
+            end = result.intervals.get(name, {}).get(key)
+            interval = None if end is None or best else (100.0 * end.low, 100.0 * end.high)
+            paper = PAPER_TABLE_2.get(name, {}).get(key, float("nan"))
+            cells += [
+                number(getattr(metrics, key), best=best),
+                _share(share, interval),
+                number(paper),
+            ]
+        rows.append(Row(label=key.upper(), unit=UNITS[key], cells=cells))
+    return Table(
+        name="metrics", title="Velocity error",
+        note="Reference minus measured velocity over the profile. Per cent of the smallest, as in Table II of the "
+             "paper; below it the 95 % interval over which parts of the profile count (bootstrap of "
+             f"{STRETCH_S:g} s stretches, the same ones of every run). MAX is one sample and has none. "
+             "▸ marks the smallest.",
+        corner="metric", columns=columns, rows=rows,
+    )  # fmt: skip
+
+
+def _share(share: float, interval: tuple[float, float] | None) -> Cell:
+    if not np.isfinite(share):
+        return Cell(text="–")
+    low, high = interval or (None, None)
+    return Cell(text=f"{share:.0f}", value=share, low=low, high=high)
+
+
+def _ticks_table(result: BenchResult) -> Table:
+    columns = [
+        Column(label="ticks"), Column(label="late"), Column(label="skipped"), Column(label="no answer"),
+        Column(label="late answer"), Column(label="wire errors"), Column(label="median", unit="µs", group="lateness"),
+        Column(label="99 %", unit="µs", group="lateness"), Column(label="largest", unit="µs", group="lateness"),
+        Column(label="turnaround", unit="µs, median"), Column(label="rows lost"),
+    ]  # fmt: skip
+    rows = []
+    for name, t in result.ticks.items():
+        wire = t.bad_frames + t.dropped_frames + t.error_frames + t.bus_losses + t.send_errors
+        counts = [count(v) for v in (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback, wire)]
+        times = [number(v) for v in (t.lateness_us_p50, t.lateness_us_p99, t.lateness_us_max, t.turnaround_us_p50)]
+        rows.append(Row(label=name, cells=[*counts, *times, count(result.rows_lost[name])]))
+    return Table(
+        name="ticks", title="Ticks",
+        note=f"A tick is late from {result.late_us:g} µs after its deadline; one that is missed is skipped, never made "
+             "up for. Wire errors: bad, dropped and error frames, losses of the bus and frames that could not be sent.",
+        corner="controller", columns=columns, rows=rows,
+    )  # fmt: skip
+
+
+def _provenance(records: Mapping[str, BenchRecord]) -> Provenance:
+    parts = [part for record in records.values() for part in record.parts]
+    first = parts[0]
+    files = [source_file(part.path.name, part.path.read_bytes()) for part in parts]
+    files += [source_file(entry.name, entry.data, text=True) for entry in first.attachments.values()]
+    wanted = {
+        "begun": "recorded", "drive": "drive", "drive_serial": "serial", "kernels": "compiled code", "system": "system",
+        "tool": "recorder",
+    }  # fmt: skip
+    facts = {label: first.metadata[key] for key, label in wanted.items() if key in first.metadata}
+    torn = [part.reason for part in parts if not part.complete]
+    return provenance(files, facts | ({"torn": "; ".join(torn)} if torn else {}))
+
+
+def _results(result: BenchResult) -> dict[str, Any]:
+    return {
+        "metrics": {name: metrics._asdict() for name, metrics in result.metrics.items()},
+        "percent_of_smallest": percent_of_smallest(result.metrics),
+        "paper_percent": PAPER_TABLE_2,
+        "ratio_intervals": {
+            name: {key: end._asdict() for key, end in ends.items()} for name, ends in result.intervals.items()
+        },
+        "ticks": {
+            name: {**ticks._asdict(), "rows_lost": result.rows_lost[name]} for name, ticks in result.ticks.items()
+        },
+    }

@@ -1,0 +1,257 @@
+"""The report of an evaluation: controllers over seeds, Table II beside ours, speeds, lags, effort."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..evaluation.campaign import Evaluation
+from ..evaluation.compare import Interval
+from ..evaluation.measures import Yardstick
+from ..evaluation.metrics import PAPER_TABLE_2
+from ..evaluation.summary import Summary, as_object
+from .document import Cell, Column, Provenance, Report, Row, Section, Table, Verdict, number, significant
+from .figures import Axis, Dash, Figure, Group, Series, Uniform, grouped_bars
+from .page import ReportPaths, write_report
+
+METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}
+UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
+KINDS = {"measured": "measured velocity", "true": "true velocity"}
+PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
+COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
+DASHES: tuple[Dash, ...] = ("solid", "dashdot", "solid", "dashed", "dotted", "solid")
+VELOCITY = Axis("velocity", "rps")
+
+
+class EvaluationSource(NamedTuple):
+    """What is evaluated, and where it comes from."""
+
+    title: str
+    subtitle: str
+    yardstick: Yardstick
+    cautions: Sequence[str]
+    provenance: Provenance
+
+
+def write_evaluation_report(
+    source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation], directory: Path
+) -> ReportPaths:
+    """Write report.html and report.json into a directory that exists."""
+    return write_report(evaluation_report(source, summary, evaluations), directory)
+
+
+def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation]) -> Report:
+    """The report of a comparison."""
+    kinds = [kind for kind in KINDS if f"{kind}.ise" in summary.figures]
+    tables = [_table_2(summary)] if set(PAPER_NAMES) & set(summary.controllers) else []
+    tables += [_metrics_table(summary, kind) for kind in kinds]
+    tables += [_bands_table(summary, source.yardstick, kinds[-1]), _lag_table(summary, kinds), _effort_table(summary)]
+    sections = [
+        Section(
+            "Metrics", "Means over seeds; whiskers are 95 % intervals.", tuple(_bars(summary, kind) for kind in kinds)
+        ),
+        Section("Cut-outs", "The first seed.", tuple(_cutouts(evaluations))),
+        Section("Error histograms", "All seeds together.", tuple(_histograms(summary, source.yardstick, kinds))),
+    ]
+    return Report(
+        kind="evaluate",
+        title=source.title,
+        subtitle=source.subtitle,
+        verdict=_verdict(source, summary, kinds[-1]),
+        tables=tuple(tables),
+        sections=tuple(section for section in sections if section.figures),
+        provenance=source.provenance,
+        results=as_object(summary),
+    )
+
+
+def _verdict(source: EvaluationSource, summary: Summary, kind: str) -> Verdict:
+    comparison = summary.figures[f"{kind}.ise"]
+    ranking = sorted(summary.controllers, key=lambda name: comparison.absolute[name].value)
+    cautions = [*source.cautions, *summary.failures]
+    if len(summary.seeds) < 2:
+        cautions.append("One seed only: there are no intervals.")
+    if len(ranking) < 2:
+        headline = f"{ranking[0]} alone was evaluated."
+    else:
+        share = comparison.absolute[ranking[0]].value / comparison.absolute[ranking[-1]].value
+        headline = (
+            f"{ranking[0]} has the smallest squared error against {KINDS[kind]}: {significant(100.0 * share)} % of "
+            f"that of {ranking[-1]}."
+        )
+    order = f"ISE against {KINDS[kind]}: {' < '.join(ranking)}."
+    return Verdict(standing="caution" if cautions else "good", headline=headline, reasons=[order], cautions=cautions)
+
+
+def _percent(interval: Interval, best: bool = False) -> Cell:
+    text = significant(interval.value)
+    if np.isfinite(interval.low):
+        text += f" [{significant(interval.low)}, {significant(interval.high)}]"
+        return Cell(text=text, value=interval.value, low=interval.low, high=interval.high, best=best)
+    return Cell(text=text, value=interval.value, best=best)
+
+
+def _table_2(summary: Summary) -> Table:
+    """Table II: per cent of one controller, ours and the paper's side by side."""
+    base = summary.figures["measured.ise"].base
+    columns = []
+    for title in METRICS.values():
+        columns += [Column(label="here", unit="%", group=title), Column(label="paper", unit="%", group=title)]
+    rows = []
+    for controller in summary.controllers:
+        published = PAPER_TABLE_2.get(PAPER_NAMES.get(controller, ""))
+        cells = []
+        for key in METRICS:
+            comparison = summary.figures[f"measured.{key}"]
+            best = min(c.value for c in comparison.absolute.values()) == comparison.absolute[controller].value
+            cells.append(_percent(comparison.percent[controller], best))
+            cells.append(number(published[key]) if published else Cell(text="–"))
+        rows.append(Row(label=controller, cells=cells))
+    note = (
+        f"Per cent of {base}, over {len(summary.seeds)} seeds; in brackets 95 % intervals of the ratio, from resampled "
+        "seeds. MAX is one sample of a run: its order may change from seed to seed."
+    )
+    return Table(name="table-2", title="Table II", note=note, corner="Control", columns=columns, rows=rows)
+
+
+def _metrics_table(summary: Summary, kind: str) -> Table:
+    columns = [Column(label=title, unit=UNITS[key]) for key, title in METRICS.items()]
+    return Table(
+        name=f"metrics-{kind}", title=f"Error against {KINDS[kind]}", corner="Control", columns=columns,
+        note="Mean over seeds with its 95 % interval; seeds differ in noise and, for a multi-sine, in the reference.",
+        rows=_rows(summary, [f"{kind}.{key}" for key in METRICS]),
+    )  # fmt: skip
+
+
+def _rows(summary: Summary, names: Sequence[str]) -> list[Row]:
+    return [
+        Row(label=controller, cells=[_interval_cell(summary, name, controller) for name in names])
+        for controller in summary.controllers
+    ]
+
+
+def _interval_cell(summary: Summary, name: str, controller: str) -> Cell:
+    if name not in summary.figures:
+        return Cell(text="–")
+    interval = summary.figures[name].absolute[controller]
+    return _percent(interval)
+
+
+def _bands_table(summary: Summary, yardstick: Yardstick, kind: str) -> Table:
+    edges = yardstick.band_edges_rps
+    columns = [Column(label="near reversals", unit="rps")]
+    for low, high in itertools.pairwise(edges):
+        label = f"above {low:g}" if high == edges[-1] else f"{low:g} to {high:g}"
+        columns.append(Column(label=label, unit="rps", group="by the reference's speed"))
+    names = [f"{kind}.reversals.mae", *(f"{kind}.band{n}.mae" for n in range(len(edges) - 1))]
+    return Table(
+        name="bands", title=f"MAE by speed, against {KINDS[kind]}", corner="Control", columns=columns,
+        note="Near reversals: within 25 ms of a change of direction of the reference.", rows=_rows(summary, names),
+    )  # fmt: skip
+
+
+def _lag_table(summary: Summary, kinds: Sequence[str]) -> Table:
+    parts = {
+        "mean_absolute_ms": ("mean |lag|", "ms"),
+        "p95_absolute_ms": ("95 % of |lag|", "ms"),
+        "missed": ("missed", ""),
+    }
+    columns = [Column(label=a, unit=b, group=KINDS[kind]) for kind in kinds for a, b in parts.values()]
+    names = [f"{kind}.lag.{part}" for kind in kinds for part in parts]
+    total = summary.figures.get("measured.lag.reversals")
+    count = f"{next(iter(total.absolute.values())).value:.0f} reversals a run. " if total else ""
+    note = (
+        f"{count}How much later than the reference the axis changes direction; missed ones come later than 0.1 s or "
+        "half way to the next, or not at all."
+    )
+    return Table(
+        name="lag", title="Lag at reversals", note=note, corner="Control", columns=columns, rows=_rows(summary, names)
+    )
+
+
+def _effort_table(summary: Summary) -> Table:
+    parts = {
+        "rms_a": ("rms", "A"), "high_rms_a": ("above 100 Hz", "A"), "noise_rms_a": ("above 200 Hz", "A"),
+        "variation_a_per_s": ("mean variation", "A/s"),
+    }  # fmt: skip
+    return Table(
+        name="effort", title="Control effort", corner="Control", note="Of the command on the wire.",
+        columns=[Column(label=a, unit=b) for a, b in parts.values()],
+        rows=_rows(summary, [f"effort.{part}" for part in parts]),
+    )  # fmt: skip
+
+
+def _bars(summary: Summary, kind: str) -> Figure:
+    groups = {}
+    marks: dict[str, list[float]] = {}
+    for number_, controller in enumerate(summary.controllers):
+        intervals = [summary.figures[f"{kind}.{key}"].percent[controller] for key in METRICS]
+        groups[controller] = Group(
+            [i.value for i in intervals], COLOURS[number_ % len(COLOURS)], [i.low for i in intervals],
+            [i.high for i in intervals],
+        )  # fmt: skip
+        if kind == "measured" and controller in PAPER_NAMES:
+            marks[controller] = [PAPER_TABLE_2[PAPER_NAMES[controller]][key] for key in METRICS]
+    base = summary.figures[f"{kind}.ise"].base
+    return Figure(
+        name=f"bars-{kind}", kind="bars", title=f"Error against {KINDS[kind]}",
+        caption=f"Per cent of {base}" + ("; markers: the paper's Table II." if marks else "."),
+        x=Axis("metric", "-", categories=tuple(METRICS.values())), y=Axis(f"share of {base}", "%"),
+        series=tuple(grouped_bars(groups, marks, "paper")), width="half" if kind == "true" else "full",
+    )  # fmt: skip
+
+
+def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
+    shown = [run for run in evaluations if run.cutouts]
+    figures = []
+    for place in range(len(shown[0].cutouts) if shown else 0):
+        first = shown[0].cutouts[place]
+        grid = Uniform(first.start_s, first.period_s)
+        series = [Series("reference", grid, first.reference_rps, "ink", dash="dashed")]
+        for number_, run in enumerate(shown):
+            look = number_ % len(COLOURS)
+            series.append(
+                Series(run.candidate, grid, run.cutouts[place].velocity_rps, COLOURS[look], dash=DASHES[look])
+            )
+        figures.append(
+            Figure(
+                name=f"cutout-{place + 1}",
+                kind="time",
+                title=f"From {first.start_s:g} s",
+                caption="Reference and velocity; the shaft's own where it is known.",
+                x=Axis("time", "s"),
+                y=VELOCITY,
+                series=tuple(series),
+                width="half",
+            )
+        )
+    return figures
+
+
+def _histograms(summary: Summary, yardstick: Yardstick, kinds: Sequence[str]) -> list[Figure]:
+    figures = []
+    for kind in kinds:
+        series = []
+        for number_, (controller, counts) in enumerate(summary.histograms[kind].items()):
+            look = number_ % len(COLOURS)
+            shares = 100.0 * counts / max(1, int(counts.sum()))
+            series.append(
+                Series(controller, yardstick.histogram_edges_rps, shares, COLOURS[look], "steps", dash=DASHES[look])
+            )
+        figures.append(
+            Figure(
+                name=f"histogram-{kind}",
+                kind="histogram",
+                title=f"Error against {KINDS[kind]}",
+                caption="Share of all samples in each bin; the outermost bins hold what is beyond.",
+                x=Axis("velocity error", "rps"),
+                y=Axis("share of samples", "%"),
+                series=tuple(series),
+                width="half",
+            )
+        )
+    return figures
