@@ -14,9 +14,13 @@ from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
 # subcommand -> (module, one line for --help)
 COMMANDS = {
     "run": ("run", "run one profile on a drive, in process or on a bus, and record it"),
+    "commission": ("commission", "check signs, scales, delay and limits of an axis, and write a record"),
     "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
     "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
+    "evaluate": ("evaluate", "compare controllers over seeds, on recordings or on a bus"),
     "replay": ("replay", "put a recorded run through the law again, bit for bit"),
+    "identify": ("identify", "fit a model to logs of an axis, with uncertainties and residuals"),
+    "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
     "log": ("log", "read what was recorded: info, recover"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
 }

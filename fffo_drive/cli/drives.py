@@ -16,11 +16,12 @@ from ..config.axis import (
     read_axis,
     session_config,
 )
-from ..config.checks import bus_problems, law_problems, profile_problems, require
+from ..config.checks import bus_problems, law_problems, motion_problems, profile_problems, require
+from ..config.commissioning import Permission, require_identity
 from ..config.simulated import read_simulated
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
-from ..drive.port import Drive, DriveIdentity
+from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
 from ..runtime.runs import run_metadata
@@ -53,7 +54,7 @@ def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None) -> Plan:
     axis = read_axis(path)
     model = model_of(path, axis)
     profile = build_profile(axis.profile, axis.loop.period_s)
-    problems = profile_problems(axis, profile) + bus_problems(axis, model)
+    problems = profile_problems(axis, profile) + motion_problems(axis, profile, model) + bus_problems(axis, model)
     if not axis.controller.accept_unproven:
         in_use = toggles or (TOGGLES[axis.controller.observer.toggle],)
         for observer_on in sorted({toggle != TOGGLE_OFF for toggle in in_use}):
@@ -87,14 +88,28 @@ def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
     return session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
 
 
-def run_header(plan: Plan, identity: DriveIdentity, toggle: int) -> RunHeader:
-    """Metadata and attachments: the file as it was read, and the model."""
-    metadata = run_metadata(plan.axis.name, identity, toggle, plan.profile)
+def connect(drive: Drive, given: Permission) -> DriveIdentity:
+    """Bring a drive up that is to be enabled. Raises DriveError, also when it is not the one that was commissioned."""
+    identity = drive.connect()
+    try:
+        require_identity(given, identity)
+    except DriveRefusedError:
+        drive.close()
+        raise
+    return identity
+
+
+def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permission | None = None) -> RunHeader:
+    """Metadata and attachments: the file as it was read, the model, and the record of commissioning where there is one."""
+    extra = {"commissioning": given.note} if given else None
+    metadata = run_metadata(plan.axis.name, identity, toggle, plan.profile, extra)
     model_path = beside(plan.path, plan.axis.model)
-    attachments = (
+    attachments: tuple[tuple[str, str, bytes], ...] = (
         (plan.path.name, YAML_TYPE, plan.path.read_bytes()),
         (model_path.name, YAML_TYPE, model_path.read_bytes()),
     )
+    if given is not None and given.file is not None:
+        attachments += ((given.file.name, YAML_TYPE, given.file.read_bytes()),)
     return RunHeader(metadata, attachments)
 
 

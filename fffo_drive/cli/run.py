@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from ..config.axis import TOGGLES, recorder_settings
+from ..config.commissioning import Permission, permission
 from ..drive.port import Drive, ExchangeCounts
 from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
 from ..runtime.session import Session
-from .drives import Plan, make_plan, open_drive, plan_session, run_header, toggle_name
+from .drives import Plan, connect, make_plan, open_drive, plan_session, run_header, toggle_name
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 from .recordings import claim, recorded_rows, recorder_hooks
@@ -30,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--toggle", choices=list(TOGGLES), help="friction from: off, ff, fb (default: the file's)")
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--out", metavar="FILE", help="file to write (default: recording.directory/NAME_TIME.mcap)")
+    parser.add_argument(
+        "--uncommissioned",
+        action="store_true",
+        help="enable a drive on a bus without a record of `fffo-drive commission`",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -38,11 +44,12 @@ def execute(options: argparse.Namespace) -> int:
     wanted = TOGGLES[options.toggle] if options.toggle else None
     plan = make_plan(options.config, None if wanted is None else (wanted,))
     toggle = plan.toggle if wanted is None else wanted
+    given = permission(plan.path, plan.axis, plan.model, options.uncommissioned)
     out = Path(options.out) if options.out else _default_path(plan)
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    outcome = _run(plan, drive, toggle, out, quiet=options.json)
+    outcome = _run(plan, drive, toggle, out, given, quiet=options.json)
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))
@@ -59,9 +66,9 @@ def _default_path(plan: Plan) -> Path:
     return Path(plan.axis.recording.directory) / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
 
 
-def _run(plan: Plan, drive: Drive, toggle: int, out: Path, quiet: bool) -> RunOutcome:
-    identity = drive.connect()
-    header = run_header(plan, identity, toggle)
+def _run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool) -> RunOutcome:
+    identity = connect(drive, given)
+    header = run_header(plan, identity, toggle, given)
     settings, hooks = recorder_settings(plan.axis), recorder_hooks()
     if not drive.realtime:
         rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)

@@ -23,6 +23,7 @@ from ..control.reference import (
 )
 from ..documents import Record, load
 from ..drive.canopen.config import CanopenDriveConfig
+from ..identification.excitation import frequency_response_chirp, identification_sequence, separating_recipe
 from ..model.parameters import ModelFile, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
@@ -33,10 +34,13 @@ from .sections import (
     ControllerSection,
     EnvelopeSection,
     FeedforwardSection,
+    FrfProfile,
+    IdentifyProfile,
     LoopSection,
     PaperProfile,
     ProfileSection,
     RealtimeSection,
+    RecipeProfile,
     RecordingSection,
     SineProfile,
 )
@@ -128,6 +132,10 @@ class AxisFile(Record):
     realtime: RealtimeSection = RealtimeSection()
     recording: RecordingSection = RecordingSection()
     profile: ProfileSection
+    commissioning: Annotated[
+        str | None,
+        Field(description="record of `fffo-drive commission`, relative to this file; a drive on a bus needs one"),
+    ] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> AxisFile:
@@ -259,6 +267,16 @@ def build_profile(section: ProfileSection, period_s: float) -> Profile:
             section.duration_s, period_s, section.low_rps, section.high_rps, section.lowest_hz, section.highest_hz,
             section.lines, section.slope, section.seed,
         )  # fmt: skip
+    if isinstance(section, IdentifyProfile):
+        return identification_sequence(
+            section.duration_s, period_s, section.low_a, section.high_a, section.lowest_hz, section.highest_hz
+        )
+    if isinstance(section, FrfProfile):
+        return frequency_response_chirp(
+            section.duration_s, period_s, section.amplitude_a, section.lowest_hz, section.highest_hz
+        )
+    if isinstance(section, RecipeProfile):
+        return separating_recipe(period_s, section.high_rps, section.acceleration_rps2, section.repeats)
     mode = MODE_CURRENT if section.mode == "current" else MODE_VELOCITY
     if isinstance(section, SineProfile):
         return sine("sine", mode, section.duration_s, period_s, section.amplitude, section.frequency_hz)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..can.load import Chain, Load
-from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
+from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
 from ..documents import refuse
 from ..drive.canopen.config import chain_of, load_of
 from ..drive.canopen.object_map import MappingError
+from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
 from .axis import AxisFile, CanopenDriveSection
@@ -115,6 +116,27 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
         problems.append(
             f"loop.rate_hz: SYNC, answers and command take {chain.typical_s * 1e6:.0f} us of a period of "
             f"{chain.period_s * 1e6:.0f} us: lower the rate; `fffo-drive config check` prints the sum"
+        )
+    return problems
+
+
+def motion_problems(axis: AxisFile, profile: Profile, model: ModelFile) -> list[str]:
+    """What an open-loop current would do beyond the envelope, on the believed axis, before anything moves."""
+    if profile.mode != MODE_CURRENT:
+        return []
+    forecast = predict_motion(profile, model.axis_config())
+    limits = axis.envelope
+    problems = []
+    if forecast.speed_rps > limits.speed_limit_rps:
+        problems.append(
+            f"profile: this current drives the axis to {forecast.speed_rps:.4g} rps by the model, beyond "
+            f"envelope.speed_limit_rps {limits.speed_limit_rps:g}: lower its amplitude"
+        )
+    window = limits.position_window_rev
+    if window is not None and not window[0] <= forecast.lowest_rev <= forecast.highest_rev <= window[1]:
+        problems.append(
+            f"profile: this current moves the axis from {forecast.lowest_rev:.4g} to {forecast.highest_rev:.4g} rev by "
+            f"the model, beyond envelope.position_window_rev {window}: lower its amplitude or raise its lowest frequency"
         )
     return problems
 

@@ -6,6 +6,7 @@ factors on the model's numbers, and one entry for each controller.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -106,12 +107,13 @@ class ScenarioFile(Record):
         default_factory=lambda: [0.0, 0.5, 2.0, 5.0, 1000.0]
     )
     histogram_rps: Annotated[float, Field(gt=0, le=1000, description="half width of the error histograms")] = 0.4
+    percent_of: Annotated[str | None, Field(description="controller that is 100 %; null: the smallest")] = None
     controllers: Annotated[dict[str, ControllerVariant], Field(min_length=1)]
 
     @field_validator("band_edges_rps")
     @classmethod
     def _rising(cls, edges: list[float]) -> list[float]:
-        if any(high <= low for low, high in zip(edges, edges[1:], strict=False)):
+        if any(high <= low for low, high in itertools.pairwise(edges)):
             raise ValueError("edges must rise")
         return edges
 

@@ -174,4 +174,37 @@ class PointsProfile(Record):
         return self
 
 
-ProfileSection = Annotated[PaperProfile | SineProfile | PointsProfile, Field(discriminator="kind")]
+class IdentifyProfile(Record):
+    """The paper's identification current: a down-chirp, then an up-chirp, in a biased sigmoid envelope (Fig. 3)."""
+
+    kind: Literal["identify"]
+    duration_s: Annotated[float, Field(gt=1, le=86_400)] = 60.0
+    low_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the start")] = 0.3
+    high_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the end")] = 1.1
+    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
+    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+
+
+class FrfProfile(Record):
+    """Down-chirp of current at one amplitude, for the frequency response (section IV-C)."""
+
+    kind: Literal["frf"]
+    duration_s: Annotated[float, Field(gt=1, le=86_400)] = 120.0
+    amplitude_a: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
+    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 50.0
+
+
+class RecipeProfile(Record):
+    """Velocity profile that separates effects: staircase, dwells, triangles, accelerate/brake pairs, biased sines."""
+
+    kind: Literal["recipe"]
+    high_rps: Rps = 14.0
+    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
+    repeats: Annotated[int, Field(ge=1, le=10, description="of staircase and triangles")] = 2
+
+
+ProfileSection = Annotated[
+    PaperProfile | SineProfile | PointsProfile | IdentifyProfile | FrfProfile | RecipeProfile,
+    Field(discriminator="kind"),
+]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+import itertools
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from ..control.controller import ControllerConfig
@@ -19,6 +17,7 @@ from ..runtime.session import Session, SessionConfig
 from .measures import Measures, Yardstick, measure
 from .metrics import Floats, Rows
 from .trace import Trace, trace_of
+from .workers import over_cores
 
 
 class Candidate(NamedTuple):
@@ -109,61 +108,11 @@ def warm_up(case: Case) -> None:
 def run_campaign(
     cases: Iterable[Case], workers: int | None = None, progress: Callable[[int], None] | None = None
 ) -> list[Evaluation]:
-    """All cases, in their order; `progress` gets the number of runs done. `workers`: None for all cores.
-
-    Cases are taken from the iterable as workers become free, so that they may be made one by one.
-    """
-    return [evaluation for found in map_cases(run_case, cases, workers, progress) for evaluation in found]
-
-
-def map_cases(
-    function: Callable[[Case], list[Evaluation]],
-    cases: Iterable[Case],
-    workers: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> list[list[Evaluation]]:
-    """`function` of each case in processes of their own, in the order of the cases."""
-    workers = workers or len(os.sched_getaffinity(0))
-    remaining: Iterator[Case] = iter(cases)
+    """All cases, in their order, over the cores; `progress` gets the number of cases done."""
+    remaining = iter(cases)
     first = next(remaining, None)
     if first is None:
         return []
     warm_up(first)
-    results: dict[int, list[Evaluation]] = {}
-    done = 0
-    if workers == 1:
-        for number, case in enumerate(_chained(first, remaining)):
-            results[number] = function(case)
-            done += len(results[number])
-            if progress is not None:
-                progress(done)
-        return [results[number] for number in sorted(results)]
-    # spawned, not forked: a forked process would inherit the locks of threads that it does not have
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        pending: dict[Future[list[Evaluation]], int] = {}
-        for number, case in enumerate(_chained(first, remaining)):
-            pending[pool.submit(function, case)] = number
-            while len(pending) >= 2 * workers:
-                done = _collect(pending, results, done, progress)
-        while pending:
-            done = _collect(pending, results, done, progress)
-    return [results[number] for number in sorted(results)]
-
-
-def _chained(first: Case, remaining: Iterator[Case]) -> Iterator[Case]:
-    yield first
-    yield from remaining
-
-
-def _collect(
-    pending: dict[Future[list[Evaluation]], int],
-    results: dict[int, list[Evaluation]],
-    done: int,
-    progress: Callable[[int], None] | None,
-) -> int:
-    for future in wait(pending, return_when=FIRST_COMPLETED).done:
-        results[pending.pop(future)] = future.result()
-        done += len(future.result())
-    if progress is not None:
-        progress(done)
-    return done
+    found = over_cores(run_case, itertools.chain([first], remaining), workers, progress)
+    return [evaluation for evaluations in found for evaluation in evaluations]

@@ -56,17 +56,21 @@ class MetricComparison(NamedTuple):
     """One metric of all controllers, by name."""
 
     absolute: dict[str, Interval]
-    percent: dict[str, Interval]  # of the smallest, as Table II has it
-    smallest: str
+    percent: dict[str, Interval]  # of `base`, as Table II has it
+    base: str
 
 
-def compare_metric(values: dict[str, Floats]) -> MetricComparison:
-    """Compare paired values (seeds,) by controller. Raises ValueError when there is none."""
+def compare_metric(values: dict[str, Floats], base: str | None = None) -> MetricComparison:
+    """Compare paired values (seeds,) by controller, in per cent of `base` (None: of the smallest mean).
+
+    Raises ValueError when there is no controller.
+    """
     if not values:
         raise ValueError("no controller to compare")
-    smallest = min(values, key=lambda name: float(values[name].mean()))
+    if base not in values:
+        base = min(values, key=lambda name: float(values[name].mean()))
     percent = {}
     for name, own in values.items():
-        ratio = ratio_interval(own, values[smallest])
+        ratio = ratio_interval(own, values[base])
         percent[name] = Interval(100.0 * ratio.value, 100.0 * ratio.low, 100.0 * ratio.high)
-    return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, smallest)
+    return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, base)

@@ -10,7 +10,8 @@ from scipy.signal import butter, sosfilt
 
 from .metrics import Floats
 
-NOISE_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): what is there heats and sounds
+HIGH_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): friction's steps at reversals, and noise
+NOISE_FROM_HZ = 200.0  # nearly all noise: contacts that yield over 1/K = 1/778 rev take some 5 ms to reverse
 FILTER_ORDER = 4
 
 
@@ -18,22 +19,27 @@ class ControlEffort(NamedTuple):
     """Of the command on the wire."""
 
     rms_a: float
+    high_rms_a: float  # above HIGH_FROM_HZ
     noise_rms_a: float  # above NOISE_FROM_HZ
     variation_a_per_s: float  # mean of |difference from sample to sample| per time
 
 
 def control_effort(command_a: Floats, period_s: float) -> ControlEffort:
-    """Effort of a command (n,). NaN noise where the rate is too low to tell."""
-    noise_a = float("nan")
-    if NOISE_FROM_HZ < 0.45 / period_s:
-        noise_a = _rms(sosfilt(_high_pass(period_s), command_a))
+    """Effort of a command (n,). NaN where the rate is too low to tell."""
+    high_a, noise_a = (_rms_above(command_a, period_s, from_hz) for from_hz in (HIGH_FROM_HZ, NOISE_FROM_HZ))
     variation = float(np.abs(np.diff(command_a)).mean() / period_s) if command_a.size > 1 else 0.0
-    return ControlEffort(_rms(command_a), noise_a, variation)
+    return ControlEffort(_rms(command_a), high_a, noise_a, variation)
+
+
+def _rms_above(command_a: Floats, period_s: float, from_hz: float) -> float:
+    if from_hz >= 0.45 / period_s:
+        return float("nan")
+    return _rms(sosfilt(_high_pass(period_s, from_hz), command_a))
 
 
 @functools.cache
-def _high_pass(period_s: float) -> Any:
-    return butter(FILTER_ORDER, NOISE_FROM_HZ, "highpass", fs=1.0 / period_s, output="sos")
+def _high_pass(period_s: float, from_hz: float) -> Any:
+    return butter(FILTER_ORDER, from_hz, "highpass", fs=1.0 / period_s, output="sos")
 
 
 def _rms(values: Floats) -> float:

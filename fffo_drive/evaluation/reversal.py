@@ -10,8 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from .metrics import Floats
+
+Mask = npt.NDArray[np.bool_]
 
 THRESHOLD_RPS = 0.05  # some four standard deviations of a 15-bit resolver's velocity
 FARTHEST_S = 0.1  # a reversal that comes later than this was missed
@@ -85,7 +88,7 @@ def reversal_lag(reference: Reversals, axis: Reversals) -> ReversalLag:
     )
 
 
-def near_reversals(reversals: Reversals, samples: int, period_s: float, within_s: float) -> np.ndarray:  # type: ignore[type-arg]
+def near_reversals(reversals: Reversals, samples: int, period_s: float, within_s: float) -> Mask:
     """Mask (samples,) of what is within `within_s` of a reversal."""
     edges = np.zeros(samples + 1, np.int64)
     starts = np.clip(np.floor((reversals.time_s - within_s) / period_s).astype(np.int64), 0, samples)

@@ -186,7 +186,9 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
         problems.append(f"{place}: {record.duration_s:.3g} s long; at least {SHORTEST_S:g} s are needed")
     for name, values in (("current command", record.current_a), ("position", record.position_rev)):
         if not np.isfinite(values).all():
-            problems.append(f"{place}: the {name} is not a finite number at sample {int(np.argmin(np.isfinite(values)))}")
+            problems.append(
+                f"{place}: the {name} is not a finite number at sample {int(np.argmin(np.isfinite(values)))}"
+            )
     if problems:
         return problems, warnings
     travel_rev = float(np.ptp(record.position_rev))

@@ -96,6 +96,36 @@ def innovations(
 
 
 @njit
+def follow(
+    config: AxisConfig, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats, position_rev: Floats,
+    output: Any,
+) -> None:  # fmt: skip
+    """The observer along a record. `output` (n, 4): innovation rev, velocity rps, friction Nm, travel since reversal rev.
+
+    Friction is signed against the motion and is the model's, so a residual in torque can be made from it.
+    """
+    state = AxisState(0.0, position_rev[0], FrictionState(0.0, 0.0, 0.0, 0.0))
+    delay = config.delay_s / shooting.period_s
+    lag_per_rps_rev = nuisance.sensor_lag_s2 / shooting.period_s
+    short_rev = 0.0
+    for sample in range(current_a.size):
+        error_rev = position_rev[sample] - (state.position_rev - short_rev)
+        state = AxisState(
+            state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
+            state.position_rev + shooting.position_gain * error_rev,
+            state.friction,
+        )
+        output[sample, 0] = error_rev
+        output[sample, 1] = state.velocity_rps
+        output[sample, 2] = state.friction.torque_nm
+        output[sample, 3] = state.friction.travel_rev
+        state = _advance(
+            config, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+        )
+        short_rev = lag_per_rps_rev * (state.velocity_rps - output[sample, 1])
+
+
+@njit
 def _free_run(
     config: AxisConfig, shooting: ShootingConfig, state: AxisState, offset_nm: float, current_a: Floats,
     position_rev: Floats, start: int, output: Any,
@@ -106,9 +136,7 @@ def _free_run(
         total = 0.0
         for _ in range(shooting.block):
             total += position_rev[sample] - state.position_rev
-            state = _advance(
-                config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
-            )
+            state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
             sample += 1
         output[block] = total / shooting.block
 
@@ -135,9 +163,7 @@ def shoot(
             )
             if sample >= starts[window]:
                 break
-            state = _advance(
-                config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
-            )
+            state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
             sample += 1
         f = state.friction
         kicked = AxisState(

@@ -108,6 +108,17 @@ class Session:
         self.request(b.GOAL, GOAL_DISABLED)
         return ticks
 
+    def run_ticks(self, ticks: int) -> int:
+        """For a simulated clock: the loop for so many ticks, with the requests as they stand. Returns ticks run.
+
+        A trip stays latched, and the loop goes on, until the last of them. The drive is left without voltage.
+        """
+        self.compile()
+        self.request(b.STOP, 0)
+        first_ns = port_now_ns(self.drive.port) + self.config.loop.period_ns
+        port, loop, *others = self._arguments(first_ns)
+        return int(run_loop(port, loop._replace(max_ticks=ticks), *others))
+
     def start(self) -> RealtimeReport:
         """Start the loop's thread for a wall clock: SYNC runs from here on, with no torque until GOAL asks for it.
 

@@ -1,4 +1,4 @@
-"""The bad days of the loop, each a script for `world.World`, and what is told of them. Run by `run_all`, interpreted."""
+"""The bad days of the loop, each a script for `world.World`, and what is told of them. `run_all` runs interpreted."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def test_no_stale_command_goes_out_when_the_bus_comes_back(days, day):
 
 
 def test_a_process_that_was_stopped_finds_a_drive_that_stopped_by_itself(days):
-    """The first thing that it sends, in its first tick, is no torque: what came of the drive meanwhile is read before."""
+    """The first thing that it sends is no torque: what came of the drive meanwhile is read before."""
     day = days["stopped_long"]
     assert day["trip_tick"] == BEGIN + 800
     assert day["first_back"] == [0, 0]
@@ -116,7 +116,7 @@ def test_missing_feedback_stops_after_the_set_number(days):
 
 
 def test_a_step_of_the_wall_clock_changes_nothing(days):
-    """Why: the loop reads CLOCK_MONOTONIC alone. On that day reading the wall clock was an error; same rows, bit for bit."""
+    """Why: the loop reads CLOCK_MONOTONIC alone. On that day reading the wall clock was an error; same rows."""
     assert days["clock_stepped"]["rows"] == days["quiet"]["rows"]
     assert libc.CLOCK_MONOTONIC == time.CLOCK_MONOTONIC
 

@@ -1,7 +1,7 @@
 """Mistakes that people make, each with the command that meets it, its exit code and what the message must say.
 
-A case edits the files beside this one in a directory of its own, puts nodes on a bus of its own, and runs the command line in
-this process. `said` are parts that the message must have: place, what is allowed, what to do.
+A case edits the files beside this one in a directory of its own, puts nodes on a bus of its own, and runs the command
+line in this process. `said` are parts that the message must have: place, what is allowed, what to do.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def somebody_else(bus: str) -> Iterator[None]:
         yield
 
 
-RUN, RUN_ON_BUS = ("run", AXIS), ("run", BUS_AXIS, "--bus", "BUS")
+RUN, RUN_ON_BUS = ("run", AXIS), ("run", BUS_AXIS, "--bus", "BUS", "--uncommissioned")
 
 CASES = (
     # the file
@@ -299,7 +299,8 @@ CASES = (
         drive_key("heartbeat_timeout_ms: 60"),
     ),
     Case(
-        "our own node id is the drive's", RUN_ON_BUS, 78, (rf"{BUS_AXIS}:\d+: drive: node_id and master_id are both 1",),
+        "our own node id is the drive's", RUN_ON_BUS, 78,
+        (rf"{BUS_AXIS}:\d+: drive: node_id and master_id are both 1",),
         drive_key("master_id: 1"),
     ),
     Case(

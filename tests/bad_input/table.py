@@ -1,4 +1,4 @@
-"""The table of mistakes, made by running them: `tools/bad_input_table` writes it, the tests check that it is current."""
+"""The table of mistakes, made by running them: `tools/bad_input_table` writes it, a test checks that it is current."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "bad_input.md
 HEAD = """\
 # Mistakes and what comes of them
 
-Made by `tools/bad_input_table`, which runs every line; the tests check that it is current. Nothing moves in any of them: no
-torque and no Operation Enabled is ever asked for. `axis.yaml` is an axis in process, `bus.yaml` one on CANopen.
+Made by `tools/bad_input_table`, which runs every line; a test checks that it is current. Nothing moves in any of them:
+no torque and no Operation Enabled is ever asked for. `axis.yaml` is an axis in process, `bus.yaml` one on CANopen.
 
 | mistake | command | exit code | message |
 | --- | --- | --- | --- |

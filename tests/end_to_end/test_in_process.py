@@ -106,7 +106,7 @@ def test_a_trip_ends_the_run_with_its_exit_code_and_its_record(tmp_path, capsys)
         (["run", "none.yaml"], 78, "cannot be read"),
         (["log", "info", "none.mcap"], 78, "none.mcap"),
         (["config", "check", "none.yaml"], 78, "cannot be read"),
-        (["run", str(CONFIGS / "axis_canopen.yaml"), "--bus", "socketcan:nosuch0"], 69, "nosuch0"),
+        (["run", str(CONFIGS / "axis_canopen.yaml"), "--bus", "socketcan:nosuch0", "--uncommissioned"], 69, "nosuch0"),
     ],
 )
 def test_errors_are_one_message_and_an_exit_code(words, code, text, capsys):

@@ -8,9 +8,11 @@ percentile bootstrap interval over the passes.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -22,7 +24,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fffo_drive.cli.progress import progress_bar
+
+def _use_own_cache() -> None:
+    """A cache of compiled code for these benchmarks alone, named after their sources; that of older ones is deleted.
+
+    The index of a kernel's cache names every type that it was compiled for. The ports of the benchmarks are such types:
+    in the user's cache they would make it unreadable for the program itself.
+    """
+    if "fffo_drive" in sys.modules:
+        raise ImportError("import common before anything of fffo_drive: it chooses where compiled code is kept")
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).resolve().parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    caches = Path(sys.prefix) / "numba-benchmarks"
+    chosen = caches / digest.hexdigest()[:16]
+    for old in caches.glob("*"):
+        if old != chosen:
+            shutil.rmtree(old, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
+
+
+_use_own_cache()
+
+from fffo_drive.cli.progress import progress_bar  # noqa: E402  after the choice of the cache
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -155,7 +179,9 @@ def commit() -> str:
 def parser(name: str, purpose: str, passes: int, sample_passes: int) -> argparse.ArgumentParser:
     """Options that all benchmarks have."""
     made = argparse.ArgumentParser(prog=f"tools/benchmarks/{name}", description=purpose)
-    made.add_argument("--passes", type=int, help=f"interleaved passes (default {passes}; {sample_passes} with --sample)")
+    made.add_argument(
+        "--passes", type=int, help=f"interleaved passes (default {passes}; {sample_passes} with --sample)"
+    )
     made.add_argument("--sample", action="store_true", help="a short run: logic and rough ratios, no result file")
     made.add_argument("--json", action="store_true", help="one JSON object on stdout in place of the table")
     made.add_argument("--out", type=Path, help=f"the Markdown file (default tools/benchmarks/results/{name}.md)")

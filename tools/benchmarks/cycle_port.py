@@ -6,10 +6,8 @@ loop itself does, SYNC to housekeeping, and every pass sees the same feedback, t
 
 from __future__ import annotations
 
-import hashlib
 import socket
 import struct
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,11 +55,6 @@ class CyclePort(NamedTuple):
     received: np.ndarray[Any, np.dtype[np.uint8]]  # (16,) what the drive hears
     words: np.ndarray[Any, np.dtype[np.int64]]  # (PORT_WORDS,)
     cycles_ns: np.ndarray[Any, np.dtype[np.int64]]  # (cycles,) time of each cycle; the loop's last one is not closed
-
-
-# numba finds compiled code by the name of a type: the loop's code for this port must go when this file changes
-CyclePort.__name__ = CyclePort.__qualname__ = f"CyclePort_{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:8]}"
-globals()[CyclePort.__name__] = CyclePort
 
 
 @njit

@@ -13,6 +13,7 @@ import shutil
 import struct
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -44,11 +45,18 @@ class Declarations:
 
     def constants(self, module: ModuleType, *beginnings: str) -> None:
         """Upper-case numbers of a module (those whose names begin so) as #defines under their own names."""
-        lines = []
-        for name, value in vars(module).items():
-            if name.isupper() and name.startswith(beginnings or "") and isinstance(value, (int, float)):
-                lines.append(f"#define {name} {value!r}{'LL' if isinstance(value, int) else ''}\n")
-        self._parts[f"constants of {module.__name__}"] = "".join(lines)
+        self.numbers({name: value for name, value in vars(module).items() if name.startswith(beginnings or "")})
+
+    def numbers(self, values: Mapping[str, Any]) -> None:
+        """Numbers with upper-case names as #defines; whatever else is in the mapping is passed over.
+
+        Raises ValueError for a name that stands for another number already.
+        """
+        for name, value in values.items():
+            if name.isupper() and not name.startswith("_") and isinstance(value, (int, float)):
+                line = f"#define {name} {value!r}{'LL' if isinstance(value, int) else ''}\n"
+                if self._parts.setdefault(name, line) != line:
+                    raise ValueError(f"{name} has two values: {line.strip()} and {self._parts[name].strip()}")
 
     def dtype(self, name: str, dtype: np.dtype[Any]) -> None:
         """A structured dtype as `struct name`."""
@@ -57,9 +65,9 @@ class Declarations:
         self._parts[name] = f"struct {name} {{\n{''.join(fields)}}};\n{check}"
         self._dtypes[dtype] = name
 
-    def record(self, value: Any, name: str = "") -> None:
+    def record(self, value: Any) -> None:
         """The type of a NamedTuple, and of the records in it, as structs named as they are, in snake case."""
-        name = name or _struct_name(value)
+        name = _struct_name(value)
         if name in self._parts:
             return
         fields = "".join(self._field(field, item) for field, item in zip(value._fields, value, strict=True))

@@ -7,10 +7,19 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import cycle_port
 import numpy as np
 from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
-from cycle_port import CyclePort, Ends, drive_config, loopback_bus, socket_pair
+from cycle_port import (
+    CYCLE,
+    MARK_NS,
+    STATUS_EVERY,
+    CyclePort,
+    Ends,
+    cycle_port,
+    drive_config,
+    loopback_bus,
+    socket_pair,
+)
 from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 
@@ -22,12 +31,12 @@ from fffo_drive.control.envelope import EnvelopeInputs, envelope_at_rest
 from fffo_drive.control.feedforward import steady_reference
 from fffo_drive.drive import cia402
 from fffo_drive.drive.canopen import object_map, port_memory, service_queue
-from fffo_drive.drive.port import FEEDBACK
+from fffo_drive.drive.port import FEEDBACK, port_now_ns
 from fffo_drive.model import friction
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.loop import run_loop
 from fffo_drive.runtime.ring import new_ring
-from fffo_drive.runtime.tick import Baseline, Law, ProfileCursor, Timing
+from fffo_drive.runtime.tick import Baseline, Law, LoopConfig, ProfileCursor, Timing
 from fffo_drive.signals import ROW
 
 NAME = "loop_cycle"
@@ -46,7 +55,6 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction, ("OMEGA_", "STRIBECK_FLOOR")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
-    (cycle_port, ("STATUS_EVERY", "CYCLE", "MARK_NS")),
 )
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
@@ -82,9 +90,14 @@ class Cycles:
         self._compile(memory)
         memory.ends.close()
 
+    @property
+    def loop(self) -> LoopConfig:
+        """Times of the loop."""
+        return self._session.loop
+
     def _memory(self, bus: Callable[[], Ends], cycles: int, paced: bool) -> Memory:
         ends = bus()
-        port = cycle_port.cycle_port(drive_config(self._plan), ends, self._plan.profile, cycles, paced)
+        port = cycle_port(drive_config(self._plan), ends, self._plan.profile, cycles, paced)
         blocks = b.new_blocks(self._session.controller, self._plan.profile.values.size)
         blocks.control[b.TOGGLE] = self._toggle
         blocks.control[b.GOAL] = cia402.GOAL_ENABLED
@@ -95,12 +108,14 @@ class Cycles:
         arguments = (memory.port, self._session.loop, self._session.envelope, *memory[1:4], 0)
         run_loop.compile(tuple(typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
-    def run(self, language: str, bus: Callable[[], Ends], cycles: int, paced: bool = False, ahead_ns: int = AHEAD_NS) -> CycleRun:
+    def run(
+        self, language: str, bus: Callable[[], Ends], cycles: int, paced: bool = False, ahead_ns: int = AHEAD_NS
+    ) -> CycleRun:
         """One run of `cycles` cycles by the kernels or by C ("numba", "C"), in the calling thread."""
         memory = self._memory(bus, cycles, paced)
         loop = self._session.loop._replace(max_ticks=cycles)
         try:
-            first_ns = cycle_port.port_now_ns(memory.port) + ahead_ns
+            first_ns = port_now_ns(memory.port) + ahead_ns
             if language == "C":
                 self._run_c(memory, loop, first_ns)
             else:
@@ -121,9 +136,10 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
     made = Declarations()
     for module, beginnings in CONSTANTS:
         made.constants(module, *beginnings)
+    made.numbers({"STATUS_EVERY": STATUS_EVERY, "CYCLE": CYCLE, "MARK_NS": MARK_NS})
     made.dtype("row", ROW)
     made.dtype("feedback", FEEDBACK)
-    made.record(memory.port, "cycle_port")
+    made.record(memory.port)
     for record in (
         loop, envelope_config, envelope_at_rest(), memory.blocks, memory.ring,
         unpack_controller(memory.blocks.parameters[0]), controller_at_rest(),
@@ -159,7 +175,9 @@ def run() -> int:
     options.add_argument("--cycles", type=int, help="cycles in a pass and variant (default 4000; 1000 with --sample)")
     chosen = options.parse_args()
     cycles = chosen.cycles or (1000 if chosen.sample else 4000)
-    report = Report(NAME, "One cycle of the loop (receive, compute, send, row, housekeeping), compiled by numba and by gcc -O2.")
+    report = Report(
+        NAME, "One cycle of the loop (receive, compute, send, row, housekeeping), compiled by numba and by gcc -O2."
+    )
     loop = Cycles(make_plan(AXIS))
     buses = {"socket pair": socket_pair, "loopback bus": loopback_bus}
     for text, bus in buses.items():

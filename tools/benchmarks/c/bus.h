@@ -49,7 +49,10 @@ static inline bool wait_readable(int64_t fd, int64_t timeout_ns)
 
 static void note_bus_state(struct canopen_port *port)
 {
-    port->feedback->bus_off = port->memory[CONTROLLER_OFF] != 0 || port->memory[INTERFACE_OFF] != 0;
+    int64_t off = port->memory[CONTROLLER_OFF] != 0 || port->memory[INTERFACE_OFF] != 0;
+    if (off > port->feedback->bus_off)
+        port->feedback->bus_losses += 1;
+    port->feedback->bus_off = off;
 }
 
 static void note_errno(struct canopen_port *port, int error)
@@ -139,8 +142,10 @@ static void decode(struct canopen_port *port, int64_t slot, int64_t tick)
 static void take_answer(struct canopen_port *port, int64_t slot, int64_t tick, bool in_time)
 {
     int64_t *memory = port->memory, bit = 1LL << slot;
-    if (memory[ANSWERED] & bit)
+    if (memory[ANSWERED] & bit) {
         memory[ANSWERED_TWICE] |= bit;
+        port->feedback->duplicate_feedback += memory[AMBIGUOUS] == 0;
+    }
     if (!in_time || (memory[ANSWERED_TWICE] & bit))
         port->feedback->late_feedback += 1;
     memory[ANSWERED] |= bit;

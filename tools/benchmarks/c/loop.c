@@ -308,6 +308,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
         write_row(row, &timing, config, &law, &seen, feedback);
         controlword = controlword_towards(seen.statusword, goal, reset_ticks > 0, controlword);
+        row->limited_a = command_a;
         row->current_command_a = bus_command(port, controlword, command_a);
         row->busy_ns = monotonic_ns() - timing.woke_ns;
         row->controlword = controlword;
