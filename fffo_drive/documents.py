@@ -128,7 +128,9 @@ def refuse(path: str | Path, problems: Iterable[tuple[str, str]]) -> None:
     found = list(problems)
     if found:
         _, lines = parse(read_text(Path(path)), str(path))
-        raise DocumentError("\n".join(f"{path}:{_line_of(lines, _location(key))}: {key}: {text}" for key, text in found))
+        raise DocumentError(
+            "\n".join(f"{path}:{_line_of(lines, _location(key))}: {key}: {text}" for key, text in found)
+        )
 
 
 def _location(key: str) -> Location:

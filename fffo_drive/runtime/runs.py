@@ -13,7 +13,7 @@ from .. import __version__
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.friction_observer import TOGGLE_NAMES
 from ..control.reference import Profile
-from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
+from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
 from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts, port_now_ns
 from ..jit import kernel_digest
 from ..recording.recorder import Recorder
@@ -24,6 +24,7 @@ from . import blocks as b
 from .session import Session
 
 POLL_S = 0.05
+STOP_TIMEOUT_S = 2.0  # from disabling to no torque, a quick stop's braking included
 ENABLE_TIMEOUT_S = 5.0  # from the request to the first sample of the profile
 DISK_TIMEOUT_S = 30.0  # for the last rows; a disk that takes longer costs the end of the recording, not the command
 
@@ -36,6 +37,7 @@ class RunOutcome(NamedTuple):
     started: bool  # False: the drive never reached Operation Enabled
     exchange: ExchangeCounts  # what the port counted during the run
     recorder: RecorderStatistics
+    recorder_ended: bool = True  # False: the disk still holds it up
 
     @property
     def fault_text(self) -> str | None:
@@ -49,6 +51,10 @@ class RunOutcome(NamedTuple):
         """Why the recording is not whole; None when it is."""
         recorder = self.recorder
         missing = recorder.rows_dropped + recorder.rows_lost + recorder.rows_pending
+        if not self.recorder_ended:
+            return (
+                f"the disk did not take the last rows within {DISK_TIMEOUT_S:g} s; {recorder.rows_written} are written"
+            )
         if not missing and not recorder.write_errors:
             return None
         reason = recorder.last_error or "the disk was too slow for the ring"
@@ -114,8 +120,8 @@ def record_live(
         started = _follow(session, profile, number, progress)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
-        recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
-    return _outcome(session, recorder, started, counted)
+        ended = recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
+    return _outcome(session, recorder, started, counted)._replace(recorder_ended=ended)
 
 
 def _follow(session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None) -> bool:
@@ -131,6 +137,13 @@ def _follow(session: Session, profile: Profile, number: int, progress: Callable[
             progress(min(1.0, sample / profile.values.size))
         time.sleep(POLL_S)
     return started or session.status(b.PROFILE_DONE) == number
+
+
+def _let_go(session: Session) -> None:
+    """Wait until the drive has no torque, so that the record holds how it stopped, but not for ever."""
+    deadline = time.monotonic() + STOP_TIMEOUT_S
+    while session.running and has_torque(session.status(b.STATUSWORD)) and time.monotonic() < deadline:
+        time.sleep(POLL_S)
 
 
 def _with_offset(header: RunHeader, offset_ns: int) -> RunHeader:

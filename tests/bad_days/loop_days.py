@@ -47,64 +47,77 @@ def instead(frame: bytes) -> Effect:
 
 
 def quiet(world: World) -> None:
-    pass
+    """Nothing happens."""
 
 
 def late(world: World) -> None:
+    """An answer comes after the cut-off, before the next SYNC."""
     on(world, TPDO1, BEGIN, 1, delayed(300))  # beyond the cut-off, before the next SYNC
 
 
 def a_period_late(world: World) -> None:
-    """The drive is held up: this answer comes after the next SYNC, and the next one after it, as on a real bus."""
+    """An answer comes after the next SYNC, in front of the next answer."""
     extra_us = {BEGIN: 600, BEGIN + 1: 110}
     on(world, TPDO1, BEGIN, 2, lambda raw, flight_ns: [(flight_ns + extra_us[world.tick] * US, raw)])
 
 
 def duplicate(world: World) -> None:
+    """An answer comes twice."""
     on(world, TPDO1, BEGIN, 1, lambda raw, flight_ns: [(flight_ns, raw), (flight_ns + 10 * US, raw)])
 
 
 def reordered(world: World) -> None:
+    """An answer comes after the next SYNC and behind the next answer, which it replaces for one tick."""
     on(world, TPDO1, BEGIN, 1, delayed(600))  # behind the answer to the next SYNC
 
 
 def missing_once(world: World) -> None:
+    """An answer is lost."""
     on(world, TPDO1, BEGIN, 1, lost)
 
 
 def missing_for_good(world: World) -> None:
+    """All answers are lost."""
     on(world, TPDO1, BEGIN, 10_000, lost)
 
 
 def short(world: World) -> None:
+    """An answer has seven bytes in place of eight."""
     on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, bytes(7))))
 
 
 def extended(world: World) -> None:
+    """An answer has an extended identifier."""
     on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, struct.pack("<ii", 2**30, 2**30), extended=True)))
 
 
 def remote(world: World) -> None:
+    """An answer is a remote frame."""
     on(world, TPDO1, BEGIN, 1, instead(pack_frame(TPDO1, bytes(8), remote=True)))
 
 
 def sync_lost_once(world: World) -> None:
+    """A SYNC is lost on the wire."""
     on(world, SYNC, BEGIN, 1, lost)
 
 
 def sync_lost_for_good(world: World) -> None:
+    """SYNC no longer reaches the drive."""
     on(world, SYNC, BEGIN, 10_000, lost)
 
 
 def commands_lost(world: World) -> None:
+    """Commands no longer reach the drive."""
     on(world, RPDO1, BEGIN, 10_000, lost)
 
 
 def send_queue_full(world: World) -> None:
+    """The kernel takes no frame for three ticks (ENOBUFS)."""
     world.at = [(BEGIN, _refuse(ENOBUFS)), (BEGIN + 3, _refuse(0))]
 
 
 def interface_gone(world: World) -> None:
+    """The interface is gone for 30 ms (ENETDOWN)."""
     world.at = [(BEGIN, _refuse(ENETDOWN)), (BACK, _refuse(0))]
 
 
@@ -113,7 +126,7 @@ def _refuse(error: int) -> Callable[[World], None]:
 
 
 def bus_off(world: World) -> None:
-    """The controller says so, and nothing reaches us until it says that it is back."""
+    """The CAN controller is off the bus for 30 ms."""
     world.at = [
         (BEGIN, lambda w: w.say(ERROR_BUS_OFF, error=True)),
         (BACK, lambda w: w.say(ERROR_RESTARTED, error=True)),
@@ -122,19 +135,22 @@ def bus_off(world: World) -> None:
 
 
 def stopped_shortly(world: World) -> None:
+    """The process is stopped for 5 ms."""
     world.stalls = {BEGIN: 10 * PERIOD_NS + 150 * US}
 
 
 def stopped_long(world: World) -> None:
+    """The process is stopped for 400 ms."""
     world.stalls = {BEGIN: 400 * NS_PER_MS}
 
 
 def rebooted(world: World) -> None:
+    """The drive restarts."""
     world.at = [(BEGIN, lambda w: w.node.faults.inject(Fault(FaultKind.REBOOT, duration_s=0.002)))]
 
 
 def clock_stepped(world: World) -> None:
-    """CLOCK_REALTIME is not only stepped: nobody may even read it."""
+    """The wall clock is stepped."""
 
     def read() -> int:
         raise AssertionError("the loop read the wall clock")
@@ -182,7 +198,7 @@ def run_all() -> list[dict[str, object]]:
         world = World()
         day(world)
         try:
-            found.append({"day": day.__name__, **told(live(world, ticks=TICKS))})
+            found.append({"day": day.__name__, "happened": day.__doc__, **told(live(world, ticks=TICKS))})
         finally:
             time.time, time.time_ns = clocks
     return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from interpreted import hex_results
+from bad_days.table import HEAD, TABLE, all_days, row
 
 from fffo_drive.control import envelope as env
 from fffo_drive.drive.port import ExchangeCounts
@@ -54,7 +54,7 @@ STOPPED = [day for day, (_, trip) in COUNTED.items() if trip != env.TRIP_NONE]
 
 @pytest.fixture(scope="module")
 def days() -> dict[str, dict]:
-    return {day.pop("day"): day for day in hex_results("bad_days.loop_days", "run_all")}
+    return {day["day"]: day for day in all_days()}
 
 
 @pytest.mark.parametrize("day", COUNTED)
@@ -125,3 +125,8 @@ def test_each_other_day_leaves_its_trace_in_the_rows(days):
     rows = [day["rows"] for name, day in days.items() if name not in ("clock_stepped", "quiet", "duplicate")]
     assert days["quiet"]["rows"] not in rows
     assert days["duplicate"]["rows"] == days["quiet"]["rows"]  # a second copy of an answer changes nothing at all
+
+
+def test_the_table_of_bad_days_is_current(days):
+    text = TABLE.read_text(encoding="utf-8")
+    assert text == HEAD + "\n".join(map(row, days.values())) + "\n", "write it again: tools/bad_days_table"

@@ -23,13 +23,22 @@ from recording.samples import WALL_NS, Disk, FakeClock, FakeRing, random_rows
 from fffo_drive.cli import main
 from fffo_drive.cli.drives import make_plan, open_drive, plan_session
 from fffo_drive.cli.recordings import recorded_rows
+from fffo_drive.cli.run import _print as print_summary
 from fffo_drive.config.axis import read_axis, recorder_settings
+from fffo_drive.control.envelope import TRIP_NONE
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
+from fffo_drive.drive.port import ExchangeCounts
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recorder import Recorder
 from fffo_drive.recording.ring_reader import RingReader
-from fffo_drive.recording.settings import RecorderHooks, RecorderSettings, RotationPolicy, RunHeader
-from fffo_drive.runtime.runs import simulated_ring_rows
+from fffo_drive.recording.settings import (
+    RecorderHooks,
+    RecorderSettings,
+    RecorderStatistics,
+    RotationPolicy,
+    RunHeader,
+)
+from fffo_drive.runtime.runs import RunOutcome, simulated_ring_rows
 from fffo_drive.runtime.session import Session
 
 FILES = TESTS / "bad_input" / "files"
@@ -259,3 +268,34 @@ def test_a_step_of_the_wall_clock_does_not_reach_the_recording(tmp_path, monkeyp
     assert (np.diff(run.log_time_ns) == 500_000).all()
     stamps = [event.time_ns for event in run.events]
     assert stamps == sorted(stamps)
+
+
+# --- what is said
+
+
+def outcome(**counts) -> RunOutcome:
+    """A run that ended as planned, with these counts of the recorder."""
+    zero = RecorderStatistics(1000, 0, 0, 0, 0, 0, 0, 0, "", (), 0)
+    return RunOutcome((), TRIP_NONE, True, ExchangeCounts(), zero._replace(**counts))
+
+
+def test_a_gap_in_the_recording_has_its_sentence():
+    assert outcome().gap_text is None
+    assert outcome(rows_lost=24).gap_text == (
+        "24 of 1024 rows are missing from the recording: the disk was too slow for the ring"
+    )
+    assert outcome(rows_dropped=7, write_errors=1, last_error="OSError: full").gap_text == (
+        "7 of 1007 rows are missing from the recording: OSError: full"
+    )
+    assert "within 30 s; 1000 are written" in outcome()._replace(recorder_ended=False).gap_text
+
+
+def test_what_the_wire_did_is_printed_when_there_is_something(capsys):
+    ticks = {"ticks": 100, "late": 1, "skipped": 2, "missing_feedback": 3, **ExchangeCounts()._asdict()}
+    summary = {"axis": "a", "toggle": "ff", "rows_lost": 1, "rows_dropped": 4, "files": ["x.mcap"], "ticks": ticks}
+    print_summary(summary)
+    text = capsys.readouterr().out
+    assert text.splitlines() == ["100 ticks, 1 late, 2 skipped, 3 without feedback; rows lost: 5", "x.mcap"]
+    ticks |= {"duplicate_feedback": 2, "bus_losses": 1}
+    print_summary(summary)
+    assert "on the wire: 2 duplicate_feedback, 1 bus_losses\n" in capsys.readouterr().out

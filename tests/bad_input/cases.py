@@ -323,6 +323,12 @@ CASES = (
         ("EDS file other.eds is for product 0x00001234, the drive says .*use the EDS of this drive, or none",),
         both(drive_key("eds: other.eds"), added("other.eds", eds_text(OTHER_DRIVE))), (node(),),
     ),
+    # the axis
+    Case(
+        "an axis that was never commissioned", ("run", BUS_AXIS, "--bus", "BUS"), 78,
+        (rf"{BUS_AXIS}:\d+: commissioning: .*never checked: run fffo-drive commission .*or give --uncommissioned",),
+        visitors=(node(),),
+    ),
     # the bus
     Case(
         "no answer on the bus", RUN_ON_BUS, 69,
@@ -347,7 +353,10 @@ CASES = (
         visitors=(somebody_else,),
     ),
     Case("port that is none", ("sim", DRIVE, "--bus", "loopback:80"), 69, ("a number from 1024 to 65535",)),
-    Case("bus without its kind", ("run", BUS_AXIS, "--bus", "can0"), 69, ("'can0': write socketcan:INTERFACE",)),
+    Case(
+        "bus without its kind", ("run", BUS_AXIS, "--bus", "can0", "--uncommissioned"), 69,
+        ("'can0': write socketcan:INTERFACE",),
+    ),
     Case("node id of the simulated drive", ("sim", DRIVE, "--node", "200"), 78, ("node_id: 200 is outside 1 to 127",)),
     # the drive
     Case(
