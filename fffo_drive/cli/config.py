@@ -1,7 +1,7 @@
 """Check files and print what they may hold.
 
 fffo-drive config check AXIS        every error at once; margins, the sum for the bus
-fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model
+fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model, scenario
 fffo-drive config signals           the table of recorded signals
 fffo-drive config effects           the table of effects that the simulated drive can be given
 """
@@ -15,13 +15,19 @@ from typing import Any
 from ..can.load import Step
 from ..config.axis import AxisFile, CanopenDriveSection
 from ..config.checks import bus_sum, law_margins
+from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
 from ..model.parameters import ModelFile
 from ..signals import SIGNALS
 from .drives import Plan, make_plan, open_drive
 
-SCHEMAS: dict[str, Any] = {"axis": AxisFile, "simulated": SimulatedDriveRecord, "model": ModelFile}
+SCHEMAS: dict[str, Any] = {
+    "axis": AxisFile,
+    "simulated": SimulatedDriveRecord,
+    "model": ModelFile,
+    "scenario": ScenarioFile,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

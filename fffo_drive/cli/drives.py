@@ -100,7 +100,7 @@ def connect(drive: Drive, given: Permission) -> DriveIdentity:
 
 
 def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permission | None = None) -> RunHeader:
-    """Metadata and attachments: the file as it was read, the model, and the record of commissioning where there is one."""
+    """Metadata and attachments: the file as it was read, the model, the record of commissioning where there is one."""
     extra = {"commissioning": given.note} if given else None
     metadata = run_metadata(plan.axis.name, identity, toggle, plan.profile, extra)
     model_path = beside(plan.path, plan.axis.model)

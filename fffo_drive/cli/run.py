@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--uncommissioned",
         action="store_true",
-        help="enable a drive on a bus without a record of `fffo-drive commission`",
+        help="enable a drive on a bus without a commissioning record",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

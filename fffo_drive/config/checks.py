@@ -136,7 +136,7 @@ def motion_problems(axis: AxisFile, profile: Profile, model: ModelFile) -> list[
     if window is not None and not window[0] <= forecast.lowest_rev <= forecast.highest_rev <= window[1]:
         problems.append(
             f"profile: this current moves the axis from {forecast.lowest_rev:.4g} to {forecast.highest_rev:.4g} rev by "
-            f"the model, beyond envelope.position_window_rev {window}: lower its amplitude or raise its lowest frequency"
+            f"the model, beyond envelope.position_window_rev {window}: lower its amplitude, raise its lowest frequency"
         )
     return problems
 

@@ -82,7 +82,11 @@ def _hand_over(
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> tuple[ControllerTerms, ControllerState]:
-    """One period of the law. While the last command was limited the observation is frozen (lambda = 0)."""
+    """One period of the law. The observation is frozen (lambda = 0) while the last command was limited, and at rest.
+
+    While the reference stands at zero the estimate has no decay: lambda would make it a second integrator, four times
+    as strong as the PI's, and an axis with stiction would hunt. What the axis needs at rest the PI's integral finds.
+    """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
     error_rps = reference.expected - velocity_rps
@@ -90,7 +94,8 @@ def controller_step(
     friction = state.friction
     observation_nm_per_s = 0.0
     if toggle != TOGGLE_OFF:
-        if not state.limited:
+        at_rest = reference.value == 0.0 and reference.ahead == 0.0
+        if not (state.limited or at_rest):
             observation_nm_per_s = config.observer.gain_nm_per_rev * error_rps
         driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
         friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)

@@ -47,7 +47,10 @@ def ratio_interval(values: Floats, others: Floats) -> Interval:
     if values.size < 2:
         return Interval(ratio, float("nan"), float("nan"))
     draws = np.random.default_rng(0).integers(0, values.size, (RESAMPLES, values.size))
-    ratios = values[draws].mean(axis=1) / others[draws].mean(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a draw in which the other one is zero throughout
+        ratios = values[draws].mean(axis=1) / others[draws].mean(axis=1)
+    if not np.isfinite(ratios).all():
+        return Interval(ratio, float("nan"), float("nan"))
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return Interval(ratio, float(low), float(high))
 

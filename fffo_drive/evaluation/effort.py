@@ -13,6 +13,7 @@ from .metrics import Floats
 HIGH_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): friction's steps at reversals, and noise
 NOISE_FROM_HZ = 200.0  # nearly all noise: contacts that yield over 1/K = 1/778 rev take some 5 ms to reverse
 FILTER_ORDER = 4
+EDGE_S = 0.05  # left out at both ends, where a profile that does not begin and end at rest makes steps
 
 
 class ControlEffort(NamedTuple):
@@ -25,16 +26,17 @@ class ControlEffort(NamedTuple):
 
 
 def control_effort(command_a: Floats, period_s: float) -> ControlEffort:
-    """Effort of a command (n,). NaN where the rate is too low to tell."""
+    """Effort of a command (n,). NaN where the rate is too low, or the record too short, to tell."""
     high_a, noise_a = (_rms_above(command_a, period_s, from_hz) for from_hz in (HIGH_FROM_HZ, NOISE_FROM_HZ))
     variation = float(np.abs(np.diff(command_a)).mean() / period_s) if command_a.size > 1 else 0.0
     return ControlEffort(_rms(command_a), high_a, noise_a, variation)
 
 
 def _rms_above(command_a: Floats, period_s: float, from_hz: float) -> float:
-    if from_hz >= 0.45 / period_s:
+    edge = round(EDGE_S / period_s)
+    if from_hz >= 0.45 / period_s or command_a.size <= 2 * edge:
         return float("nan")
-    return _rms(sosfilt(_high_pass(period_s, from_hz), command_a))
+    return _rms(sosfilt(_high_pass(period_s, from_hz), command_a)[edge:-edge])
 
 
 @functools.cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,7 @@ class Record:
     def segments(self) -> list[slice]:
         """Stretches without a gap."""
         edges = [0, *self.breaks, self.samples]
-        return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+        return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
 
 def load_record(path: str | Path, facts: DriveFacts) -> Record:
@@ -212,8 +213,12 @@ def _velocity_scale_problem(record: Record) -> str | None:
     """The drive's velocity against the derivative of the position: a wrong unit or sign shows as a factor."""
     assert record.velocity_rps is not None
     span = max(1, round(0.01 / record.period_s))
-    derived = (record.position_rev[2 * span :] - record.position_rev[: -2 * span]) / (2 * span * record.period_s)
-    own = record.velocity_rps[span:-span]
+    parts = [part for part in record.segments() if part.stop - part.start > 4 * span]
+    if not parts:
+        return f"{record.path}: no stretch between gaps is longer than {4 * span} samples"
+    positions = [record.position_rev[part] for part in parts]
+    derived = np.concatenate([p[2 * span :] - p[: -2 * span] for p in positions]) / (2 * span * record.period_s)
+    own = np.concatenate([record.velocity_rps[part][span:-span] for part in parts])
     power = float(derived @ derived)
     if power == 0.0 or float(own @ own) == 0.0:
         return f"{record.path}: the velocity is zero throughout while the position moves, or the other way round"

@@ -2,8 +2,8 @@
 
 Three of them: the paper's current sequence (section IV-B, Fig. 3), its chirp for the frequency response (IV-C), and a
 velocity recipe that separates effects which one motion alone confuses. All are `Profile`s, sampled before anything
-moves; `predict_motion` simulates what an open-loop current will do on the believed axis, so that speed and travel can be
-bounded as well as current.
+moves; `predict_motion` simulates what an open-loop current will do on the believed axis, so that speed and travel can
+be bounded as well as current.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def frequency_response_chirp(
 def separating_recipe(period_s: float, high_rps: float, acceleration_rps2: float, repeats: int = 2) -> Profile:
     """Velocity reference that separates effects: see the parts below. The first two parts come again at the end.
 
-    About 100 s at a repeat of 2. `acceleration_rps2` is the highest one; the accelerate/brake pairs use 1/4, 1/2 and all.
+    About 100 s with 2 repeats. `acceleration_rps2` is the highest; the accelerate/brake pairs use 1/4, 1/2 and all.
     """
     parts: list[Floats] = []
     for _ in range(max(1, repeats) - 1):

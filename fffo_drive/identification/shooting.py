@@ -1,9 +1,10 @@
-"""Short simulated windows along a measured position: the residual that the fit makes small.
+"""The axis simulated along a measured position: one step ahead for the fit, over free windows to judge it.
 
-The axis runs along each record twice. An observer follows the measured position (two small corrections a sample), so
-that at any instant velocity, friction torque and travel since the reversal are those of a motion that agrees with the
-record; through a standstill it holds what the torque balance says. At the start of each window a copy is let go and runs
-free on the command alone. What it is off by, in position and averaged over short blocks, is the residual.
+An observer follows the measured position with two small corrections a sample, so that velocity, friction torque and
+travel since the reversal are at any instant those of a motion that agrees with the record, through a standstill too.
+What it did not foresee is the prediction error that the fit makes small. Why not longer free runs: where the Stribeck
+curve falls the axis is unstable, and after 0.2 s any small error has grown a hundredfold. Free windows, let go from the
+observer's state, are kept for judging a model.
 
 Why position: the drive's own velocity is filtered and late, and the measured current is noisy; the position has no lag
 to first order, and the command is known without any error, in closed loop too.
@@ -100,7 +101,7 @@ def follow(
     config: AxisConfig, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats, position_rev: Floats,
     output: Any,
 ) -> None:  # fmt: skip
-    """The observer along a record. `output` (n, 4): innovation rev, velocity rps, friction Nm, travel since reversal rev.
+    """The observer along a record. `output` (n, 4): innovation rev, velocity rps, friction Nm, travel rev.
 
     Friction is signed against the motion and is the model's, so a residual in torque can be made from it.
     """

@@ -87,12 +87,10 @@ def _verdict(source: EvaluationSource, summary: Summary, kind: str) -> Verdict:
     return Verdict(standing="caution" if cautions else "good", headline=headline, reasons=[order], cautions=cautions)
 
 
-def _percent(interval: Interval, best: bool = False) -> Cell:
-    text = significant(interval.value)
-    if np.isfinite(interval.low):
-        text += f" [{significant(interval.low)}, {significant(interval.high)}]"
-        return Cell(text=text, value=interval.value, low=interval.low, high=interval.high, best=best)
-    return Cell(text=text, value=interval.value, best=best)
+def _cell(interval: Interval, best: bool = False) -> Cell:
+    if not np.isfinite(interval.low):
+        return number(interval.value, best=best)
+    return number(interval.value, low=interval.low, high=interval.high, best=best)
 
 
 def _table_2(summary: Summary) -> Table:
@@ -108,12 +106,12 @@ def _table_2(summary: Summary) -> Table:
         for key in METRICS:
             comparison = summary.figures[f"measured.{key}"]
             best = min(c.value for c in comparison.absolute.values()) == comparison.absolute[controller].value
-            cells.append(_percent(comparison.percent[controller], best))
+            cells.append(_cell(comparison.percent[controller], best))
             cells.append(number(published[key]) if published else Cell(text="–"))
         rows.append(Row(label=controller, cells=cells))
     note = (
-        f"Per cent of {base}, over {len(summary.seeds)} seeds; in brackets 95 % intervals of the ratio, from resampled "
-        "seeds. MAX is one sample of a run: its order may change from seed to seed."
+        f"Per cent of {base}, over {len(summary.seeds)} seeds; below each the 95 % interval of the ratio, from "
+        "resampled seeds. MAX is one sample of a run: its order may change from seed to seed."
     )
     return Table(name="table-2", title="Table II", note=note, corner="Control", columns=columns, rows=rows)
 
@@ -137,8 +135,7 @@ def _rows(summary: Summary, names: Sequence[str]) -> list[Row]:
 def _interval_cell(summary: Summary, name: str, controller: str) -> Cell:
     if name not in summary.figures:
         return Cell(text="–")
-    interval = summary.figures[name].absolute[controller]
-    return _percent(interval)
+    return _cell(summary.figures[name].absolute[controller])
 
 
 def _bands_table(summary: Summary, yardstick: Yardstick, kind: str) -> Table:

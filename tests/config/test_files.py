@@ -139,7 +139,9 @@ def test_a_rate_that_does_not_fit_the_bus_is_refused(tmp_path):
 
 def test_errors_of_the_simulated_drive_have_lines(tmp_path):
     path = tmp_path / "drive.yaml"
-    path.write_text("node_id: 1\nplant:\n  effects:\n    - {name: coging}\n    - {name: cogging, parameters: {order: -1}}\n")
+    path.write_text(
+        "node_id: 1\nplant:\n  effects:\n    - {name: coging}\n    - {name: cogging, parameters: {order: -1}}\n"
+    )
     text = errors_of(path, read_simulated)
     assert f"{path}:4: plant.effects[0]" in text
     assert "cogging" in text

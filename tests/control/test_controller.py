@@ -27,6 +27,7 @@ from fffo_drive.model.friction import FrictionConfig, steady_friction_nm
 
 PERIOD_S = 5e-4
 KT = 0.148
+CREEP_RPS = 1e-12  # moves, but so slowly that the estimate has no decay
 TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
 CONFIG = ControllerConfig(
     PiConfig(0.975, 9.75), ObserverConfig(TABLE1, 5.0, 0.134, 0.1), NO_FEEDFORWARD, KT, 20.0, PERIOD_S
@@ -86,22 +87,33 @@ def test_observer_in_feedforward_follows_the_model_and_is_injected_through_kt():
 def test_a_persistent_error_is_learned_as_friction_up_to_the_clamp():
     n = 4000
     config = CONFIG._replace(pi=PiConfig(0.0, 0.0), current_limit_a=1e3)
-    terms, _ = run(config, [TOGGLE_FEEDFORWARD] * n, [0.0] * n, [-0.1] * n)
+    terms, _ = run(config, [TOGGLE_FEEDFORWARD] * n, [CREEP_RPS] * n, [-0.1] * n)
     friction = np.array([t.friction_nm for t in terms])
-    np.testing.assert_allclose(friction[:100], 5.0 * 0.1 * PERIOD_S * np.arange(1, 101), rtol=1e-9)
+    np.testing.assert_allclose(np.diff(friction[:100]), 5.0 * 0.1 * PERIOD_S, rtol=1e-9)
     assert friction.max() == pytest.approx(0.134)
 
 
 def test_observation_is_frozen_while_the_command_is_limited():
-    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(0.0), -0.5)
+    creep = steady_reference(CREEP_RPS)
+    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, creep, -0.5)
     assert terms.observation_nm_per_s == pytest.approx(2.5)
-    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, steady_reference(0.0), -0.5)
+    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, creep, -0.5)
     assert terms.observation_nm_per_s == 0.0
     saturated = CONFIG._replace(current_limit_a=0.1)
     first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
     assert first.limited
     second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
     assert second.observation_nm_per_s == 0.0
+
+
+@pytest.mark.parametrize("toggle", [TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK])
+def test_at_rest_the_estimate_holds_and_the_integral_alone_acts(toggle):
+    """Two integrators on one stuck axis would hunt."""
+    _, state = run(CONFIG, [toggle] * 2000, [1.0] * 2000, [1.0] * 2000)
+    terms, after = run(CONFIG, [toggle] * 400, [0.0] * 400, [0.0] * 200 + [-0.05] * 200, state)
+    assert all(t.observation_nm_per_s == 0.0 for t in terms)
+    assert after.friction.torque_nm == state.friction.torque_nm
+    assert after.integral_a == pytest.approx(state.integral_a + 9.75 * 0.05 * 200 * PERIOD_S)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fffo_drive.cli import main
-from fffo_drive.cli.drives import make_plan, open_drive, plan_session
+from fffo_drive.cli.drives import make_plan, plan_session
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from fffo_drive.drive.simulated.in_process import SimulatedDrive

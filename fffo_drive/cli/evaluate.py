@@ -1,0 +1,181 @@
+"""Compare controllers: over many seeds on the simulated drive in process, on recorded runs, or on a bus.
+
+  fffo-drive evaluate configs/scenarios/paper.yaml --controllers pi,pi+fffo --out DIR
+  fffo-drive evaluate --runs pi.mcap pi_fffo.mcap --out DIR
+  fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus; real time, one run after the other
+
+Writes report.html and report.json into DIR and prints the metrics. A seed varies noise and phases of the reference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from ..config.commissioning import permission
+from ..config.scenario import (
+    Scenario,
+    cases_of,
+    law_cautions,
+    read_scenario,
+    select_controllers,
+    yardstick_of,
+)
+from ..documents import DocumentError
+from ..evaluation.campaign import Evaluation, run_campaign
+from ..evaluation.measures import Yardstick
+from ..evaluation.summary import Summary, summarise
+from ..report.document import SourceFile, provenance, source_file
+from ..report.evaluate import EvaluationSource, write_evaluation_report
+from ..runtime.runs import timestamp_name
+from .evaluate_live import evaluate_on_bus, evaluate_recordings
+from .progress import progress_bar
+
+METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}  # rps² s, rps
+
+
+class Compared(NamedTuple):
+    """The runs of a comparison, and what they rest on."""
+
+    title: str
+    subtitle: str
+    evaluations: list[Evaluation]
+    yardstick: Yardstick
+    percent_of: str | None
+    cautions: list[str]
+    files: list[SourceFile]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="scenario file (configs/scenarios/*.yaml)")
+    parser.add_argument("--controllers", metavar="NAMES", help="some of the scenario's, comma-separated (default: all)")
+    parser.add_argument("--seeds", type=int, metavar="N", help="number of seeds (default: the scenario's)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--runs", nargs="+", metavar="FILE", help="evaluate recordings (.mcap) instead of running")
+    source.add_argument(
+        "--bus", nargs="?", const="", metavar="BUS", help="run on a bus in real time (default: the axis file's bus)"
+    )
+    parser.add_argument("--node", metavar="FILE", help="with --bus: start this simulated drive on the bus")
+    parser.add_argument(
+        "--uncommissioned", action="store_true", help="enable a drive on a bus without a commissioning record"
+    )
+    parser.add_argument("--out", metavar="DIR", help="directory of the report (default: runs/evaluate_TIME)")
+    parser.add_argument("--json", action="store_true", help="print report.json's results and nothing else on stdout")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    out = Path(options.out or Path("runs") / timestamp_name("evaluate", time.time_ns()))
+    scenario = _scenario(options)
+    out.mkdir(parents=True, exist_ok=True)
+    if options.runs:
+        compared = _compared_recordings(options.runs, scenario)
+    else:
+        if scenario is None:
+            raise DocumentError("evaluate: a SCENARIO or --runs FILE... is needed")
+        compared = _compared_scenario(scenario, options, out)
+    summary = summarise(compared.evaluations, compared.percent_of)
+    facts = {"seeds": str(len(summary.seeds)), "controllers": ", ".join(summary.controllers)}
+    source = EvaluationSource(
+        compared.title,
+        compared.subtitle,
+        compared.yardstick,
+        compared.cautions,
+        provenance(compared.files, facts),
+    )
+    paths = write_evaluation_report(source, summary, compared.evaluations, out)
+    if options.json:
+        print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
+        return 0
+    print_summary(summary)
+    print(f"{paths.page}\n{paths.json}")
+    return 0
+
+
+def _scenario(options: argparse.Namespace) -> Scenario | None:
+    if options.scenario is None:
+        return None
+    scenario = read_scenario(options.scenario)
+    if options.seeds is not None:
+        if options.seeds < 1:
+            raise DocumentError(f"evaluate: --seeds {options.seeds}: at least 1 is needed")
+        scenario = scenario._replace(file=scenario.file.model_copy(update={"seeds": options.seeds}))
+    if options.controllers:
+        scenario = select_controllers(scenario, [name.strip() for name in options.controllers.split(",")])
+    return scenario
+
+
+def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
+    file = scenario.file
+    if options.bus is not None:
+        own_node = options.node is not None  # a simulated drive of the scenario's own needs no commissioning
+        given = permission(
+            scenario.axis_path, scenario.axis, scenario.model, uncommissioned=own_node or options.uncommissioned
+        )
+        evaluations = evaluate_on_bus(scenario, options.bus or None, options.node, out, given, options.json)
+        where = "on a bus, in real time"
+    else:
+        with progress_bar(f"{file.name:8}", options.json) as progress:
+            done = None if progress is None else (lambda cases: progress(cases / file.seeds))
+            evaluations = run_campaign(cases_of(scenario), options.workers, done)
+        where = "on the simulated drive in process"
+    return Compared(
+        f"Evaluation of {file.name}",
+        f"{', '.join(file.controllers)} {where}, {file.seeds} seeds.",
+        evaluations,
+        yardstick_of(file),
+        file.percent_of,
+        law_cautions(scenario),
+        [source_file(path.name, path.read_bytes(), text=True) for path in (scenario.path, scenario.axis_path)],
+    )
+
+
+def _compared_recordings(files: Sequence[str], scenario: Scenario | None) -> Compared:
+    yardstick, evaluations, cautions = evaluate_recordings(
+        files, None if scenario is None else yardstick_of(scenario.file)
+    )
+    return Compared(
+        f"Evaluation of {len(files)} recordings",
+        "Recorded runs; those of one controller count as seeds, in the order given.",
+        evaluations,
+        yardstick,
+        None if scenario is None else scenario.file.percent_of,
+        cautions,
+        [source_file(Path(name).name, Path(name).read_bytes()) for name in files],
+    )
+
+
+def print_summary(summary: Summary) -> None:
+    """The metrics on the terminal."""
+    console = Console()
+    for kind in ("measured", "true"):
+        if f"{kind}.ise" not in summary.figures:
+            continue
+        base = summary.figures[f"{kind}.ise"].base
+        title = f"error against {kind} velocity (rps, ISE rps² s), and per cent of {base}"
+        table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, collapse_padding=True)
+        table.add_column("", no_wrap=True)
+        for title in (*METRICS.values(), "lag ms"):
+            table.add_column(title, justify="right", no_wrap=True)
+        for controller in summary.controllers:
+            cells = []
+            for key in METRICS:
+                comparison = summary.figures[f"{kind}.{key}"]
+                value, percent = comparison.absolute[controller].value, comparison.percent[controller].value
+                cells.append(f"{value:.3g} {percent:4.3g}%")
+            lag = summary.figures.get(f"{kind}.lag.mean_absolute_ms")
+            cells.append("-" if lag is None else f"{lag.absolute[controller].value:.2f}")
+            table.add_row(controller, *cells)
+        console.print(table)
+    for failure in summary.failures:
+        console.print(failure, highlight=False, soft_wrap=True)

@@ -1,0 +1,158 @@
+"""Evaluations that are not simulated in process: recordings, and runs on a bus in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from ..config.axis import CanopenDriveSection, recorder_settings
+from ..config.checks import require
+from ..config.commissioning import Permission
+from ..config.scenario import (
+    Scenario,
+    axis_of,
+    candidates_of,
+    cutouts_of,
+    law_cautions,
+    reference_of,
+    toggle_of,
+    wrong_model,
+    yardstick_of,
+)
+from ..control.envelope import TRIP_NONE
+from ..control.reference import Profile
+from ..documents import DocumentError
+from ..drive.port import DriveIdentity
+from ..evaluation.campaign import Evaluation, cut
+from ..evaluation.measures import Yardstick, measure
+from ..evaluation.trace import trace_of
+from ..recording.reader import Run, read_run
+from ..recording.settings import Rows, RunHeader
+from ..runtime.runs import record_live
+from ..runtime.session import Session
+from .drives import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
+from .exits import DriveFaultError, RecordingGapError
+from .progress import progress_bar
+from .recordings import recorded_rows, recorder_hooks
+from .replay import recorded_files
+from .simulated_process import SimulatedProcess
+
+NAMES = {"off": "pi", "fb": "pi+fbfo", "ff": "pi+fffo"}
+PARTS = ("inertia", "preview", "delay_aware")
+BANDS_RPS = (0.0, 0.5, 2.0, 5.0, 1000.0)
+HISTOGRAM_BINS = 160
+CANDIDATE = "candidate"  # in the metadata of a recording: the scenario's name of the controller
+
+
+def evaluate_recordings(
+    files: Sequence[str], yardstick: Yardstick | None
+) -> tuple[Yardstick, list[Evaluation], list[str]]:
+    """Recorded runs by controller; the n-th run of each is its seed n. Also what speaks against comparing them."""
+    runs = [read_run(file) for file in files]
+    shapes = {(run.metadata.get("profile_samples"), run.metadata.get("period_s")) for run in runs}
+    cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
+    if len(shapes) > 1:
+        cautions.append("The recordings do not share one profile: their metrics are of different references.")
+    rows = [_profile_of(run) for run in runs]
+    if yardstick is None:
+        largest_rps = max(float(np.abs(own["reference_rps"] - own["velocity_rps"]).max()) for own in rows)
+        yardstick = Yardstick(BANDS_RPS, np.linspace(-largest_rps, largest_rps, HISTOGRAM_BINS + 1))
+    counted: dict[str, int] = {}
+    evaluations = []
+    for run, own in zip(runs, rows, strict=True):
+        name = controller_name(run)
+        counted[name] = counted.get(name, 0) + 1
+        period_s = float(run.metadata["period_s"])
+        trace = trace_of(own, period_s)
+        windows = tuple((a, b) for a, b in _windows(own, period_s)) if counted[name] == 1 else ()
+        evaluations.append(Evaluation(name, counted[name], TRIP_NONE, measure(trace, yardstick), cut(trace, windows)))
+    return yardstick, evaluations, cautions
+
+
+def controller_name(run: Run) -> str:
+    """pi, pi+fbfo, pi+fffo, with the parts of the feed-forward that its axis file switches on; all three: +."""
+    if CANDIDATE in run.metadata:
+        return run.metadata[CANDIDATE]
+    name = NAMES.get(run.metadata.get("controller", ""), run.path.stem)
+    with contextlib.suppress(DocumentError):
+        axis, _ = recorded_files(run)
+        on = [part for part in PARTS if getattr(axis.controller.feedforward, part)]
+        name += "+" if len(on) == len(PARTS) else "".join(f"+{part}" for part in on)
+    return name
+
+
+def _profile_of(run: Run) -> Rows:
+    samples = int(run.metadata.get("profile_samples", 0))
+    inside = run.rows[(run.rows["profile_sample"] >= 0) & (run.rows["profile_sample"] < samples)]
+    if inside.size == 0 or "period_s" not in run.metadata:
+        raise DocumentError(f"{run.path}: holds no profile in which the velocity loop was closed")
+    return inside
+
+
+def _windows(rows: Rows, period_s: float) -> tuple[tuple[float, float], ...]:
+    profile = Profile("recorded", 1, period_s, rows["reference_rps"], rows["reference_rps2"])
+    return cutouts_of(profile)
+
+
+def evaluate_on_bus(
+    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, quiet: bool
+) -> list[Evaluation]:
+    """Every controller on every seed's reference, one run after the other; recordings go to `out`.
+
+    `node`: file of a simulated drive to start on the bus; `given`: to enable the drive. Raises DocumentError when a
+    controller breaks (14) or a margin: what simulation may try, a machine may not.
+    """
+    section = scenario.axis.drive
+    if not isinstance(section, CanopenDriveSection):
+        raise DocumentError(f"{scenario.axis_path}: drive.kind: --bus needs an axis file with a canopen drive")
+    if not scenario.axis.controller.accept_unproven:
+        require(scenario.path, [f"controllers: {caution}" for caution in law_cautions(scenario)])
+    plan = Plan(scenario.axis_path, scenario.axis, scenario.model, reference_of(scenario, scenario.seeds[0]))
+    address = bus or section.bus
+    evaluations = []
+    with contextlib.ExitStack() as stack:
+        if node is not None:
+            stack.enter_context(SimulatedProcess(Path(node), address))
+        drive = open_drive(plan, address)
+        identity = connect(drive, given)
+        session = stack.enter_context(Session(drive, plan_session(plan)))
+        for refusal in session.start().refusals:
+            print(f"without real-time properties: {refusal}", file=sys.stderr)
+        for seed in scenario.seeds:
+            profile = reference_of(scenario, seed)
+            for candidate in candidates_of(scenario, seed):
+                session.set_controller(candidate.controller)
+                header = _header(plan._replace(profile=profile), scenario, candidate.name, seed, identity)
+                path = out / f"{candidate.name.replace('+', '_')}_{seed}.mcap"
+                with progress_bar(f"{candidate.name}, seed {seed}", quiet) as progress:
+                    outcome = record_live(
+                        session, profile, candidate.toggle, path, header, recorder_settings(plan.axis),
+                        recorder_hooks(), progress,
+                    )  # fmt: skip
+                if outcome.fault_text is not None:
+                    raise DriveFaultError(f"{candidate.name}: {outcome.fault_text}; the record is in {path}")
+                if outcome.gap_text is not None:
+                    raise RecordingGapError(f"{candidate.name}: {outcome.gap_text}")
+                trace = trace_of(recorded_rows(outcome.files), profile.period_s, profile.values.size)
+                windows = cutouts_of(profile) if seed == scenario.seeds[0] else ()
+                measures = measure(trace, yardstick_of(scenario.file))
+                evaluations.append(Evaluation(candidate.name, seed, outcome.trip, measures, cut(trace, windows)))
+    return evaluations
+
+
+def _header(plan: Plan, scenario: Scenario, name: str, seed: int, identity: DriveIdentity) -> RunHeader:
+    """As of any run, with the axis and the model that this controller really had: so it can be replayed."""
+    header = run_header(plan, identity, toggle_of(scenario, name))
+    axis = axis_of(scenario, name)
+    model = wrong_model(scenario.model, scenario.file.mismatch, seed)
+    documents = ((plan.path.name, axis), (Path(axis.model).name, model))
+    attachments = tuple(
+        (file, YAML_TYPE, yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), sort_keys=False).encode())
+        for file, record in documents
+    )
+    return RunHeader({**header.metadata, CANDIDATE: name, "seed": str(seed)}, attachments)

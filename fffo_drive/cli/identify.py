@@ -1,0 +1,76 @@
+"""Fit a model to logs of one axis: parameters with honest uncertainties, residuals, frequency response.
+
+LOG is a recording (MCAP) or a table (CSV, CSV.GZ, MAT); several are fitted together. --drive is a YAML file of declared
+facts (torque constant, resolver, columns of foreign logs). Writes DIR/model.yaml, which a controller can run, and
+DIR/report.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..identification.dataset import load_records
+from ..identification.facts import read_facts
+from ..identification.fit import FitSettings, fit_records
+from ..identification.results import model_file, report
+from ..model.parameters import write_model
+from .progress import progress_bar
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("logs", metavar="LOG", nargs="+", help="recordings or tables of one axis")
+    parser.add_argument("--drive", required=True, metavar="FILE", help="declared facts about the drive (YAML)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="directory for model.yaml and report.json")
+    parser.add_argument("--name", help="name of the model (default: the directory's)")
+    parser.add_argument("--offset", action="store_true", help="fit a constant torque beside the model")
+    parser.add_argument("--json", action="store_true", help="print the parameters as JSON")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    facts = read_facts(options.drive)
+    out = Path(options.out)
+    records = load_records(options.logs, facts)
+    for record in records:
+        for warning in record.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+    with progress_bar("identify", options.json) as bar:
+        progress = None if bar is None else lambda share, _: bar(0.9 * share)
+        fit = fit_records(records, FitSettings(with_offset=options.offset), facts.rated_current_a, progress)
+        result = report(fit, records, facts)
+    out.mkdir(parents=True, exist_ok=True)
+    write_model(out / "model.yaml", model_file(fit, records, options.name or out.resolve().name))
+    (out / "report.json").write_text(json.dumps(result), encoding="utf-8")
+    if options.json:
+        print(
+            json.dumps({key: result[key] for key in ("parameters", "doubts", "warnings", "sensor_delay_s")}, indent=2)
+        )
+    else:
+        _print(result, out)
+    return 0
+
+
+def _print(result: dict[str, Any], out: Path) -> None:
+    for row in result["parameters"]:
+        if not row["fitted"]:
+            continue
+        sd = "at a bound" if row["sd"] is None else f"{row['sd']:.2g}"
+        print(f"{row['symbol']:>10} {row['value']:>12.5g} +- {sd:<10} {row['unit']}")
+    if result["sensor_delay_s"] is not None:
+        print(f"velocity is {1e3 * result['sensor_delay_s']:.3g} ms behind the position; Td above is without it")
+    for name, run in result["residuals"].items():
+        print(
+            f"{name}: torque residual {run['torque_rms_nm']:.3g} ({run['torque_relative_percent']:.2f} %), velocity "
+            f"{run['velocity_rms_rps']:.3g} over {run['velocity_window_s']:g} s"
+        )
+    for doubt in result["doubts"]:
+        print(f"not known: {doubt['symbol']}: {doubt['reason']}; what would tell it: {doubt['excitation']}")
+    for warning in result["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(out / "model.yaml")
+    print(out / "report.json")

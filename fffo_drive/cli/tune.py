@@ -1,0 +1,162 @@
+"""Choose gains for a fitted model: PI, observer gain, margins with the delay, and how much friction may vary.
+
+Writes DIR/controller.yaml, the `controller:` section of an axis file, and DIR/tuning.json; with --axis also a whole
+axis file, DIR/AXIS, that runs the model with these gains.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ..config.axis import read_axis
+from ..control.stability import LinearAxis
+from ..documents import parse, read_text
+from ..identification.tuning import Design, Wish, design, root_locus, step_response
+from ..model.parameters import ModelFile, read_model
+
+LOCUS_POINTS = 61
+STEP_S = 0.4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("model", metavar="MODEL", help="model file (YAML)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="directory for what is written")
+    parser.add_argument("--axis", metavar="FILE", help="axis file whose gains and model are replaced in a copy")
+    parser.add_argument("--bandwidth-hz", type=float, help="wanted crossover (default: as fast as the margins allow)")
+    parser.add_argument(
+        "--damping-ratio", type=float, default=Wish().damping_ratio, help="of the closed-loop poles (%(default)s)"
+    )
+    parser.add_argument(
+        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, help="smallest (%(default)s)"
+    )
+    parser.add_argument("--gain-margin", type=float, default=Wish().gain_margin, help="smallest (%(default)s)")
+    parser.add_argument("--rate-hz", type=float, default=2000.0, help="of the loop, without --axis (%(default)s)")
+    parser.add_argument(
+        "--current-limit-a", type=float, help="of the controller section (default: the axis file's, or 10)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    model = read_model(options.model)
+    axis_file = read_axis(options.axis) if options.axis else None
+    period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
+    axis = linear_axis(model, period_s)
+    wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
+    found = design(axis, model.friction.attraction_nm_per_rev.value, wish)
+    limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    section = controller_section(found, limit_a)
+    (out / "controller.yaml").write_text(yaml.safe_dump({"controller": section}, sort_keys=False), encoding="utf-8")
+    result = summarise(found, axis)
+    (out / "tuning.json").write_text(json.dumps(result), encoding="utf-8")
+    if options.axis:
+        _write_axis(Path(options.axis), out, section, Path(options.model))
+    if options.json:
+        print(json.dumps({key: result[key] for key in result if key not in ("root_locus", "step")}, indent=2))
+    else:
+        _print(found, out)
+    return 0
+
+
+def linear_axis(model: ModelFile, period_s: float) -> LinearAxis:
+    """The axis at its smallest damping, with the whole delay: command to velocity, and half a period of hold."""
+    config = model.axis_config()
+    return LinearAxis(
+        config.inertia_nm_s2_per_rev,
+        config.friction.viscous_nm_per_rps,
+        model.delay_s.value + 0.5 * period_s,
+        config.torque_constant_nm_per_a,
+    )
+
+
+def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
+    """The `controller:` section of an axis file."""
+    return {
+        "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
+        "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
+        "current_limit_a": current_limit_a,
+        "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
+    }
+
+
+def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
+    """The design, its root locus and its step, JSON-ready."""
+    gains = found.gains
+    integral_time_s = gains.proportional_a_per_rps / gains.integral_a_per_rev
+    locus = root_locus(axis, integral_time_s, gains.proportional_a_per_rps * np.geomspace(0.02, 10.0, LOCUS_POINTS))
+    step = step_response(axis, gains.proportional_a_per_rps, gains.integral_a_per_rev, STEP_S)
+    return {
+        "format": "fffo_drive/tuning/1",
+        "axis": axis._asdict(),
+        "gains": gains._asdict(),
+        "integral_time_s": integral_time_s,
+        "margins_pi": found.margins_pi._asdict(),
+        "margins_observer": found.margins_observer._asdict(),
+        "condition_14_nm_per_rev": found.condition_14_nm_per_rev,
+        "real_poles_from_a_per_rps": found.real_poles_from_a_per_rps,
+        "overshoot_percent": found.overshoot_percent,
+        "settled_s": found.settled_s,
+        "damping_with_real_poles_nm_per_rps": found.without_overshoot._asdict()
+        | {"ratio": found.without_overshoot.ratio},
+        "damping_within_margins_nm_per_rps": found.within_margins._asdict() | {"ratio": found.within_margins.ratio},
+        "root_locus": [
+            {"proportional_a_per_rps": p.proportional_a_per_rps, "poles": [[z.real, z.imag] for z in p.poles]}
+            for p in locus
+        ],
+        "step": {"period_s": STEP_S / 400, "velocity_rps": step[:: step.size // 400].tolist()},
+        "warnings": list(found.warnings),
+    }
+
+
+def _rounded(value: float) -> float:
+    """Four digits, rounded up in the last: the observer's gain must not fall below (14) by rounding."""
+    return float(f"{value * (1.0 + 5e-5):.4g}")
+
+
+def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> None:
+    """A copy of an axis file with other gains and another model; keys of the section that are not tuned are kept."""
+    data, _ = parse(read_text(source), str(source))
+    kept = data["controller"]
+    observer = dict(kept.get("observer", {})) | section["observer"]
+    data["controller"] = kept | section | {"observer": observer}
+    data["model"] = os.path.relpath(model.resolve(), out.resolve())
+    if data["drive"].get("file"):
+        data["drive"]["file"] = os.path.relpath((source.parent / data["drive"]["file"]).resolve(), out.resolve())
+    target = out / source.name
+    target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    read_axis(target)
+
+
+def _print(found: Design, out: Path) -> None:
+    g = found.gains
+    print(
+        f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "
+        f"L {g.observer_nm_per_rev:.4g} Nm/rev"
+    )
+    for name, margins in (("PI", found.margins_pi), ("with observer", found.margins_observer)):
+        print(
+            f"{name}: phase margin {margins.phase_deg:.1f} deg, gain margin {margins.gain:.2f}, "
+            f"crossover {margins.crossover_hz:.1f} Hz"
+        )
+    print(
+        f"(14): Ki Kt + L - 2 B = {found.condition_14_nm_per_rev:.3g} Nm/rev; "
+        f"real poles from Kp {found.real_poles_from_a_per_rps:.3g} A/rps"
+    )
+    print(f"step: overshoot {found.overshoot_percent:.1f} %, settled in {1e3 * found.settled_s:.0f} ms")
+    print(f"friction damping may vary {found.without_overshoot.ratio:.3g}:1 with real poles, "
+          f"{found.within_margins.ratio:.3g}:1 within the margins")  # fmt: skip
+    for warning in found.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(out / "controller.yaml")

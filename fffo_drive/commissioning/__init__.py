@@ -1,0 +1,1 @@
+"""Before any loop is closed: small bounded current pulses check signs, scales, delay, and what stops the axis."""

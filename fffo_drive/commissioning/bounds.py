@@ -1,0 +1,95 @@
+"""What commissioning may not exceed, and the envelopes made of it.
+
+The envelope of the axis file is only ever tightened. It trips before a bound, so that what stopping takes stays inside.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ..control.controller import ControllerConfig
+from ..control.envelope import (
+    REACTION_QUICK_STOP,
+    TRIP_OVERSPEED,
+    TRIP_POSITION_WINDOW,
+    EnvelopeConfig,
+)
+from ..control.feedforward import NO_FEEDFORWARD
+from ..control.pi import PiConfig
+
+CURRENT_SHARE = 0.5  # of the continuous current
+SPEED_SHARE = 0.5  # of the speed limit
+SPEED_RPS = 5.0
+TRAVEL_REV = 2.0
+TIME_S = 120.0
+TRIP_SHARE = 0.8  # of a bound, at which the envelope trips
+NEVER = float("inf")
+
+
+class BoundsError(Exception):
+    """There is no room to commission the axis inside its limits."""
+
+
+class Bounds(NamedTuple):
+    """Largest magnitudes. Travel is counted from where the axis stood at the beginning."""
+
+    current_a: float
+    speed_rps: float
+    travel_rev: float
+    time_s: float  # of all motion together
+
+
+def make_bounds(
+    envelope: EnvelopeConfig,
+    current_a: float | None = None,
+    speed_rps: float | None = None,
+    travel_rev: float | None = None,
+) -> Bounds:
+    """Bounds as wished (None: a default), inside the envelope. Raises BoundsError for a wish beyond it."""
+    highest_a = min(envelope.continuous_current_a, envelope.current_limit_a)
+    bounds = Bounds(
+        CURRENT_SHARE * highest_a if current_a is None else current_a,
+        min(SPEED_RPS, SPEED_SHARE * envelope.speed_limit_rps) if speed_rps is None else speed_rps,
+        TRAVEL_REV if travel_rev is None else travel_rev,
+        TIME_S,
+    )
+    for name, value, limit, unit in (
+        ("current", bounds.current_a, highest_a, "A"),
+        ("speed", bounds.speed_rps, envelope.speed_limit_rps, "rps"),
+    ):
+        if not 0.0 < value <= limit:
+            raise BoundsError(f"--{name} {value:g} {unit}: above 0 and at most {limit:g}, the limit of the axis file")
+    if not bounds.travel_rev > 0.0:
+        raise BoundsError(f"--travel {bounds.travel_rev:g} rev: must be above 0")
+    return bounds
+
+
+def bounded_envelope(envelope: EnvelopeConfig, bounds: Bounds, start_rev: float) -> EnvelopeConfig:
+    """The axis' envelope with the bounds of commissioning, round where the axis stands.
+
+    Over-speed and the position window always brake: a coasting axis would leave the bounds. Raises BoundsError when
+    the position window of the axis file leaves no room.
+    """
+    low_rev, high_rev = start_rev - bounds.travel_rev, start_rev + bounds.travel_rev
+    if low_rev < envelope.position_low_rev or high_rev > envelope.position_high_rev:
+        window = f"[{envelope.position_low_rev:g}, {envelope.position_high_rev:g}]"
+        raise BoundsError(
+            f"the axis stands at {start_rev:.3f} rev and may be moved {bounds.travel_rev:g} rev both ways, but "
+            f"envelope.position_window_rev is {window}: move the axis towards its middle, or give a smaller --travel"
+        )
+    reactions = envelope.reactions.copy()
+    reactions[[TRIP_OVERSPEED, TRIP_POSITION_WINDOW]] = REACTION_QUICK_STOP
+    return envelope._replace(
+        current_limit_a=bounds.current_a,
+        continuous_current_a=min(envelope.continuous_current_a, bounds.current_a),
+        speed_limit_rps=TRIP_SHARE * bounds.speed_rps,
+        position_low_rev=start_rev - TRIP_SHARE * bounds.travel_rev,
+        position_high_rev=start_rev + TRIP_SHARE * bounds.travel_rev,
+        following_error_rps=NEVER,  # no loop is closed: there is nothing to follow
+        reactions=reactions,
+    )
+
+
+def open_loop(controller: ControllerConfig) -> ControllerConfig:
+    """A law without gains and without a current to spend: whatever mode the loop is in, feedback makes no current."""
+    return controller._replace(pi=PiConfig(0.0, 0.0), feedforward=NO_FEEDFORWARD, current_limit_a=0.0)

@@ -1,0 +1,199 @@
+"""Estimators on pulses: scale and age of the velocity against the position, gain and delay from current to motion.
+
+All are linear least squares with one delay searched for; each sliding stretch has its own offset, so that nothing of
+the friction at rest enters:
+
+    velocity against position     V(t) = q p(t - a) + b
+    motion under current          v(t) = g I(t - Td) - c t - d V(t) + b
+
+with V the integral of the velocity word and I that of the held command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from .motion import Integers, Motion, extreme, integral, pulse_windows
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST_DELAY_S = 0.05
+LARGEST_AGE_S = 0.02
+SLIDING_SHARE = 0.3  # of a pulse's peak speed: above, friction changes little
+FAST_SHARE = 0.5
+SHORTEST_STRETCH = 8  # rows
+LARGEST_UNEXPLAINED = 0.1  # of the variance: beyond, the axis does not slide as the equation says
+
+
+class ScaleFit(NamedTuple):
+    """Velocity against position."""
+
+    ratio: float  # q: 1 when the integral of the velocity is the position
+    age_s: float  # how much older the velocity word is than the position
+
+
+class GainFit(NamedTuple):
+    """Motion under current."""
+
+    gain_rps2_per_a: float  # Kt/J in the units of the velocity word
+    delay_s: float  # from the tick that computes a command to the velocity that shows it, without the hold
+    friction_a: float  # kinetic friction in terms of current
+    error_rps: float  # root mean square of the residual
+
+
+def _search(cost: Callable[[float], float], low: float, high: float, step: float) -> float:
+    """Minimum of a cost with perhaps several: a grid, then golden section round its best point."""
+    grid = np.arange(low, high + 0.5 * step, step)
+    best = float(grid[np.argmin([cost(float(x)) for x in grid])])
+    result = minimize_scalar(cost, bounds=(max(low, best - step), min(high, best + step)), method="bounded")
+    return float(result.x)
+
+
+def _centred(values: Floats, group: Integers) -> Floats:
+    """Values less the mean of their group: what least squares with an offset for each group does. Shape (n,)."""
+    means = np.bincount(group, values) / np.bincount(group)
+    return np.asarray(values - means[group])
+
+
+def _held_integral(time_s: Floats, values: Floats) -> Floats:
+    """Integral of values that are held until the next row. Shape (n,)."""
+    return np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
+
+
+def travel_ratio(motions: Sequence[Motion]) -> float:
+    """A first, rough look: the integral of the velocity over the position, by least squares. NaN at rest."""
+    above = below = 0.0
+    for motion in motions:
+        for window in pulse_windows(motion):
+            position = motion.position_rev[window] - motion.position_rev[window.start]
+            by_velocity = integral(motion.time_s[window], motion.velocity_rps[window])
+            above += float(position @ by_velocity)
+            below += float(position @ position)
+    return above / below if below > 0.0 else float("nan")
+
+
+def fit_scale(motion: Motion) -> ScaleFit:
+    """Ratio and age of the velocity word against the position, over all pulses."""
+    windows = pulse_windows(motion)
+    rows, group = _rows_of(windows)
+    time_s = motion.time_s[rows]
+    target = _centred(integral(motion.time_s, motion.velocity_rps)[rows], group)
+
+    def ratio_and_rest(age_s: float) -> tuple[float, float]:
+        late = _centred(np.interp(time_s - age_s, motion.time_s, motion.position_rev), group)
+        power = float(late @ late)
+        ratio = float(late @ target) / power if power > 0.0 else float("nan")
+        rest = target - ratio * late
+        return ratio, float(rest @ rest)
+
+    age_s = _search(lambda a: ratio_and_rest(a)[1], -0.5 * LARGEST_AGE_S, LARGEST_AGE_S, 5e-4)
+    return ScaleFit(ratio_and_rest(age_s)[0], age_s)
+
+
+def _rows_of(windows: Sequence[slice]) -> tuple[Integers, Integers]:
+    """Rows in slices, and the number of the slice of each."""
+    rows = np.concatenate([np.arange(window.start, window.stop) for window in windows])
+    group = np.concatenate([np.full(window.stop - window.start, k) for k, window in enumerate(windows)])
+    return rows, group
+
+
+def sliding_stretches(motion: Motion, share: float) -> list[slice]:
+    """Stretches in which a pulse moves the axis one way at more than a share of its own peak speed."""
+    found = []
+    for window in pulse_windows(motion):
+        velocity = motion.velocity_rps[window]
+        peak = extreme(velocity)
+        fast = velocity * np.sign(peak) > share * abs(peak)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], fast, [False]]).astype(np.int8)))
+        runs = edges.reshape(-1, 2)
+        if runs.size:
+            begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+            if end - begin >= SHORTEST_STRETCH:
+                found.append(slice(window.start + int(begin), window.start + int(end)))
+    return found
+
+
+def fit_gain(motion: Motion) -> GainFit | None:
+    """Gain, delay and friction from the sliding stretches of all pulses; None when the axis does not slide in them."""
+    stretches = sliding_stretches(motion, SLIDING_SHARE)
+    if len(stretches) < 2:
+        return None
+    rows, group = _rows_of(stretches)
+    time_s, velocity = motion.time_s[rows], motion.velocity_rps[rows]
+    command = _held_integral(motion.time_s, motion.command_a)
+    first = np.array([stretch.start for stretch in stretches])[group]
+    slowed = _centred(-np.sign(motion.velocity_rps[first]) * time_s, group)
+    damped = _centred(-integral(motion.time_s, motion.velocity_rps)[rows], group)
+    target = _centred(velocity, group)
+
+    def solve(delay_s: float) -> tuple[Floats, float]:
+        pushed = _centred(np.interp(time_s - delay_s, motion.time_s, command), group)
+        columns = np.column_stack([pushed, slowed, damped])
+        coefficients, *_ = np.linalg.lstsq(columns, target, rcond=None)
+        rest = target - columns @ coefficients
+        return np.asarray(coefficients), float(rest @ rest)
+
+    delay_s = _search(lambda d: solve(d)[1], 0.0, LONGEST_DELAY_S, 5e-4)
+    coefficients, rest = solve(delay_s)
+    gain = float(coefficients[0])
+    unexplained = rest / float(target @ target)
+    if gain <= 0.0 or unexplained > LARGEST_UNEXPLAINED:
+        return None
+    return GainFit(gain, delay_s, float(coefficients[1]) / gain, float(np.sqrt(rest / target.size)))
+
+
+def update_interval_s(motion: Motion, period_s: float) -> float:
+    """How long the velocity word stays the same while the axis moves fast: median distance of its changes, or NaN."""
+    intervals: list[float] = []
+    for stretch in sliding_stretches(motion, FAST_SHARE):
+        changes = np.flatnonzero(np.diff(motion.velocity_rps[stretch]) != 0.0)
+        if changes.size >= 2:
+            intervals += list(np.diff(motion.time_s[stretch][changes + 1]))
+    return max(period_s, float(np.median(intervals))) if intervals else float("nan")
+
+
+def current_slope(motion: Motion) -> tuple[float, int]:
+    """Reported over commanded current where the command has stood for a while, and how many samples there were.
+
+    A report every n-th SYNC of a command that acts late: only rows whose command has been the same for 10 ms count.
+    """
+    settled = np.zeros(motion.size, bool)
+    last_change = 0.0
+    for k in range(1, motion.size):
+        if motion.command_a[k] != motion.command_a[k - 1]:
+            last_change = motion.time_s[k]
+        settled[k] = motion.time_s[k] - last_change > 0.01
+    use = settled & motion.current_fresh & (motion.command_a != 0.0)
+    command = motion.command_a[use]
+    power = float(command @ command)
+    return (float(command @ motion.current_a[use]) / power if power else float("nan")), int(use.sum())
+
+
+def fall_rate_rps2(motion: Motion, high_rps: float, low_rps: float) -> float:
+    """Mean deceleration between two speeds, after the highest of the run. NaN when it does not fall through them."""
+    speed = np.abs(motion.velocity_rps)
+    if not speed.size:
+        return float("nan")
+    top = int(np.argmax(speed))
+    below_high = np.flatnonzero(speed[top:] < high_rps)
+    below_low = np.flatnonzero(speed[top:] < low_rps)
+    if speed[top] < high_rps or not below_high.size or not below_low.size:
+        return float("nan")
+    time_s = motion.time_s[top:]
+    fall_s = float(time_s[below_low[0]] - time_s[below_high[0]])
+    return (high_rps - low_rps) / fall_s if fall_s > 0.0 else float("nan")
+
+
+def coasting_s(motion: Motion, share: float = 0.03) -> float:
+    """How long after the last current the axis still moves faster than a share of its highest speed."""
+    driven = np.flatnonzero(motion.command_a)
+    speed = np.abs(motion.velocity_rps)
+    moving = np.flatnonzero(speed > share * speed.max()) if motion.size else driven
+    if not driven.size or not moving.size:
+        return 0.0
+    return max(0.0, float(motion.time_s[moving[-1]] - motion.time_s[driven[-1]]))

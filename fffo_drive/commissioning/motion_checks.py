@@ -1,0 +1,263 @@
+"""Checks on how the axis answers to current: signs, scales, ages, gain, delay, friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..model.parameters import ModelFile
+from .estimate import GainFit, ScaleFit
+from .judge import Range, factor, graded, told, within
+from .motion import Motion, Response
+from .objects import NamePlate
+from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
+
+MOVED_REV = 0.02  # beyond what gear play and the elasticity of standing friction allow
+STILL_REV = 0.005
+OFFSET_RPS = 0.05
+NOISE_SIGMAS = 5.0
+SCALE_OK, SCALE_WARNING = 0.01, 0.03
+ROUGH_SCALE = 1.5  # a ratio beyond this is seen in the first motion, and nothing grows any more
+CURRENT_OK, CURRENT_WARNING = 0.05, 0.15
+GAIN_OK, GAIN_WARNING = 1.25, 1.5
+FRICTION_OK = 2.5
+PLATE_OK, PLATE_WARNING = 0.02, 0.1
+
+
+class Beliefs(NamedTuple):
+    """What the model says about the numbers that are measured."""
+
+    gain_rps2_per_a: float
+    delay_s: float
+    sensor_delay_s: float
+    static_nm: float
+    torque_constant_nm_per_a: float
+
+
+def beliefs_of(model: ModelFile) -> Beliefs:
+    """From a model file."""
+    axis = model.axis_config()
+    constant = model.torque_constant_nm_per_a
+    return Beliefs(
+        constant / axis.inertia_nm_s2_per_rev,
+        axis.delay_s,
+        model.sensor_delay_s.value,
+        axis.friction.static_nm,
+        constant,
+    )
+
+
+def standstill(motion: Motion) -> CheckRecord:
+    """Without voltage the axis must stand, and the feedback must say so."""
+    if not motion.size:
+        return told(
+            "standstill", FAILED, "no feedback answers SYNC", "see the TPDO mapping and the cut-off (loop.cutoff_share)"
+        )
+    wandered_rev = float(np.ptp(motion.position_rev))
+    offset_rps = float(np.mean(motion.velocity_rps))
+    numbers = {
+        "position_wander_rev": wandered_rev,
+        "velocity_offset_rps": offset_rps,
+        "velocity_noise_rps": float(np.std(motion.velocity_rps)),
+    }
+    text = f"position wanders {wandered_rev:.2g} rev, velocity {offset_rps:+.2g} rps on average"
+    if wandered_rev > STILL_REV:
+        remedy = "the axis moves without torque, or the sensor does not work: hold the load, check the sensor's wiring"
+        return told("standstill", FAILED, text, remedy, numbers)
+    if abs(offset_rps) > OFFSET_RPS:
+        remedy = "the velocity word has an offset at rest: check 0x606C and the tracking loop's tuning"
+        return told("standstill", WARNING, text, remedy, numbers)
+    return told("standstill", OK, text, numbers=numbers)
+
+
+def has_moved(move: Response, noise_rps: float, period_s: float) -> bool:
+    """Whether a pulse has left the axis elsewhere, by either word: neither is trusted yet, and one may be dead."""
+    steps = max(1.0, move.duration_s / period_s)
+    noise_rev = NOISE_SIGMAS * noise_rps * period_s * math.sqrt(steps)
+    by_velocity = max(0.0, abs(move.net_by_velocity_rev) - noise_rev)
+    one, other = sorted((abs(move.net_rev), by_velocity))
+    return one > MOVED_REV or other > 2.0 * MOVED_REV
+
+
+def signs(moves: Sequence[Response]) -> list[CheckRecord]:
+    """Three signs, of which the odd one out is wrong: current, velocity, position."""
+    by_position = float(np.median([move.net_rev for move in moves]))
+    by_velocity = float(np.median([move.net_by_velocity_rev for move in moves]))
+    numbers = {"travel_rev": by_position, "travel_by_velocity_rev": by_velocity}
+    text = f"along the current: {by_position:+.3f} rev by the position, {by_velocity:+.3f} rev by the velocity"
+    wrong = ""
+    remedy = ""
+    if by_position < 0.0 and by_velocity < 0.0:
+        wrong = "torque_sign"
+        remedy = (
+            "a positive current turns the shaft backwards: the motor's phases, the resolver's or the drive's "
+            "commutation are swapped, or 0x607E (polarity) turns position and velocity but not torque. drive.inverted "
+            "turns all three and does not help"
+        )
+    elif by_velocity <= 0.0 or abs(by_velocity) < 1e-3 * abs(by_position):
+        wrong = "velocity_sign"
+        remedy = (
+            "the velocity does not have the sign of the change of position: check 0x607E (polarity, bit 6 velocity, "
+            "bit 7 position) and that 0x606C is mapped as a signed 32-bit word"
+        )
+    elif by_position <= 0.0 or abs(by_position) < 1e-3 * abs(by_velocity):
+        wrong = "position_sign"
+        remedy = (
+            "the position does not have the sign of torque and velocity: check 0x607E (polarity, bit 7 position) and "
+            "that 0x6064 is mapped as a signed 32-bit word of the same sensor"
+        )
+    return [
+        told(name, FAILED if name == wrong else OK, text, remedy if name == wrong else "", numbers)
+        for name in ("torque_sign", "velocity_sign", "position_sign")
+    ]
+
+
+def suspects(fit: ScaleFit, gain: GainFit | None, plate: NamePlate, facts: DeclaredFacts, model: Beliefs) -> set[str]:
+    """Where velocity and position disagree: which of the two checks has failed.
+
+    The encoder objects decide where the drive has them; else that word is wrong which makes Kt/J absurd. Both are
+    suspect where neither tells.
+    """
+    if within(1.0, SCALE_OK, SCALE_WARNING).verdict(fit.ratio) != FAILED:
+        return set()
+    counts_agree = plate.counts_per_rev is not None and plate.counts_per_rev == facts.counts_per_rev
+    units = plate.velocity_units_per_rps
+    units_agree = units is not None and units == facts.velocity_units_per_rps
+    if counts_agree != units_agree:
+        return {"velocity_scale"} if counts_agree else {"counts_per_rev"}
+    if gain is None or fit.ratio <= 0.0:
+        return {"counts_per_rev", "velocity_scale"}
+    by_velocity = abs(math.log(gain.gain_rps2_per_a / model.gain_rps2_per_a))
+    by_position = abs(math.log(gain.gain_rps2_per_a / fit.ratio / model.gain_rps2_per_a))
+    return {"counts_per_rev"} if by_velocity < by_position else {"velocity_scale"}
+
+
+def scales(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> list[CheckRecord]:
+    """Counts per revolution and velocity units: against each other and against what the drive says."""
+    return [_counts(fit, suspected, plate, facts), _velocity_units(fit, suspected, plate, facts)]
+
+
+CLEARED = "; acceleration per ampere or the encoder objects speak for this one"
+
+
+def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> CheckRecord:
+    name = "counts_per_rev"
+    declared, object_608f = facts.counts_per_rev, plate.counts_per_rev
+    text = f"the position travels {1.0 / fit.ratio:.4g} of the integrated velocity" if fit.ratio else "no travel"
+    if declared is not None and object_608f is not None:
+        text += f"; declared {declared:g} counts, 0x608F says {object_608f:g}"
+        if object_608f != declared:
+            remedy = (
+                "set drive.resolver_bits to what 0x608F says; where they differ on purpose, a position factor "
+                "(0x6091, 0x6092) is active: set it to 1"
+            )
+            return told(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
+    if suspected and name not in suspected:
+        return told(name, OK, text + CLEARED)
+    would = f" ({declared / fit.ratio:.6g} counts would agree with the velocity)" if declared and fit.ratio else ""
+    remedy = f"correct drive.resolver_bits{would}, or the position factors 0x608F, 0x6091, 0x6092 in the drive"
+    limits = within(1.0, SCALE_OK, SCALE_WARNING)
+    return graded(name, 1.0 / fit.ratio if fit.ratio else math.nan, 1.0, limits, "-", text, remedy)
+
+
+def _velocity_units(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> CheckRecord:
+    name = "velocity_scale"
+    declared, object_6090 = facts.velocity_units_per_rps, plate.velocity_units_per_rps
+    text = f"integrated velocity is {fit.ratio:.4g} of the travel by the position"
+    if suspected and name not in suspected:
+        return told(name, OK, text + CLEARED)
+    would = f" ({declared * fit.ratio:.6g} units for one rev/s would agree with the position)" if declared else ""
+    remedy = f"correct drive.velocity_units_per_rps{would}; see 0x6090, 0x6094 and the unit of 0x606C in the manual"
+    check = graded(name, fit.ratio, 1.0, within(1.0, SCALE_OK, SCALE_WARNING), "-", text, remedy)
+    if check.verdict == OK and None not in (declared, object_6090) and declared != object_6090:
+        text += f"; but 0x6090 says {object_6090:g} units for one rev/s, declared are {declared:g}"
+        remedy = "make 0x6090 and drive.velocity_units_per_rps agree"
+        check = check.model_copy(update={"verdict": WARNING, "text": text, "remedy": remedy})
+    return check
+
+
+def velocity_update(interval_s: float, period_s: float) -> CheckRecord:
+    """A word that changes less often than the loop reads it adds half its interval to the delay."""
+    limits = Range(0.0, 1.5 * period_s, 0.0, 4.5 * period_s)
+    text = f"changes every {interval_s * 1e3:.2f} ms, the loop reads it every {period_s * 1e3:.2f} ms"
+    remedy = (
+        "the drive computes 0x606C less often than SYNC comes: raise its update rate or lessen its averaging, or lower "
+        "loop.rate_hz to it"
+    )
+    return graded("velocity_update", interval_s, period_s, limits, "s", text, remedy)
+
+
+def velocity_age(fit: ScaleFit, period_s: float, believed_s: float) -> CheckRecord:
+    """The velocity estimate of a drive is older than its position: by the tracking loop, a filter, a slow task."""
+    limits = within(believed_s, max(period_s, 5e-4), 5e-3)
+    text = f"the velocity is {fit.age_s * 1e3:.2f} ms older than the position; the model says {believed_s * 1e3:.2f} ms"
+    remedy = (
+        f"set sensor_delay_s: {{value: {max(fit.age_s, 0.0):.5f}, source: commissioning}} in the model, or lessen the "
+        "filtering of 0x606C in the drive"
+    )
+    return graded("velocity_age", fit.age_s, believed_s, limits, "s", text, remedy)
+
+
+def current_scale(
+    slope: float, samples: int, held_ratio: float | None, plate: NamePlate, beliefs: Beliefs
+) -> CheckRecord:
+    """0x6077 (and 0x6078 with 0x6075, where they are) against the commanded current, and Kt against the name plate."""
+    limits = within(1.0, CURRENT_OK, CURRENT_WARNING)
+    ratio, source = (slope, "0x6077") if held_ratio is None else (held_ratio, "0x6078")
+    numbers = {"by_0x6077": slope, "samples": float(samples)}
+    text = f"{source} reports {ratio:.3f} of the commanded current"
+    remedy = (
+        "the drive makes another current than commanded: check rated torque and current (0x6076, 0x6075), "
+        "torque_constant_nm_per_a, the torque limits 0x6072, 0x60E0, 0x60E1 and the tuning of the current loop"
+    )
+    if plate.torque_constant_nm_per_a is not None:
+        of_plate = plate.torque_constant_nm_per_a / beliefs.torque_constant_nm_per_a
+        numbers["name_plate_torque_constant_nm_per_a"] = plate.torque_constant_nm_per_a
+        text += f"; rated torque over rated current is {of_plate:.3f} of the model's Kt"
+        if within(1.0, PLATE_OK, PLATE_WARNING).verdict(of_plate) != OK and limits.verdict(ratio) == OK:
+            remedy = "0x6076 over 0x6075 is another torque constant than the model's: make them agree"
+            return told("current_scale", WARNING, text, remedy, numbers)
+    if not samples and held_ratio is None:
+        return told("current_scale", WARNING, "the drive reported no current during the pulses", remedy, numbers)
+    return graded("current_scale", ratio, 1.0, limits, "-", text, remedy, numbers)
+
+
+def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
+    """Kt/J: with a wrong one every feed-forward torque and every margin is wrong by the same factor."""
+    expected = beliefs.gain_rps2_per_a
+    ratio = gain_rps2_per_a / expected
+    text = f"{gain_rps2_per_a:.4g} rps2/A, {ratio:.2f} of the model's {expected:.4g}"
+    remedy = (
+        "torque_constant_nm_per_a (name plate, 0x6076 over 0x6075) or inertia_kg_m2 in the model is wrong, or "
+        "drive.rated_torque_nm is; or the scales of position and velocity are wrong by one factor"
+    )
+    limits = factor(expected, GAIN_OK, GAIN_WARNING)
+    return graded("torque_per_inertia", gain_rps2_per_a, expected, limits, "rps2/A", text, remedy)
+
+
+def delay(measured_s: float, period_s: float, beliefs: Beliefs) -> CheckRecord:
+    """The margins are computed with the model's delay."""
+    expected_s = beliefs.delay_s
+    limits = within(expected_s, max(period_s, 0.2 * expected_s), max(3.0 * period_s, 0.6 * expected_s))
+    text = f"{measured_s * 1e3:.2f} ms, the model says {expected_s * 1e3:.2f} ms (both without the hold of a command)"
+    remedy = (
+        f"set delay_s: {{value: {measured_s:.5f}, source: commissioning}} in the model and check the margins again "
+        "(fffo-drive config check), or find what delays: a filter on 0x606C, an RPDO that misses its SYNC"
+    )
+    return graded("delay", measured_s, expected_s, limits, "s", text, remedy)
+
+
+def static_friction(breakaway_a: float, beliefs: Beliefs) -> CheckRecord:
+    """Rough: a pulse finds the level within its step of growth. Never more than a warning."""
+    measured_nm = breakaway_a * beliefs.torque_constant_nm_per_a
+    limits = factor(beliefs.static_nm, FRICTION_OK, FRICTION_OK)._replace(least=0.0, most=math.inf)
+    text = f"moves from {breakaway_a:.3g} A on, {measured_nm:.3g} Nm; the model says {beliefs.static_nm:.3g} Nm"
+    remedy = (
+        "identify the axis anew (friction changes with load, wear and temperature); check Kt if its check fails too"
+    )
+    return graded(
+        "static_friction", measured_nm, beliefs.static_nm, limits, "Nm", text, remedy, {"current_a": breakaway_a}
+    )

@@ -1,0 +1,367 @@
+"""The order of commissioning: listen, probe until the axis moves a little, measure, then provoke each limit.
+
+Nothing grows after the first surprise: a trip, a wrong sign, a velocity that is not the derivative of the position.
+What could not be checked then is not done, and the axis has not passed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ..control.envelope import (
+    TRIP_FEEDBACK_MISSING,
+    TRIP_HEARTBEAT,
+    TRIP_OVERSPEED,
+    TRIP_POSITION_WINDOW,
+    TRIP_STATUS_MISSING,
+    EnvelopeConfig,
+)
+from ..control.reference import Profile
+from ..drive.port import Drive, DriveError, DriveIdentity
+from ..model.parameters import ModelFile
+from ..runtime.session import SessionConfig
+from . import limit_checks, motion_checks, pulses
+from .bounds import Bounds, bounded_envelope
+from .estimate import ScaleFit, coasting_s, current_slope, fit_gain, fit_scale, travel_ratio, update_interval_s
+from .judge import CHECKS, not_done, told
+from .motion import Motion, Response, responses
+from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
+from .objects import PERMILLE, NamePlate, ObjectSource, read_name_plate, read_number
+from .record import FAILED, OK, CheckRecord, DeclaredFacts
+from .rig import Rig, Run, Runner, TimeBoundError, position_at_rest
+
+LISTEN_S = 0.5
+REST_TAIL_S = 0.05
+FIRST_SHARE = 0.01  # of the current bound: the first pulse
+GROWTH = 1.25
+WANTED_SHARE = 0.4  # of the speed bound: fast enough to measure
+LARGEST_SPEED_SHARE = 0.6  # of the bound: nothing that is expected to go beyond is tried
+LARGEST_TRAVEL_SHARE = 0.4
+LONGEST_MEASURING_S = 7.0
+MEASURING_PAIRS = 5
+REST_FACTOR = 1.3  # of the time that the axis coasted
+HOLD_SHARE = 0.6  # of the current that just moves the axis
+HOLD_S = 1.0
+FEWEST_READINGS = 5
+CLAMP_SHARE, CLAMP_ASK = 0.5, 1.5  # of the current that just moves the axis
+TRIP_SHARE = 0.6  # of what the same pulse reached without the limit
+WATCH_S = 0.3
+DEFAULT_RESOLUTION_A = 0.01
+SILENCE = (TRIP_FEEDBACK_MISSING, TRIP_STATUS_MISSING, TRIP_HEARTBEAT)
+
+
+class Outcome(NamedTuple):
+    """What commissioning found, on which drive."""
+
+    identity: DriveIdentity
+    checks: list[CheckRecord]
+
+
+class _SurpriseError(Exception):
+    """Stop here: nothing more is tried."""
+
+
+class _Probe(NamedTuple):
+    """The pulse that moves the axis well."""
+
+    amplitude_a: float
+    length_s: float
+    breakaway_a: float  # between the last current that did not move it and the first that did
+    stood_a: float  # the largest that did not
+    motions: list[Motion]  # forwards, backwards
+    moves: list[Response]
+
+
+def commission(
+    drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Outcome:  # fmt: skip
+    """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
+
+    `tell` gets a line for each step. Raises DriveError where the drive cannot be brought up, BoundsError where there is
+    no room, RealtimeRefusedError.
+    """
+    procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell)
+    reason = ""
+    try:
+        procedure.listen(session.envelope)
+        envelope = bounded_envelope(session.envelope, bounds, procedure.rest_rev)
+        probe = procedure.move(envelope)
+        procedure.limits(envelope, probe)
+    except _SurpriseError as surprise:
+        reason = str(surprise)
+    except TimeBoundError:
+        reason = f"the axis has been moved for {bounds.time_s:g} s, which is the bound"
+    identity = procedure.rig.identity
+    if identity is None:
+        raise DriveError("the drive was not connected")
+    found = procedure.found
+    checks = [found.get(name) or not_done(name, f"not done: {reason}") for name in CHECKS]
+    return Outcome(identity, checks)
+
+
+class _Procedure:
+    """State of one commissioning."""
+
+    def __init__(
+        self, rig: Rig, beliefs: Beliefs, facts: DeclaredFacts, bounds: Bounds, tell: Callable[[str], None]
+    ) -> None:
+        self.rig, self.beliefs, self.facts, self.bounds, self.tell = rig, beliefs, facts, bounds, tell
+        self.found: dict[str, CheckRecord] = {}
+        self.plate = NamePlate()
+        self.rest_rev = 0.0
+        self.noise_rps = 0.0
+
+    def add(self, *checks: CheckRecord) -> None:
+        """Keep results, and stop at one that failed."""
+        for check in checks:
+            self.found[check.name] = check
+
+    def stop_if_failed(self, *names: str) -> None:
+        """Raise when one of these checks has failed."""
+        for name in names:
+            check = self.found.get(name)
+            if check is not None and check.verdict == FAILED:
+                raise _SurpriseError(f"{name} failed")
+
+    # -- without torque --------------------------------------------------------------------------------------------
+
+    def listen(self, envelope: EnvelopeConfig) -> None:
+        """Standstill, and the name plate."""
+        self.tell("listening, no voltage")
+        with self.rig.under(envelope) as runner:
+            self.plate = read_name_plate(self.rig.drive)
+            motion = runner.listen(LISTEN_S)
+        self.add(motion_checks.standstill(motion))
+        self.stop_if_failed("standstill")
+        self.rest_rev = position_at_rest(motion)
+        self.noise_rps = float(np.std(motion.velocity_rps))
+
+    # -- small pulses ----------------------------------------------------------------------------------------------
+
+    def move(self, envelope: EnvelopeConfig) -> _Probe:
+        """Grow pulses until the axis moves well, then measure with them."""
+        with self.rig.under(envelope) as runner:
+            probe = self._grow(runner)
+            self.tell(f"measuring with {probe.amplitude_a:.3g} A")
+            rest_s = max(pulses.SHORTEST_REST_S, REST_FACTOR * max(coasting_s(motion) for motion in probe.motions))
+            pairs = int(LONGEST_MEASURING_S / (2.0 * (probe.length_s + rest_s)))
+            if pairs < 1:
+                text = f"the axis coasts for {rest_s / REST_FACTOR:.1f} s after a pulse"
+                self.add(told("motion", FAILED, text, "repeat with a smaller --speed"))
+                raise _SurpriseError(text)
+            profile = pulses.measuring_pairs(
+                probe.amplitude_a, probe.length_s, rest_s, self.rig.period_s, min(MEASURING_PAIRS, pairs)
+            )
+            motion = self._run(runner, profile).motion
+            held_ratio = self._hold(runner, HOLD_SHARE * probe.stood_a)
+        self._measure(motion, held_ratio, probe)
+        self.stop_if_failed("counts_per_rev", "velocity_scale")
+        return probe
+
+    def _run(self, runner: Runner, profile: Profile, meanwhile: Callable[[], None] | None = None) -> Run:
+        """A profile that must run to its end."""
+        run = runner.run(profile, meanwhile=meanwhile)
+        self._note_rest(run.motion)
+        if run.fault_text is not None:
+            self._explain(run, float(np.abs(profile.values).max()))
+            raise _SurpriseError(run.fault_text)
+        return run
+
+    def _explain(self, run: Run, current_a: float) -> None:
+        """Why a pulse did not end as it should: a scale that is far off trips where the axis has hardly moved."""
+        ratio = travel_ratio([run.motion])
+        limit_met = run.trip in (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)
+        if limit_met and math.isfinite(ratio) and not 1.0 / ROUGH_SCALE < abs(ratio) < ROUGH_SCALE:
+            suspect = "velocity_scale" if run.trip == TRIP_OVERSPEED else "counts_per_rev"
+            self.add(*motion_checks.scales(ScaleFit(ratio, 0.0), {suspect}, self.plate, self.facts))
+            return
+        remedy = "see the drive's error history (0x1003, 0x603F), its supply, and what else is on the bus"
+        if limit_met:
+            remedy = (
+                "is the axis lighter than thought, does it coast far, or are counts and velocity units wrong by one "
+                "factor? Repeat with a smaller --current or --speed"
+            )
+        elif run.trip in SILENCE:
+            remedy = (
+                "the drive or this PC does not keep time: see realtime.*, the load of the bus (fffo-drive config check) "
+                "and its wiring, then repeat"
+            )
+        self.add(told("motion", FAILED, f"{run.fault_text}, with pulses of {current_a:.3g} A", remedy))
+
+    def _note_rest(self, motion: Motion) -> None:
+        if motion.size:
+            self.rest_rev = position_at_rest(motion.part(motion.time_s >= motion.time_s[-1] - REST_TAIL_S))
+
+    def _grow(self, runner: Runner) -> _Probe:
+        """Pairs of pulses that grow until the axis moves both ways, and then until it is fast enough to measure."""
+        stood_a = 0.0
+        moved_a = math.nan
+        best: _Probe | None = None
+        for amplitude_a, length_s in self._amplitudes():
+            if best is not None and not self._may_grow(best, amplitude_a):
+                break
+            self.tell(f"pulses of {amplitude_a:.3g} A, {length_s * 1e3:.0f} ms")
+            motions = [
+                self._run(runner, pulses.single_pulse(signed_a, length_s, self.rig.period_s)).motion
+                for signed_a in (amplitude_a, -amplitude_a)
+            ]
+            moves = [move for motion in motions for move in responses(motion)]
+            moved = [move for move in moves if has_moved(move, self.noise_rps, self.rig.period_s)]
+            if not moved:
+                stood_a = amplitude_a
+                continue
+            if math.isnan(moved_a):
+                moved_a = amplitude_a
+            self._check_signs(moved)
+            if len(moved) < len(moves):
+                continue
+            best = _Probe(amplitude_a, length_s, 0.5 * (stood_a + moved_a), stood_a, motions, moves)
+            if not 1.0 / ROUGH_SCALE < travel_ratio(motions) < ROUGH_SCALE:
+                break  # a surprise: measured with what has moved it, and no further
+            if min(move.speed_rps for move in moves) > WANTED_SHARE * self.bounds.speed_rps:
+                break
+        if best is None:
+            self._did_not_move(stood_a, moved_a)
+            raise _SurpriseError("the axis does not move both ways")
+        speeds = [move.speed_rps for move in best.moves]
+        pulse = f"{best.amplitude_a:.3g} A for {best.length_s * 1e3:.0f} ms"
+        text = f"{pulse}: {speeds[0]:.3g} rps forwards, {speeds[-1]:.3g} backwards"
+        self.add(told("motion", OK, text, numbers={"current_a": best.amplitude_a, "speed_rps": min(speeds)}))
+        return best
+
+    def _amplitudes(self) -> Iterator[tuple[float, float]]:
+        """Rising currents up to the bound, then longer pulses of it."""
+        highest_a = self.bounds.current_a
+        amplitude_a = FIRST_SHARE * highest_a
+        while amplitude_a < highest_a:
+            yield amplitude_a, pulses.PULSE_S
+            amplitude_a *= GROWTH
+        length_s = pulses.PULSE_S
+        while length_s <= pulses.LONGEST_PULSE_S:
+            yield highest_a, length_s
+            length_s *= 2.0
+
+    def _may_grow(self, last: _Probe, amplitude_a: float) -> bool:
+        """Whether a larger pulse is expected to stay inside the bounds: speed rises with current above friction."""
+        threshold_a = 0.5 * last.breakaway_a
+        growth = (amplitude_a - threshold_a) / (last.amplitude_a - threshold_a)
+        speed_rps = growth * max(abs(move.speed_rps) for move in last.moves)
+        travel_rev = growth * growth * max(abs(move.travel_rev) for move in last.moves)
+        return (
+            speed_rps < LARGEST_SPEED_SHARE * self.bounds.speed_rps
+            and travel_rev < LARGEST_TRAVEL_SHARE * self.bounds.travel_rev
+        )
+
+    def _check_signs(self, moves: list[Response]) -> None:
+        self.add(*motion_checks.signs(moves))
+        self.stop_if_failed("torque_sign", "velocity_sign", "position_sign")
+
+    def _did_not_move(self, stood_a: float, moved_a: float) -> None:
+        if math.isnan(moved_a):
+            text = f"the axis does not move with {stood_a:.3g} A for {pulses.LONGEST_PULSE_S * 1e3:.0f} ms either way"
+            remedy = (
+                "is the brake released, the axis free, the motor connected, 0x6072 (torque limit) large enough? If the "
+                "axis needs more, give a larger --current"
+            )
+        else:
+            text = f"the axis moves one way with {moved_a:.3g} A, not the other way with {self.bounds.current_a:.3g} A"
+            remedy = "a load pulls it, or it stands at an end stop: balance or move it, or give a larger --current"
+        self.add(told("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
+
+    def _hold(self, runner: Runner, current_a: float) -> float | None:
+        """0x6078 over the commanded current, while the axis stands under it. None where it cannot be told."""
+        source = self.rig.drive
+        rated_a = self.plate.rated_current_a
+        if not isinstance(source, ObjectSource) or rated_a is None or current_a * PERMILLE < 20.0 * rated_a:
+            return None
+        reported: list[float] = []
+
+        def read() -> None:
+            raw = read_number(source, 0x6078, 0, signed=True)
+            if raw is not None:
+                reported.append(raw / PERMILLE * rated_a)
+
+        self._run(runner, pulses.holding_current(current_a, HOLD_S, self.rig.period_s), meanwhile=read)
+        return float(np.median(reported)) / current_a if len(reported) >= FEWEST_READINGS else None
+
+    def _measure(self, motion: Motion, held_ratio: float | None, probe: _Probe) -> None:
+        period_s, beliefs = self.rig.period_s, self.beliefs
+        scale = fit_scale(motion)
+        gain = fit_gain(motion)
+        suspected = motion_checks.suspects(scale, gain, self.plate, self.facts, beliefs)
+        self.add(*motion_checks.scales(scale, suspected, self.plate, self.facts))
+        self.add(motion_checks.velocity_update(update_interval_s(motion, period_s), period_s))
+        self.add(motion_checks.velocity_age(scale, period_s, beliefs.sensor_delay_s))
+        slope, samples = current_slope(motion)
+        self.add(motion_checks.current_scale(slope, samples, held_ratio, self.plate, beliefs))
+        if gain is None:
+            self._did_not_slide(probe, bool(suspected))
+            return
+        self.add(motion_checks.delay(gain.delay_s, period_s, beliefs))
+        self.add(motion_checks.torque_per_inertia(self._trusted_gain(gain.gain_rps2_per_a, scale), beliefs))
+        self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
+
+    def _did_not_slide(self, probe: _Probe, scale_suspected: bool) -> None:
+        """Nothing can be said of gain and delay; unless the scales explain it, the axis is held by something."""
+        text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but it does not slide freely under them"
+        if not scale_suspected:
+            remedy = "is the brake released and the axis free? If it needs more, give a larger --current"
+            self.add(told("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
+        raise _SurpriseError(text)
+
+    def _trusted_gain(self, by_velocity: float, scale: ScaleFit) -> float:
+        """Acceleration per ampere by the word whose scale is right."""
+        wrong = self.found["velocity_scale"].verdict == FAILED
+        return by_velocity / scale.ratio if wrong and scale.ratio else by_velocity
+
+    # -- limits ----------------------------------------------------------------------------------------------------
+
+    def limits(self, envelope: EnvelopeConfig, probe: _Probe) -> None:
+        """Provoke each limit with a session of its own, then judge how the drive braked."""
+        period_s = self.rig.period_s
+        limit_a, asked_a = CLAMP_SHARE * probe.breakaway_a, CLAMP_ASK * probe.breakaway_a
+        self.tell(f"current limit of {limit_a:.3g} A")
+        clamped = envelope._replace(
+            current_limit_a=limit_a, continuous_current_a=min(envelope.continuous_current_a, limit_a)
+        )
+        with self.rig.under(clamped) as runner:
+            motion = self._run(runner, pulses.single_pulse(asked_a, probe.length_s, period_s)).motion
+        self.add(limit_checks.current_limit(motion, limit_a, asked_a, self._resolution_a()))
+        self.stop_if_failed("current_limit")
+
+        speed_rps = TRIP_SHARE * min(move.speed_rps for move in probe.moves)
+        self.tell(f"speed limit of {speed_rps:.3g} rps")
+        pulse = pulses.single_pulse(probe.amplitude_a, probe.length_s, period_s)
+        with self.rig.under(envelope._replace(speed_limit_rps=speed_rps)) as runner:
+            over_speed = runner.run(pulse, WATCH_S).motion
+        self._note_rest(over_speed)
+        reached_rps = float(np.abs(over_speed.velocity_rps).max())
+        self.add(limit_checks.stop_after_trip("speed_limit", over_speed, TRIP_OVERSPEED, reached_rps, speed_rps, "rps"))
+        self.stop_if_failed("speed_limit")
+
+        room_rev = TRIP_SHARE * TRIP_SHARE * min(move.travel_rev for move in probe.moves)
+        self.tell(f"position window of +-{room_rev:.3g} rev")
+        rest_rev = self.rest_rev
+        window = envelope._replace(position_low_rev=rest_rev - room_rev, position_high_rev=rest_rev + room_rev)
+        pulse = pulses.single_pulse(-probe.amplitude_a, probe.length_s, period_s)
+        with self.rig.under(window) as runner:
+            outside = runner.run(pulse, WATCH_S).motion
+        reached_rev = float(np.abs(outside.position_rev - rest_rev).max())
+        self.add(
+            limit_checks.stop_after_trip(
+                "position_window", outside, TRIP_POSITION_WINDOW, reached_rev, room_rev, "rev"
+            ),
+            limit_checks.quick_stop([over_speed, outside], probe.motions),
+        )
+
+    def _resolution_a(self) -> float:
+        """One thousandth of the rated torque, as current."""
+        rated_nm = self.facts.rated_torque_nm
+        if rated_nm is None:
+            return DEFAULT_RESOLUTION_A
+        return rated_nm / self.facts.torque_constant_nm_per_a / PERMILLE

@@ -1,0 +1,166 @@
+"""The commissioning record: what was checked on which drive, with which declared facts, and what came of it.
+
+A YAML file with a content hash. It stands for one drive (vendor, product, serial number) and one set of declared
+scaling facts: with another drive, or once a fact is changed, it no longer counts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import Field
+
+from ..documents import Record, load, refuse
+from ..drive.port import DriveIdentity
+
+OK: Literal["ok"] = "ok"
+WARNING: Literal["warning"] = "warning"
+FAILED: Literal["failed"] = "failed"
+NOT_DONE: Literal["not_done"] = "not_done"
+Verdict = Literal["ok", "warning", "failed", "not_done"]
+
+HASH_LENGTH = 64
+
+
+class DeclaredFacts(Record):
+    """What an axis file and its model declare about the scaling of a drive; None where the drive has no such thing."""
+
+    drive_kind: Literal["canopen", "simulated"]
+    counts_per_rev: float | None = None
+    velocity_units_per_rps: float | None = None
+    torque_constant_nm_per_a: float
+    rated_torque_nm: float | None = None
+    rated_current_a: float | None = None
+    inverted: bool = False
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over all of them."""
+        return _digest(self.model_dump(mode="json"))
+
+
+class DriveRecord(Record):
+    """What the drive said that it is (0x1018, 0x1008, 0x100A)."""
+
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial_number: int
+    device_name: str = ""
+    software_version: str = ""
+
+    @classmethod
+    def of(cls, identity: DriveIdentity) -> DriveRecord:
+        """From what bring-up read."""
+        return cls(**identity._asdict())
+
+
+class BoundsRecord(Record):
+    """What no check was to exceed."""
+
+    current_a: float
+    speed_rps: float
+    travel_rev: float
+    time_s: float
+
+
+class CheckRecord(Record):
+    """One check: what was measured and expected, and what to do when the two disagree."""
+
+    name: str
+    what: Annotated[str, Field(description="what is checked, in a few words")]
+    verdict: Verdict
+    measured: float | None = None
+    expected: float | None = None
+    lowest: Annotated[float | None, Field(description="lowest value that is ok")] = None
+    highest: Annotated[float | None, Field(description="highest value that is ok")] = None
+    unit: str = "-"
+    text: Annotated[str, Field(description="what was found, in words")] = ""
+    remedy: Annotated[str, Field(description="what to do; empty when all is well")] = ""
+    numbers: Annotated[dict[str, float], Field(description="what else was measured")] = Field(default_factory=dict)
+
+
+class CommissioningRecord(Record):
+    """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
+
+    format: Literal["fffo_drive/commissioning/1"] = "fffo_drive/commissioning/1"
+    axis: str
+    date: Annotated[str, Field(description="UTC, ISO 8601")]
+    tool: str
+    bus: str
+    drive: DriveRecord
+    facts: DeclaredFacts
+    facts_hash: Annotated[str, Field(min_length=HASH_LENGTH, max_length=HASH_LENGTH)]
+    model: Annotated[str, Field(description="name and content hash of the model compared with")]
+    bounds: BoundsRecord
+    verdict: Literal["ok", "warning", "failed"]
+    checks: list[CheckRecord]
+    content_hash: str | None = None
+
+    @property
+    def passed(self) -> bool:
+        """True when the axis may be enabled with it."""
+        return self.verdict != FAILED
+
+
+def overall(checks: list[CheckRecord]) -> Literal["ok", "warning", "failed"]:
+    """The verdict of all checks together: a check that could not be made has not been passed."""
+    verdicts = {check.verdict for check in checks}
+    if not checks or verdicts & {FAILED, NOT_DONE}:
+        return FAILED
+    return WARNING if WARNING in verdicts else OK
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def content_hash(record: CommissioningRecord) -> str:
+    """SHA-256 over everything but the hash itself."""
+    return _digest(record.model_dump(mode="json", exclude={"content_hash"}))
+
+
+def write_record(path: Path, record: CommissioningRecord) -> CommissioningRecord:
+    """Write a record with its content hash, in one step: a record is whole or not there. Returns it. Raises OSError."""
+    stamped = record.model_copy(update={"content_hash": content_hash(record)})
+    text = yaml.safe_dump(
+        stamped.model_dump(mode="json", exclude_none=True), sort_keys=False, width=110, allow_unicode=True
+    )
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+    return stamped
+
+
+def read_record(path: Path) -> CommissioningRecord:
+    """Read and check a record. Raises DocumentError naming file, line and key."""
+    record = load(path, CommissioningRecord)
+    problems = []
+    if record.content_hash != content_hash(record):
+        problems.append(
+            ("content_hash", "does not match the content: a record is not edited by hand; commission the axis again")
+        )
+    elif record.facts_hash != record.facts.digest:
+        problems.append(("facts_hash", "does not match the facts in the record; commission the axis again"))
+    refuse(path, problems)
+    return record
+
+
+def fact_differences(record: CommissioningRecord, facts: DeclaredFacts) -> list[str]:
+    """Declared facts that are no longer those of the record: one text each."""
+    then, now = record.facts.model_dump(), facts.model_dump()
+    return [f"{name} was {then[name]}, is {now[name]}" for name in then if then[name] != now[name]]
+
+
+def identity_differences(record: CommissioningRecord, identity: DriveIdentity) -> list[str]:
+    """What of vendor, product and serial number is not that of the record: one text each."""
+    return [
+        f"{name} 0x{then:08X} in the record, 0x{now:08X} on the bus"
+        for name in ("vendor_id", "product_code", "serial_number")
+        if (then := getattr(record.drive, name)) != (now := getattr(identity, name))
+    ]

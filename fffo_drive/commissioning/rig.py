@@ -1,0 +1,188 @@
+"""Runs of the loop under one envelope: the same calls in simulated time and on a bus.
+
+Each envelope gets a session of its own, brought up from scratch: limits are not changed under a running loop. The law
+has no gains (`open_loop`), so that nothing closes a loop, and the drive is enabled for the length of one profile only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+
+from ..control.envelope import TRIP_NONE, TRIP_TEXTS, EnvelopeConfig
+from ..control.friction_observer import TOGGLE_OFF
+from ..control.reference import Profile
+from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
+from ..drive.port import Drive, DriveIdentity
+from ..recording.ring_reader import RingReader
+from ..runtime import blocks as b
+from ..runtime.session import Session, SessionConfig
+from .bounds import open_loop
+from .motion import Motion, motion_of
+
+ENABLE_S = 0.5  # simulated time for the way to Operation Enabled
+ENABLE_TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 5.0
+POLL_S = 0.01
+SETTLE_STEP_S = 0.1
+SETTLE_TIMEOUT_S = 5.0
+SETTLED_REV = 0.002  # in one step
+LONGEST_PROFILE_S = 8.0
+RING_S = 20.0
+
+
+class TimeBoundError(Exception):
+    """Commissioning has moved the axis for as long as it may."""
+
+
+class Run(NamedTuple):
+    """One profile on the loop."""
+
+    motion: Motion
+    trip: int  # envelope.TRIP_*
+    enabled: bool  # the drive reached Operation Enabled
+
+    @property
+    def fault_text(self) -> str | None:
+        """Why the profile did not run to its end; None when it did."""
+        if self.trip != TRIP_NONE:
+            return TRIP_TEXTS[self.trip]
+        return None if self.enabled else "the drive did not reach Operation Enabled"
+
+
+class Rig:
+    """A drive and the session to use it with."""
+
+    def __init__(
+        self, drive: Drive, session: SessionConfig, longest_s: float, tell: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self.drive = drive
+        self._tell = tell
+        self._told: set[str] = set()
+        self.period_s = session.loop.period_ns * 1e-9
+        self.identity: DriveIdentity | None = None
+        self._left_s = longest_s
+        self._session = session._replace(
+            controller=open_loop(session.controller),
+            loop=session.loop._replace(tail_ticks=0),
+            longest_profile=round(LONGEST_PROFILE_S / self.period_s),
+            ring_rows=round(RING_S / self.period_s),
+        )
+
+    @contextmanager
+    def under(self, envelope: EnvelopeConfig) -> Iterator[Runner]:
+        """Bring the drive up and let the loop run with this envelope; at the end the drive is left without torque."""
+        self.identity = self.drive.connect()
+        with Session(self.drive, self._session._replace(envelope=envelope)) as session:
+            session.request(b.TOGGLE, TOGGLE_OFF)
+            if self.drive.realtime:
+                for refusal in set(session.start().refusals) - self._told:
+                    self._told.add(refusal)
+                    self._tell(f"without real-time properties: {refusal}")
+            yield Runner(session, self)
+
+    def take_time(self, duration_s: float) -> None:
+        """Count time in which the axis may move. Raises TimeBoundError."""
+        self._left_s -= duration_s
+        if self._left_s < 0.0:
+            raise TimeBoundError
+
+
+class Runner:
+    """Profiles on one session."""
+
+    def __init__(self, session: Session, rig: Rig) -> None:
+        self.session = session
+        self._rig = rig
+        self._reader = RingReader(session.ring)
+
+    @property
+    def realtime(self) -> bool:
+        """The clock is the wall's."""
+        return self.session.drive.realtime
+
+    def listen(self, duration_s: float) -> Motion:
+        """SYNC and feedback, no voltage."""
+        return self._collect(lambda: self._pass(duration_s))
+
+    def run(self, profile: Profile, watch_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> Run:
+        """Enable, run the profile, watch for `watch_s` what follows (after a trip as well), disable, wait for rest.
+
+        `meanwhile` is called again and again while the profile runs, on a bus only.
+        """
+        self._rig.take_time(profile.duration_s)
+        motion = self._collect(lambda: self._act(profile, watch_s, meanwhile))
+        tripped = motion.trip[motion.trip != TRIP_NONE]
+        return Run(motion, int(tripped[0]) if tripped.size else TRIP_NONE, bool(motion.enabled.any()))
+
+    def _act(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:
+        self._profile(profile, watch_s, meanwhile)
+        self._settle()
+
+    def _settle(self) -> None:
+        """No voltage, until the axis stands or `SETTLE_TIMEOUT_S` has passed."""
+        feedback = self.session.drive.port.feedback[0]
+        last_rev = float(feedback["position_rev"])
+        for _ in range(round(SETTLE_TIMEOUT_S / SETTLE_STEP_S)):
+            self._pass(SETTLE_STEP_S)
+            position_rev = float(feedback["position_rev"])
+            if abs(position_rev - last_rev) < SETTLED_REV:
+                return
+            last_rev = position_rev
+
+    def _collect(self, act: Callable[[], None]) -> Motion:
+        """All rows that come about while `act` runs."""
+        self._reader.read()
+        act()
+        return motion_of(self._reader.read().rows)
+
+    def _pass(self, duration_s: float) -> None:
+        if self.realtime:
+            time.sleep(duration_s)
+        else:
+            self.session.run_ticks(round(duration_s / self._rig.period_s))
+
+    def _profile(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:
+        session = self.session
+        number = session.start_profile(profile)
+        session.request(b.GOAL, GOAL_ENABLED)
+        try:
+            if self.realtime:
+                self._follow(number, meanwhile)
+                time.sleep(watch_s)
+            else:
+                self._pass(ENABLE_S + profile.duration_s + watch_s)
+        finally:
+            session.request(b.GOAL, GOAL_DISABLED)
+            session.request(b.PROFILE_ABORT, number)
+        if self.realtime:
+            self._until(lambda: not has_torque(session.status(b.STATUSWORD)), STOP_TIMEOUT_S)
+        else:
+            self._pass(10 * self._rig.period_s)
+
+    def _follow(self, number: int, meanwhile: Callable[[], None] | None) -> None:
+        session = self.session
+
+        def over() -> bool:
+            return session.status(b.PROFILE_DONE) == number or session.status(b.TRIP) != TRIP_NONE
+
+        self._until(lambda: over() or session.status(b.PROFILE_SAMPLE) >= 0, ENABLE_TIMEOUT_S)
+        while session.running and not over() and session.status(b.PROFILE_SAMPLE) >= 0:
+            if meanwhile is not None:
+                meanwhile()
+            time.sleep(POLL_S)
+
+    def _until(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        """Wait, but not for ever: what has not come about shows in the rows."""
+        deadline_s = time.monotonic() + timeout_s
+        while self.session.running and not condition() and time.monotonic() < deadline_s:
+            time.sleep(POLL_S)
+
+
+def position_at_rest(motion: Motion) -> float:
+    """Median of the position, rev."""
+    return float(np.median(motion.position_rev)) if motion.size else float("nan")

@@ -1,0 +1,114 @@
+"""Parameters of the model as coordinates of the fit: logarithms where a parameter is positive, with bounds."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.axis import AxisConfig
+from ..model.friction import OMEGA_CLIPPED, FrictionConfig
+from .regression import TorqueStart
+from .shooting import Nuisance
+
+Floats = npt.NDArray[np.float64]
+
+# name -> (logarithmic, unit of a rotary axis); the order is that of all vectors and matrices of the fit
+PARAMETERS: dict[str, tuple[bool, str]] = {
+    "inertia_nm_s2_per_rev": (True, "Nm s^2/rev"),
+    "delay_s": (False, "s"),
+    "viscous_nm_per_rps": (True, "Nm/rps"),
+    "coulomb_nm": (True, "Nm"),
+    "static_nm": (True, "Nm"),
+    "stribeck_velocity_rps": (True, "rps"),
+    "stribeck_exponent": (False, "-"),
+    "stiffness_per_rev": (True, "1/rev"),
+    "attraction_nm_per_rev": (True, "Nm/rev"),
+    "sensor_lag_s2": (False, "s^2"),
+    "offset_nm": (False, "Nm"),
+}
+MODEL_PARAMETERS = tuple(PARAMETERS)[:9]
+NUISANCES = tuple(PARAMETERS)[9:]
+SYMBOLS = {
+    "inertia_nm_s2_per_rev": "J", "delay_s": "Td", "viscous_nm_per_rps": "sigma", "coulomb_nm": "Fc",
+    "static_nm": "Fs", "stribeck_velocity_rps": "Vs", "stribeck_exponent": "delta", "stiffness_per_rev": "K",
+    "attraction_nm_per_rev": "B", "sensor_lag_s2": "sensor lag", "offset_nm": "offset",
+}  # fmt: skip
+LOG_SPAN = math.log(1e3)  # a positive parameter stays within this factor of its start
+STRIBECK_EXPONENTS = (0.3, 3.0)
+LONGEST_DELAY_S = 0.1
+
+
+class Coordinates(NamedTuple):
+    """The space in which the fit moves: scales that make a unit step small, and bounds."""
+
+    names: tuple[str, ...]
+    scale: Floats
+    low: Floats  # in coordinates
+    high: Floats
+    rising: bool  # the literal Stribeck curve: exponent < 0
+
+
+def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per_rev: float) -> Floats:
+    """Physical parameters (all of PARAMETERS) at the start of a fit."""
+    return np.array([
+        start.inertia_nm_s2_per_rev, start.delay_s, start.viscous_nm_per_rps, start.coulomb_nm, start.static_nm,
+        start.stribeck_velocity_rps, start.stribeck_exponent, stiffness_per_rev, attraction_nm_per_rev, 0.0, 0.0,
+    ])  # fmt: skip
+
+
+def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False) -> Coordinates:
+    """Coordinates around a start. `free` names what is fitted; the rest stays as it is."""
+    names = tuple(PARAMETERS)
+    torque_nm = float(physical[names.index("coulomb_nm")])
+    scale = np.ones(len(names))
+    for name, size in (("delay_s", 2.0 * period_s), ("sensor_lag_s2", period_s**2), ("offset_nm", torque_nm)):
+        scale[names.index(name)] = size
+    values = to_coordinates(physical, scale)
+    low, high = values - LOG_SPAN, values + LOG_SPAN
+    exponents = STRIBECK_EXPONENTS if not rising else (-STRIBECK_EXPONENTS[1], -STRIBECK_EXPONENTS[0])
+    for name, bounds in (
+        ("delay_s", (0.0, LONGEST_DELAY_S)),
+        ("stribeck_exponent", exponents),
+        ("sensor_lag_s2", (-20.0 * period_s**2, 20.0 * period_s**2)),
+        ("offset_nm", (-100.0 * torque_nm, 100.0 * torque_nm)),
+    ):
+        k = names.index(name)
+        low[k], high[k] = bounds[0] / scale[k], bounds[1] / scale[k]
+    for k, name in enumerate(names):
+        if name not in free:
+            low[k] = high[k] = values[k]
+    return Coordinates(names, scale, low, high, rising)
+
+
+def to_coordinates(physical: Floats, scale: Floats) -> Floats:
+    """Logarithm where the parameter is positive by nature, else value over scale."""
+    return np.array([
+        math.log(value) if PARAMETERS[name][0] else value / size
+        for name, value, size in zip(PARAMETERS, physical, scale, strict=True)
+    ])  # fmt: skip
+
+
+def to_physical(values: Floats, scale: Floats) -> Floats:
+    """The inverse of `to_coordinates`."""
+    return np.array([
+        math.exp(value) if PARAMETERS[name][0] else value * size
+        for name, value, size in zip(PARAMETERS, values, scale, strict=True)
+    ])  # fmt: skip
+
+
+def physical_slope(values: Floats, scale: Floats) -> Floats:
+    """d physical / d coordinate, for standard deviations."""
+    return np.array([
+        math.exp(value) if PARAMETERS[name][0] else size
+        for name, value, size in zip(PARAMETERS, values, scale, strict=True)
+    ])  # fmt: skip
+
+
+def axis_of(physical: Floats, torque_constant_nm_per_a: float) -> tuple[AxisConfig, Nuisance]:
+    """Constants of the kernels from physical parameters. The delay is that of the position: without a sensor's lag."""
+    p = [float(value) for value in physical]
+    friction = FrictionConfig(p[3], p[4], p[5], p[6], p[2], p[7], p[8], OMEGA_CLIPPED)
+    return AxisConfig(p[0], torque_constant_nm_per_a, p[1], friction), Nuisance(p[10], p[9])

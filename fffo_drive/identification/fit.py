@@ -1,0 +1,199 @@
+"""The fit: prediction errors of the position, all parameters together, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .coordinates import (
+    MODEL_PARAMETERS,
+    NUISANCES,
+    PARAMETERS,
+    Coordinates,
+    coordinates,
+    start_vector,
+    to_coordinates,
+    to_physical,
+)
+from .dataset import DataError, Record
+from .kinematics import low_pass
+from .prediction import Problem, make_problem, residuals
+from .regression import TorqueStart, regression_start, start_problems
+from .solver import Solution, huber_cost, robust_scale, solve
+from .uncertainty import Uncertainty, uncertainty_of
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls
+CHECK_RATIO = 0.5  # the fit is repeated at this share of the bandwidth: what shifts is not known better than that
+PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts
+LAG_RATIOS = (2.0, 8.0, 25.0)  # Fs/B at the start, in multiples of 1/K
+STARTS = 2
+START_S = 25.0  # of each record, to choose among the starts
+START_ITERATIONS = 6
+
+
+class FitSettings(NamedTuple):
+    """What is fitted, and how."""
+
+    bandwidth_hz: float = BANDWIDTH_HZ
+    with_offset: bool = False  # a constant torque beside the model: an effect, so not fitted unless asked for
+    compare_literal: bool = True  # try the rising Stribeck curve too
+    starts: int = STARTS
+
+
+class Fit(NamedTuple):
+    """A fitted model of one axis."""
+
+    physical: Floats  # all of coordinates.PARAMETERS
+    uncertainty: Uncertainty
+    space: Coordinates
+    problem: Problem
+    solution: Solution
+    start: TorqueStart
+    sensor_delay_s: float | None  # lag of the drive's own velocity behind the position; None: no velocity in the logs
+    literal_loss: float | None  # loss of the rising Stribeck curve over that of the falling one
+    warnings: tuple[str, ...]
+
+    def value(self, name: str) -> float:
+        """One parameter by its name in PARAMETERS."""
+        return float(self.physical[tuple(PARAMETERS).index(name)])
+
+
+def fit_records(
+    records: Sequence[Record], settings: FitSettings | None = None, rated_current_a: float | None = None,
+    progress: Progress | None = None,
+) -> Fit:  # fmt: skip
+    """Fit one axis to one or several records of it. Raises DataError where the data cannot carry a fit."""
+    settings = settings or FitSettings()
+    tell = progress or (lambda share, text: None)
+    _same_rate(records)
+    tell(0.0, "start")
+    start = regression_start(records)
+    problems = start_problems(start, records[0].torque_constant_nm_per_a, rated_current_a)
+    if problems:
+        raise DataError("\n".join(problems))
+    bandwidth_hz = min(settings.bandwidth_hz, 0.04 / records[0].period_s)
+    free = (*MODEL_PARAMETERS, NUISANCES[0], *([NUISANCES[1]] if settings.with_offset else []))
+    tell(0.1, "starts")
+    physical = _best_start(records, start, bandwidth_hz, free, settings.starts)
+    problem = make_problem(records, bandwidth_hz)
+    space = coordinates(physical, records[0].period_s, free)
+    tell(0.3, "fit")
+    solution = solve(problem, space, to_coordinates(physical, space.scale), progress=_between(tell, 0.3, 0.7))
+    literal_loss = None
+    if settings.compare_literal:
+        tell(0.7, "other Stribeck curve")
+        part = make_problem(records, bandwidth_hz, START_S)
+        literal_loss = _literal(part, space, solution, records[0].period_s, free)
+    tell(0.75, "second bandwidth")
+    check = make_problem(records, CHECK_RATIO * bandwidth_hz)
+    shifted = solve(check, space, solution.values, 8)
+    tell(0.9, "uncertainty")
+    physical = to_physical(solution.values, space.scale)
+    uncertainty = uncertainty_of(problem, space, solution, shifted.values - solution.values)
+    tell(1.0, "done")
+    return Fit(
+        physical, uncertainty, space, problem, solution, start, sensor_delay_s(records), literal_loss,
+        tuple(_warnings(problem, solution, space, literal_loss)),
+    )  # fmt: skip
+
+
+def _same_rate(records: Sequence[Record]) -> None:
+    if not records:
+        raise DataError("no logs: at least one is needed")
+    for record in records[1:]:
+        if abs(record.period_s / records[0].period_s - 1.0) > 1e-3:
+            raise DataError(
+                f"{record.path}: sampled every {record.period_s:.6g} s, {records[0].path} every "
+                f"{records[0].period_s:.6g} s: logs that are fitted together need one rate"
+            )
+
+
+def _between(tell: Progress, low: float, high: float) -> Callable[[int], None]:
+    return lambda iteration: tell(low + (high - low) * (1.0 - 0.8**iteration), f"fit, iteration {iteration}")
+
+
+def _best_start(
+    records: Sequence[Record], start: TorqueStart, bandwidth_hz: float, free: tuple[str, ...], starts: int
+) -> Floats:
+    """Presliding and lag are not in the regression: a grid of them on a part of the data, the best few improved."""
+    part = make_problem(records, bandwidth_hz, START_S)
+    candidates = [
+        start_vector(start, 1.0 / (counts * part.lsb_rev), start.static_nm / (ratio * counts * part.lsb_rev))
+        for counts in PRESLIDING_LSB
+        for ratio in LAG_RATIOS
+    ]
+    errors = residuals(part, candidates)
+    scale = min(robust_scale(e) for e in errors)
+    order = np.argsort([huber_cost(e, scale) for e in errors])
+    best: tuple[float, Floats] | None = None
+    for k in order[:starts]:
+        space = coordinates(candidates[k], records[0].period_s, free)
+        found = solve(part, space, to_coordinates(candidates[k], space.scale), START_ITERATIONS)
+        errors_k = residuals(part, [to_physical(found.values, space.scale)])[0]
+        loss = huber_cost(errors_k, scale)
+        if best is None or loss < best[0]:
+            best = (loss, to_physical(found.values, space.scale))
+    assert best is not None
+    return best[1]
+
+
+def _literal(
+    problem: Problem, space: Coordinates, solution: Solution, period_s: float, free: tuple[str, ...]
+) -> float | None:
+    """Loss of the literal Stribeck curve (exponent < 0) over that of the classical one, both fitted."""
+    names = list(PARAMETERS)
+    physical = to_physical(solution.values, space.scale)
+    coulomb, static, exponent = (names.index(n) for n in ("coulomb_nm", "static_nm", "stribeck_exponent"))
+    physical[exponent] = -physical[exponent]
+    physical[coulomb], physical[static] = physical[static], physical[coulomb]
+    rising = coordinates(physical, period_s, free, rising=True)
+    # the falling curve written with the other sign is not the question: this one has to rise
+    start = to_coordinates(physical, rising.scale)
+    if start[static] < start[coulomb]:
+        start[static] = start[coulomb]
+    rising.low[static] = start[static]
+    rising.high[coulomb] = start[static]
+    errors = residuals(problem, [to_physical(solution.values, space.scale)])[0]
+    found = residuals(problem, [to_physical(solve(problem, rising, start, 6).values, rising.scale)])[0]
+    scale = robust_scale(errors)
+    return huber_cost(found, scale) / huber_cost(errors, scale)
+
+
+def sensor_delay_s(records: Sequence[Record]) -> float | None:
+    """How late the drive's velocity is behind the derivative of its position, by regression on that and its slope."""
+    numerator = denominator = 0.0
+    for record in records:
+        if record.velocity_rps is None:
+            continue
+        for part in record.segments():
+            if part.stop - part.start < 2000:
+                continue
+            period_s = record.period_s
+            position = low_pass(record.position_rev[part] - record.position_rev[part.start], 60.0, period_s)
+            velocity = np.gradient(position, period_s)
+            slope = np.gradient(velocity, period_s)
+            own = low_pass(record.velocity_rps[part], 60.0, period_s)
+            inside = slice(200, -200)
+            numerator += float((velocity - own)[inside] @ slope[inside])
+            denominator += float(slope[inside] @ slope[inside])
+    return numerator / denominator if denominator > 0.0 else None
+
+
+def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_loss: float | None) -> list[str]:
+    found = []
+    if not solution.converged:
+        found.append(f"the fit had not settled after {solution.iterations} iterations")
+    for k, name in enumerate(space.names):
+        if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
+            found.append(f"{name} stands at a bound of the fit: the data speak against this part of the model")
+    if literal_loss is not None and literal_loss < 0.995:
+        found.append(
+            f"the rising (literal) Stribeck curve fits better: its loss is {literal_loss:.3f} times the falling one's"
+        )
+    return found

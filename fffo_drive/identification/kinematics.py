@@ -1,0 +1,88 @@
+"""Velocity, acceleration and delayed torque from what was recorded, every one through the same zero-phase filter."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from .dataset import Record
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+DEFAULT_CUTOFF_HZ = 40.0
+FILTER_ORDER = 4  # in all: forwards and backwards of half of it
+SPEED_FLOOR_LSB = 3.0  # a speed below this many counts in the filter's memory has no sure sign
+
+
+class Motion(NamedTuple):
+    """Kinematics of one stretch without a gap; (n,) each."""
+
+    period_s: float
+    position_rev: Floats
+    velocity_rps: Floats
+    acceleration_rps2: Floats
+    speed_floor_rps: float  # below it the sign of the velocity is not sure
+
+
+def low_pass(values: Floats, cutoff_hz: float, period_s: float, order: int = FILTER_ORDER) -> Floats:
+    """Zero-phase Butterworth filter of `order` in all, half of it each way; a cut-off beyond 0.45 of the rate: none."""
+    if cutoff_hz * period_s >= 0.45:
+        return values
+    sections = signal.butter(max(1, order // 2), cutoff_hz, fs=1.0 / period_s, output="sos")
+    padding = min(values.size - 1, round(3.0 / (cutoff_hz * period_s)))
+    return np.asarray(signal.sosfiltfilt(sections, values, padlen=padding))
+
+
+def central_difference(values: Floats, period_s: float) -> Floats:
+    """Derivative by central differences, one-sided at the ends."""
+    return np.asarray(np.gradient(values, period_s))
+
+
+def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Motion:
+    """Filtered position of a stretch and its two derivatives."""
+    origin = record.position_rev[part.start]
+    position_rev = low_pass(record.position_rev[part] - origin, cutoff_hz, record.period_s) + origin
+    velocity_rps = central_difference(position_rev, record.period_s)
+    acceleration_rps2 = central_difference(velocity_rps, record.period_s)
+    floor_rps = SPEED_FLOOR_LSB * record.lsb_rev * cutoff_hz
+    return Motion(record.period_s, position_rev, velocity_rps, acceleration_rps2, floor_rps)
+
+
+def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Floats:
+    """Motor torque at the instants of the samples: the held command, `delay_s` late, through the same filter. (n,)
+
+    The hold is in it: what acts at an instant is averaged over the period around it, as a derivative is.
+    """
+    current_a = record.current_a[part]
+    charge = np.concatenate([[0.0], np.cumsum(current_a)])  # of the held command, in A samples
+    at = np.arange(current_a.size) - delay_s / record.period_s
+    mean_a = np.interp(at + 0.5, np.arange(charge.size), charge) - np.interp(at - 0.5, np.arange(charge.size), charge)
+    return record.torque_constant_nm_per_a * low_pass(mean_a, cutoff_hz, record.period_s)
+
+
+def travel_since_reversal_rev(motion: Motion) -> Floats:
+    """Distance gone since the last sure change of direction. (n,)"""
+    direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
+    sure = np.flatnonzero(direction)
+    if not sure.size:
+        return np.zeros(direction.size)
+    held = direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
+    turned = np.flatnonzero(np.diff(held) != 0.0) + 1
+    starts = np.concatenate([[0], turned])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
+    index = np.searchsorted(starts, np.arange(direction.size), side="right") - 1
+    return np.asarray(path - path[starts[index]])
+
+
+def sliding_mask(motion: Motion, travel_rev: float, margin_s: float) -> Mask:
+    """Where the axis slides for sure: fast enough, far enough behind a reversal, not at the ends. (n,)"""
+    mask = np.abs(motion.velocity_rps) > motion.speed_floor_rps
+    mask &= travel_since_reversal_rev(motion) > travel_rev
+    edge = min(mask.size // 2, round(margin_s / motion.period_s))
+    mask[:edge] = False
+    mask[mask.size - edge :] = False
+    return np.asarray(mask)

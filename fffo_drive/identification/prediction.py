@@ -1,0 +1,162 @@
+"""Prediction errors of all records at given parameters, and their Jacobian, on two threads."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .coordinates import Coordinates, axis_of, to_physical
+from .dataset import Record
+from .shooting import ShootingConfig, innovations
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+THREADS = min(2, os.cpu_count() or 1)
+OBSERVER_DAMPING = 0.8
+BLOCK_PERIODS = 0.08  # of the observer's bandwidth: residuals are averaged over so much
+SETTLING_PERIODS = 3.0  # of the observer's bandwidth, before its errors count
+STILL_S = 0.2  # standstill: no motion beyond the sensor's resolution for so long
+STILL_LSB = 2.5
+CLUSTER_S = 0.25
+JUMP = 0.5  # slopes of the two sides that differ by more than this share are those of a jump
+STEP = 2e-3  # of the finite differences, in coordinates
+
+
+class Stretch(NamedTuple):
+    """One stretch without a gap."""
+
+    record: int
+    first: int  # sample of the record
+    current_a: Floats
+    position_rev: Floats
+    kept: Mask  # (blocks,): what counts
+    torque_constant_nm_per_a: float
+
+
+class Problem(NamedTuple):
+    """Everything that the residual is made from."""
+
+    stretches: tuple[Stretch, ...]
+    shooting: ShootingConfig
+    cluster_blocks: int
+    lsb_rev: float
+
+    @property
+    def rows(self) -> int:
+        """Residuals that count."""
+        return sum(int(s.kept.sum()) for s in self.stretches)
+
+    def clusters(self) -> npt.NDArray[np.int64]:
+        """Number of the window that each residual lies in; windows are clusters of dependent residuals. (rows,)"""
+        found, offset = [], 0
+        for stretch in self.stretches:
+            number = np.arange(stretch.kept.size) // self.cluster_blocks
+            found.append(offset + number[stretch.kept])
+            offset += int(number[-1]) + 1 if number.size else 0
+        return np.concatenate(found)
+
+
+def observer(period_s: float, bandwidth_hz: float, block: int, substeps: int = 1) -> ShootingConfig:
+    """An observer that follows the position with this bandwidth."""
+    omega = 2.0 * math.pi * bandwidth_hz
+    return ShootingConfig(
+        period_s, substeps, 0, block, 2.0 * OBSERVER_DAMPING * omega * period_s, omega * omega * period_s
+    )
+
+
+def make_problem(records: Sequence[Record], bandwidth_hz: float, longest_s: float | None = None) -> Problem:
+    """Residuals of records at one observer bandwidth; `longest_s` takes the start of each record only."""
+    period_s = records[0].period_s
+    block = max(1, round(BLOCK_PERIODS / (bandwidth_hz * period_s)))
+    shooting = observer(period_s, bandwidth_hz, block)
+    stretches = []
+    for number, record in enumerate(records):
+        for part in record.segments():
+            stop = part.stop if longest_s is None else min(part.stop, part.start + round(longest_s / period_s))
+            position = np.ascontiguousarray(record.position_rev[part.start : stop])
+            blocks = position.size // block
+            settling = math.ceil(SETTLING_PERIODS / (bandwidth_hz * period_s * block))
+            if blocks <= settling + 1:
+                continue
+            kept = moving_blocks(position, record.lsb_rev, block, period_s)
+            kept[:settling] = False
+            current = np.ascontiguousarray(record.current_a[part.start : stop])
+            stretches.append(Stretch(number, part.start, current, position, kept, record.torque_constant_nm_per_a))
+    clusters = max(1, round(CLUSTER_S / (block * period_s)))
+    return Problem(tuple(stretches), shooting, clusters, max(record.lsb_rev for record in records))
+
+
+def moving_blocks(position_rev: Floats, lsb_rev: float, block: int, period_s: float) -> Mask:
+    """False where the position has not moved for a while, by its resolution: a dwell tells nothing. (blocks,)"""
+    blocks = position_rev.size // block
+    shaped = position_rev[: blocks * block].reshape(blocks, block)
+    high, low = shaped.max(axis=1), shaped.min(axis=1)
+    half = max(1, round(0.5 * STILL_S / (block * period_s)))
+    span = np.full(blocks, np.inf)
+    if blocks > 2 * half:
+        windows_high = np.lib.stride_tricks.sliding_window_view(high, 2 * half + 1).max(axis=1)
+        windows_low = np.lib.stride_tricks.sliding_window_view(low, 2 * half + 1).min(axis=1)
+        span[half : blocks - half] = windows_high - windows_low
+    return np.asarray(span > STILL_LSB * lsb_rev)
+
+
+def residual(problem: Problem, physical: Floats) -> Floats:
+    """Prediction errors in counts of the sensor, (rows,)."""
+    found = []
+    for stretch in problem.stretches:
+        axis, nuisance = axis_of(physical, stretch.torque_constant_nm_per_a)
+        output = np.empty(stretch.kept.size)
+        innovations(axis, problem.shooting, nuisance, stretch.current_a, stretch.position_rev, 0, output)
+        found.append(output[stretch.kept])
+    return np.concatenate(found) / problem.lsb_rev
+
+
+def residuals(problem: Problem, candidates: Sequence[Floats]) -> list[Floats]:
+    """`residual` at several parameter vectors, on two threads: the kernel holds no GIL."""
+    if len(candidates) == 1 or THREADS == 1:
+        return [residual(problem, candidate) for candidate in candidates]
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(lambda candidate: residual(problem, candidate), candidates))
+
+
+def _smooth_slope(forward: Floats, backward: Floats) -> Floats:
+    """Mean of the slopes of both sides; the smaller one where they disagree, none where they point apart.
+
+    A reversal that comes or goes with a parameter makes a jump of the residual, which is no slope.
+    """
+    larger = np.maximum(np.abs(forward), np.abs(backward))
+    apart = np.abs(forward - backward) > JUMP * larger
+    smaller = np.where(np.abs(forward) < np.abs(backward), forward, backward)
+    one_sided = np.where(forward * backward > 0.0, smaller, 0.0)
+    return np.asarray(np.where(apart, one_sided, 0.5 * (forward + backward)))
+
+
+def jacobian(
+    problem: Problem, space: Coordinates, values: Floats, free: npt.NDArray[np.int64], central: bool
+) -> tuple[Floats, Floats]:
+    """Residuals (rows,) and their derivatives by the free coordinates (rows, free), by finite differences."""
+    points = [to_physical(values, space.scale)]
+    signs = (1.0, -1.0) if central else (1.0,)
+    steps = []
+    for k in free:
+        inward = -1.0 if not central and values[k] + STEP > space.high[k] else 1.0
+        steps.append(inward * STEP)
+        for sign in signs:
+            moved = values.copy()
+            moved[k] += sign * steps[-1]
+            points.append(to_physical(moved, space.scale))
+    base, *rest = residuals(problem, points)
+    matrix = np.empty((base.size, free.size))
+    for column, step in enumerate(steps):
+        if central:
+            matrix[:, column] = _smooth_slope((rest[2 * column] - base) / step, (base - rest[2 * column + 1]) / step)
+        else:
+            matrix[:, column] = (rest[column] - base) / step
+    return base, matrix

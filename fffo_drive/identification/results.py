@@ -1,0 +1,159 @@
+"""What a fit leaves behind: the model file and the report, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from .. import __version__
+from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
+from ..units import inertia_kg_m2
+from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
+from .dataset import DataError, Record
+from .facts import DriveFacts
+from .fit import CHECK_RATIO, Fit
+from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
+from .residuals import residual_summary
+
+REPORT_FORMAT = "fffo_drive/identification/1"
+CONFIDENCE = 0.95
+LINEAR_UNITS = {
+    "Nm": "N",
+    "rev": "m",
+    "rps": "m/s",
+    "Nm s^2/rev": "kg",
+    "Nm/rps": "N s/m",
+    "1/rev": "1/m",
+    "Nm/rev": "N/m",
+}
+
+
+def unit_of(name: str, facts: DriveFacts) -> str:
+    """Unit of a parameter on this kind of axis."""
+    unit = PARAMETERS[name][1]
+    return LINEAR_UNITS.get(unit, unit) if facts.units == "linear" else unit
+
+
+def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
+    """The fitted model as the controller runs it. The delay of the drive's velocity, where there is one, is added."""
+
+    def quantity(key: str, factor: float = 1.0) -> Quantity:
+        k = list(PARAMETERS).index(key)
+        sd = float(fit.uncertainty.sd[k])
+        value = float(fit.physical[k]) * factor
+        return Quantity(
+            value=value, sd=sd * factor if sd > 0.0 else None, source="fitted" if sd > 0.0 else "at a bound"
+        )
+
+    sensor_s = max(0.0, fit.sensor_delay_s or 0.0)
+    delay = quantity("delay_s")
+    to_kg_m2 = inertia_kg_m2(1.0)
+    friction = FrictionModel(
+        stribeck="classical",
+        omega="clipped",
+        **{key: quantity(key) for key in MODEL_PARAMETERS if key not in ("inertia_nm_s2_per_rev", "delay_s")},
+    )
+    return ModelFile(
+        name=name,
+        torque_constant_nm_per_a=records[0].torque_constant_nm_per_a,
+        inertia_kg_m2=quantity("inertia_nm_s2_per_rev", to_kg_m2),
+        delay_s=Quantity(value=delay.value + sensor_s, sd=delay.sd, source="fitted on the position, and the sensor's"),
+        sensor_delay_s=Quantity(value=sensor_s, source="lag of the drive's velocity behind its position"),
+        friction=friction,
+        provenance=Provenance(
+            date=time.strftime("%Y-%m-%d"), tool=f"fffo-drive {__version__} identify", runs=[r.digest for r in records]
+        ),
+    )
+
+
+def report(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> dict[str, Any]:
+    """Everything of the page, JSON-ready: runs, parameters, doubts, residuals, frequency response, damping."""
+    return {
+        "format": REPORT_FORMAT,
+        "tool": f"fffo-drive {__version__}",
+        "date": time.strftime("%Y-%m-%d"),
+        "units": facts.units,
+        "torque_constant_nm_per_a": facts.torque_constant_nm_per_a,
+        "runs": [_run(record) for record in records],
+        "parameters": _parameters(fit, facts),
+        "sensor_delay_s": fit.sensor_delay_s,
+        "doubts": [doubt._asdict() | {"symbol": SYMBOLS[doubt.name]} for doubt in fit.uncertainty.doubts],
+        "warnings": [*fit.warnings, *(text for record in records for text in record.warnings)],
+        "start": fit.start._asdict(),
+        "fit": _fit(fit),
+        "residuals": residual_summary(records, fit.physical),
+        "frequency_response": _responses(records),
+        "damping": [
+            point._asdict()
+            for point in damping_over_amplitude(records, fit.value("inertia_nm_s2_per_rev"), fit.value("delay_s"))
+        ],
+    }
+
+
+def _run(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "path": record.path.name,
+        "sha256": record.digest,
+        "duration_s": record.duration_s,
+        "rate_hz": 1.0 / record.period_s,
+        "closed_loop": record.closed_loop,
+        "position_lsb_rev": record.lsb_rev,
+    }
+
+
+def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
+    u = fit.uncertainty
+    reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(2, u.windows - len(MODEL_PARAMETERS))))
+    rows = []
+    for k, name in enumerate(PARAMETERS):
+        fitted = fit.space.high[k] > fit.space.low[k]
+        value, sd = float(fit.physical[k]), float(u.sd[k])
+        known = sd > 0.0  # not where a bound stopped the fit
+        rows.append({
+            "name": name, "symbol": SYMBOLS[name], "unit": unit_of(name, facts), "value": value, "fitted": bool(fitted),
+            "of_the_model": name in MODEL_PARAMETERS, "sd": sd if known else None,
+            "interval_95": [value - reach * sd, value + reach * sd] if known else None,
+            "statistical_sd": float(u.statistical_sd[k]), "specification_sd": float(u.specification_sd[k]),
+            "windows_that_tell": float(u.moments[k]), "variance_inflation": float(u.inflation[k]),
+        })  # fmt: skip
+    return rows
+
+
+def _fit(fit: Fit) -> dict[str, Any]:
+    return {
+        "residual": "prediction error of the position, averaged over blocks",
+        "residual_rms_lsb": math.sqrt(fit.solution.cost),
+        "robust_sd_lsb": fit.solution.scale,
+        "residuals": fit.problem.rows,
+        "block_samples": fit.problem.shooting.block,
+        "observer_velocity_gain_per_s": fit.problem.shooting.velocity_gain_per_s,
+        "second_bandwidth_ratio": CHECK_RATIO,
+        "windows": fit.uncertainty.windows,
+        "iterations": fit.solution.iterations,
+        "converged": fit.solution.converged,
+        "literal_stribeck_loss_ratio": fit.literal_loss,
+        "correlation": np.round(fit.uncertainty.correlation, 4).tolist(),
+    }
+
+
+def _responses(records: Sequence[Record]) -> dict[str, Any]:
+    """Frequency responses of the open-loop runs; in closed loop noise would go round the loop into the estimate."""
+    found: dict[str, Any] = {}
+    for record in records:
+        if record.closed_loop:
+            continue
+        try:
+            response = frequency_response(record)
+            first_order = fit_first_order(response)._asdict()
+        except DataError as error:
+            found[record.name] = {"error": str(error)}
+            continue
+        found[record.name] = {name: values.tolist() for name, values in response._asdict().items()}
+        found[record.name]["first_order"] = first_order
+    return found

@@ -1,0 +1,254 @@
+"""Gains from a fitted plant (Fig. 6): PI, observer gain with the delay in the loop, and how much friction may vary.
+
+The plant is 1/(J p + D) with the end-to-end delay. Friction changes D by orders of magnitude with amplitude, so a
+design is judged over a range of D: the closed loop's poles, its margins, the overshoot of a step with zero and delay.
+Gains act on current: proportional A/rps, integral A/rev, observer Nm/rev.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
+
+Floats = npt.NDArray[np.float64]
+
+DAMPING_RATIO = 2.0  # of the wanted closed loop: real poles with room for friction; the paper's own loop has 1.96
+FRICTION_SPAN = 100.0  # the range over which friction damping is to be allowed to vary
+PHASE_MARGIN_DEG = 45.0
+GAIN_MARGIN = 2.5
+DELAY_SHARE_DEG = 26.0  # phase that the delay takes at the crossover: the paper's loop, 24 Hz at 3 ms
+SHORTEST_DELAY_S = 1e-4
+BANDWIDTHS = 25
+OBSERVER_STEPS = 25
+STEP_POINTS = 4000
+
+
+class Wish(NamedTuple):
+    """What the loop is to be."""
+
+    bandwidth_hz: float | None = None  # None: as fast as the margins allow
+    damping_ratio: float = DAMPING_RATIO
+    phase_margin_deg: float = PHASE_MARGIN_DEG
+    gain_margin: float = GAIN_MARGIN
+
+
+class Gains(NamedTuple):
+    """What goes into the controller section of an axis file."""
+
+    proportional_a_per_rps: float
+    integral_a_per_rev: float
+    observer_nm_per_rev: float
+
+
+class LocusPoint(NamedTuple):
+    """Closed-loop poles (1/s) at one proportional gain, the integral time kept."""
+
+    proportional_a_per_rps: float
+    poles: tuple[complex, complex]
+
+
+class DampingRange(NamedTuple):
+    """Friction damping over which the loop keeps what is said, in Nm/rps."""
+
+    lowest: float
+    highest: float
+
+    @property
+    def ratio(self) -> float:
+        """Highest over lowest."""
+        return self.highest / self.lowest if self.lowest > 0.0 else math.inf
+
+
+class Design(NamedTuple):
+    """Gains with everything that speaks for and against them."""
+
+    gains: Gains
+    margins_pi: Margins
+    margins_observer: Margins
+    condition_14_nm_per_rev: float  # not negative where it holds
+    real_poles_from_a_per_rps: float
+    overshoot_percent: float  # of a step of the reference, PI alone, with zero and delay
+    settled_s: float  # within 2 %
+    without_overshoot: DampingRange  # real poles: the paper's dashed line
+    within_margins: DampingRange  # phase and gain margin kept, observer on
+    warnings: tuple[str, ...]
+
+
+def real_pole_bound(gain_rps_per_a: float, time_constant_s: float, integral_time_s: float) -> float:
+    """Smallest Kp (A/rps) from which on both closed-loop poles of (16) are real for good.
+
+    Th Ti s^2 + Ti (1 + G) s + G with G = Kp Gh has real poles where Ti (1 + G)^2 >= 4 Th G.
+    """
+    b = 4.0 * time_constant_s / integral_time_s - 2.0
+    if b <= 2.0:
+        return 0.0  # Th <= Ti: real for every gain
+    return 0.5 * (b + math.sqrt(b * b - 4.0)) / gain_rps_per_a
+
+
+def root_locus(axis: LinearAxis, integral_time_s: float, gains: Floats) -> list[LocusPoint]:
+    """Poles of PI and first-order plant without delay, over proportional gains (A/rps)."""
+    points = []
+    for gain in gains:
+        stiffness = float(gain) * axis.torque_constant_nm_per_a
+        roots = np.roots([axis.inertia_nm_s2_per_rev, axis.damping_nm_per_rps + stiffness, stiffness / integral_time_s])
+        points.append(LocusPoint(float(gain), (complex(roots[0]), complex(roots[1]))))
+    return points
+
+
+def pi_gains(axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish) -> tuple[float, float]:
+    """Kp, Ki: for a wanted crossover, or the fastest whose margins hold with the observer that (14) asks for.
+
+    The crossover of a fast loop is Kp Kt / (2 pi J); Ki follows from the damping ratio of the two poles. Where no
+    crossover has the wanted margins, the one with the largest phase margin is taken, and the design warns.
+    """
+    if wish.bandwidth_hz is not None:
+        return _gains_at(axis, wish.bandwidth_hz, wish.damping_ratio)
+    fastest_hz = DELAY_SHARE_DEG / 360.0 / max(axis.delay_s, SHORTEST_DELAY_S)
+    best = (-math.inf, 0.0, 0.0)
+    for bandwidth_hz in fastest_hz * np.geomspace(1.0, 0.3, BANDWIDTHS):
+        proportional, integral = _gains_at(axis, float(bandwidth_hz), wish.damping_ratio)
+        observer = least_observer_gain(axis, integral, attraction_nm_per_rev)
+        margins = loop_margins(axis, proportional, integral, observer)
+        if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
+            return proportional, integral
+        best = max(best, (margins.phase_deg, proportional, integral))
+    return best[1], best[2]
+
+
+def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tuple[float, float]:
+    kt, inertia = axis.torque_constant_nm_per_a, axis.inertia_nm_s2_per_rev
+    omega = 2.0 * math.pi * bandwidth_hz
+    proportional = max(omega * inertia - axis.damping_nm_per_rps, 0.05 * omega * inertia) / kt
+    natural = (axis.damping_nm_per_rps + proportional * kt) / (2.0 * damping_ratio * inertia)
+    return proportional, natural * natural * inertia / kt
+
+
+def least_observer_gain(axis: LinearAxis, integral: float, attraction_nm_per_rev: float) -> float:
+    """The smallest L (Nm/rev) with which (14) holds, Ki Kt + L >= 2 B, and a hair more."""
+    return max(0.0, 1.001 * 2.0 * attraction_nm_per_rev - integral * axis.torque_constant_nm_per_a)
+
+
+def observer_gain(
+    axis: LinearAxis, proportional: float, integral: float, attraction_nm_per_rev: float, wish: Wish
+) -> float:
+    """L (Nm/rev): the largest with the wanted margins, up to half as much again as (14) asks for, never below (14)."""
+    least = least_observer_gain(axis, integral, attraction_nm_per_rev)
+    best = least
+    for gain in np.linspace(least, max(1.5 * least, 0.5 * attraction_nm_per_rev), OBSERVER_STEPS):
+        margins = loop_margins(axis, proportional, integral, float(gain))
+        if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
+            best = float(gain)
+    return best
+
+
+def step_response(
+    axis: LinearAxis, proportional: float, integral: float, duration_s: float, points: int = STEP_POINTS
+) -> Floats:
+    """Velocity (rps) after a unit step of the reference: PI with its zero, plant, delay; exact steps of the plant."""
+    step_s = duration_s / points
+    wait = round(axis.delay_s / step_s)
+    kt, damping, inertia = axis.torque_constant_nm_per_a, axis.damping_nm_per_rps, axis.inertia_nm_s2_per_rev
+    decay = math.exp(-damping * step_s / inertia)
+    gain = -math.expm1(-damping * step_s / inertia) / damping if damping > 0.0 else step_s / inertia
+    torque = np.zeros(points)
+    velocity = np.zeros(points)
+    integral_a, speed = 0.0, 0.0
+    for k in range(points):
+        velocity[k] = speed
+        error = 1.0 - speed
+        torque[k] = kt * (proportional * error + integral_a)
+        integral_a += integral * error * step_s
+        speed = decay * speed + gain * (torque[k - wait] if k >= wait else 0.0)
+    return velocity
+
+
+def design(axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None) -> Design:
+    """Choose gains for an axis. `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins."""
+    wish = wish or Wish()
+    proportional, integral = pi_gains(axis, attraction_nm_per_rev, wish)
+    gains = Gains(proportional, integral, observer_gain(axis, proportional, integral, attraction_nm_per_rev, wish))
+    return judge(axis, attraction_nm_per_rev, gains, wish)
+
+
+def judge(axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wish | None = None) -> Design:
+    """Everything about given gains on an axis."""
+    wish = wish or Wish()
+    proportional, integral, observer = gains
+    integral_time_s = proportional / integral if integral > 0.0 else math.inf
+    duration_s = max(8.0 * integral_time_s, 0.5) if math.isfinite(integral_time_s) else 1.0
+    response = step_response(axis, proportional, integral, duration_s)
+    outside = np.flatnonzero(np.abs(response - 1.0) > 0.02)
+    bound = real_pole_bound(
+        1.0 / axis.damping_nm_per_rps * axis.torque_constant_nm_per_a,
+        axis.inertia_nm_s2_per_rev / axis.damping_nm_per_rps, integral_time_s,
+    ) if math.isfinite(integral_time_s) else 0.0  # fmt: skip
+    margins_observer = loop_margins(axis, proportional, integral, observer)
+    excess = condition_14_nm_per_rev(integral, axis.torque_constant_nm_per_a, observer, attraction_nm_per_rev)
+    result = Design(
+        gains,
+        loop_margins(axis, proportional, integral, 0.0),
+        margins_observer,
+        excess,
+        bound,
+        100.0 * max(0.0, float(response.max()) - 1.0),
+        float((outside[-1] + 1) * duration_s / response.size) if outside.size else 0.0,
+        real_pole_range(axis, proportional, integral),
+        margin_range(axis, gains, wish),
+        (),
+    )
+    return result._replace(warnings=tuple(_warnings(result, wish)))
+
+
+def real_pole_range(axis: LinearAxis, proportional: float, integral: float) -> DampingRange:
+    """Damping from zero up (upwards without end, or in an open interval) over which both poles are real.
+
+    (D + Kp Kt)^2 >= 4 J Ki Kt holds from one damping on upwards; below it the pair is complex. The other end of the
+    paper's range, where the integral pole gets slow, is where the loop is ten times slower than 1/Ti.
+    """
+    kt = axis.torque_constant_nm_per_a
+    lowest = max(0.0, 2.0 * math.sqrt(axis.inertia_nm_s2_per_rev * integral * kt) - proportional * kt)
+    # the slow pole is about Ki Kt / (D + Kp Kt); a tenth of Ki / Kp is where tracking is lost
+    return DampingRange(max(lowest, 0.01 * axis.damping_nm_per_rps), max(9.0 * proportional * kt, lowest))
+
+
+def margin_range(axis: LinearAxis, gains: Gains, wish: Wish) -> DampingRange:
+    """Damping, out of four decades around the axis' own, over which the margins hold without a hole."""
+    factors = np.geomspace(0.01, 1e4, 61)
+    held = []
+    for factor in factors:
+        varied = axis._replace(damping_nm_per_rps=float(factor) * axis.damping_nm_per_rps)
+        margins = loop_margins(varied, *gains)
+        held.append(margins.phase_deg >= wish.phase_margin_deg - 1e-9 and margins.gain >= wish.gain_margin - 1e-9)
+    middle = int(np.argmin(np.abs(np.log(factors))))
+    if not held[middle]:
+        return DampingRange(axis.damping_nm_per_rps, axis.damping_nm_per_rps)
+    low = high = middle
+    while low > 0 and held[low - 1]:
+        low -= 1
+    while high < factors.size - 1 and held[high + 1]:
+        high += 1
+    return DampingRange(float(factors[low]) * axis.damping_nm_per_rps, float(factors[high]) * axis.damping_nm_per_rps)
+
+
+def _warnings(found: Design, wish: Wish) -> list[str]:
+    texts = []
+    if found.condition_14_nm_per_rev < -1e-9:
+        texts.append(
+            f"condition (14) is broken by {-found.condition_14_nm_per_rev:.3g} Nm/rev: raise the observer's gain"
+        )
+    for name, margins in (("PI alone", found.margins_pi), ("with observer", found.margins_observer)):
+        if margins.phase_deg < wish.phase_margin_deg:
+            texts.append(f"{name}: phase margin {margins.phase_deg:.1f} deg is below {wish.phase_margin_deg:g}")
+        if margins.gain < wish.gain_margin:
+            texts.append(f"{name}: gain margin {margins.gain:.2f} is below {wish.gain_margin:g}")
+    if found.without_overshoot.ratio < FRICTION_SPAN:
+        texts.append(
+            f"friction damping may vary only {found.without_overshoot.ratio:.3g}:1 with real poles, "
+            f"{FRICTION_SPAN:g}:1 is the paper's figure: lower the bandwidth's damping ratio or raise the bandwidth"
+        )
+    return texts

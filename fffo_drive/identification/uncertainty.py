@@ -1,0 +1,150 @@
+"""How well a fit knows its parameters, and what the data cannot tell.
+
+Residuals of a mechanical axis are coloured: neighbours err alike. The covariance is therefore the sandwich over whole
+windows: each window's score counts once, whatever goes on inside it, and near windows may depend on each other:
+
+    C = H^-1 (sum_w sum_l b_l (g_w g_w+l' + g_w+l g_w')) H^-1,   H = J' W J,   g_w = J_w' W e_w,   b_l = 1/2, 2/3, 1/3
+
+A model is also never quite right. The fit is repeated with an observer of another bandwidth, which weighs slow and fast
+errors differently: a right model gives the same parameters; what shifts is added in quadrature as specification error.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .coordinates import LOG_SPAN, Coordinates, physical_slope
+from .prediction import Problem, jacobian
+from .solver import Solution, huber_weights
+
+Floats = npt.NDArray[np.float64]
+
+UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not tell it
+COLLINEAR_VIF = 200.0
+COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is known all the same
+DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
+SINGULAR = 1e-11
+FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this speak about is not known, whatever the sandwich says
+ADVICE = {
+    "inertia_nm_s2_per_rev": ("too little acceleration", "accelerate/brake pairs, or the current chirp up to 10 Hz"),
+    "delay_s": ("too little fast torque", "the chirp to 50 Hz"),
+    "viscous_nm_per_rps": ("too narrow a range of speeds", "a staircase of constant speeds up to the highest"),
+    "coulomb_nm": ("too little sliding at middle speeds", "a staircase of constant speeds, both ways"),
+    "static_nm": ("too few slow motions", "slow triangles and break-aways after dwells"),
+    "stribeck_velocity_rps": ("too few slow speeds", "a staircase with levels around the Stribeck velocity"),
+    "stribeck_exponent": ("too few slow speeds", "a staircase with levels around the Stribeck velocity"),
+    "stiffness_per_rev": ("too few reversals", "slow triangles at two accelerations"),
+    "attraction_nm_per_rev": ("too few reversals at different accelerations", "slow triangles and biased sines"),
+    "offset_nm": ("motion one way only", "the same motion both ways"),
+}
+
+
+class Doubt(NamedTuple):
+    """A parameter that the data do not tell."""
+
+    name: str
+    reason: str
+    excitation: str
+    confused_with: tuple[str, ...]
+
+
+class Uncertainty(NamedTuple):
+    """In the order of coordinates.PARAMETERS; fixed parameters have zero."""
+
+    sd: Floats  # physical units
+    statistical_sd: Floats  # the part from noise
+    specification_sd: Floats  # the part from the second bandwidth
+    correlation: Floats  # (p, p)
+    inflation: Floats  # variance inflation factors: how much of a parameter's information others take
+    windows: int
+    moments: Floats  # how many windows, in effect, speak about each parameter
+    doubts: tuple[Doubt, ...]
+
+
+def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shift: Floats) -> Uncertainty:
+    """Standard deviations of a solution; `shift` are the coordinates at the second bandwidth minus the solution's."""
+    size = len(space.names)
+    free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
+    errors, matrix = jacobian(problem, space, solution.values, free, central=True)
+    weights = huber_weights(errors, solution.scale)
+    weighted = weights[:, None] * matrix
+    hessian = matrix.T @ weighted
+    inverse = _scaled_inverse(hessian)
+    clusters = problem.clusters()
+    scores = _window_sums(weighted * errors[:, None], clusters)
+    windows = scores.shape[0]
+    covariance = inverse @ _dependent_sum(scores) @ inverse * (windows / max(1.0, windows - free.size))
+    statistical = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    dead = np.diag(hessian) <= DEAD * float(np.diag(hessian).max())
+    statistical[dead] = LOG_SPAN
+    slope = physical_slope(solution.values, space.scale)
+    sd = np.zeros((2, size))
+    sd[0, free] = statistical * slope[free]
+    sd[1, free] = np.abs(shift[free]) * slope[free]
+    total = np.hypot(sd[0], sd[1])
+    correlation = np.eye(size)
+    scale = np.where(statistical > 0.0, statistical, 1.0)
+    correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
+    inflation = np.ones(size)
+    inflation[free] = np.diag(hessian) * np.diag(inverse)
+    coordinate_sd = np.zeros(size)
+    coordinate_sd[free] = np.hypot(statistical, shift[free])
+    moments = np.zeros(size)
+    moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
+    doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
+    return Uncertainty(total, sd[0], sd[1], correlation, inflation, windows, moments, doubts)
+
+
+def _scaled_inverse(hessian: Floats) -> Floats:
+    """Inverse after scaling to a unit diagonal; directions that the data do not move at all get a tiny curvature."""
+    scale = np.sqrt(np.maximum(np.diag(hessian), DEAD * float(np.diag(hessian).max())))
+    curvature, directions = np.linalg.eigh(hessian / np.outer(scale, scale))
+    inverse = (directions / np.maximum(curvature, SINGULAR)) @ directions.T
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _window_sums(rows: Floats, clusters: npt.NDArray[np.int64]) -> Floats:
+    """Sum of the rows of each window. (windows, parameters)"""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(clusters)) + 1])
+    return np.asarray(np.add.reduceat(rows, edges, axis=0))
+
+
+def _moments(matrix: Floats, inverse: Floats, clusters: npt.NDArray[np.int64]) -> Floats:
+    """1 / sum of squared shares of the windows in what is known of each parameter, the others projected out."""
+    own = (matrix @ inverse) ** 2
+    shares = _window_sums(own, clusters) / np.maximum(own.sum(axis=0), 1e-300)
+    return np.asarray(1.0 / np.maximum((shares * shares).sum(axis=0), 1e-300))
+
+
+def _dependent_sum(scores: Floats) -> Floats:
+    """Sum of outer products of the windows' scores; the next two windows count 2/3 and 1/3 (Bartlett)."""
+    total = scores.T @ scores
+    for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
+        cross = scores[:-lag].T @ scores[lag:]
+        total = total + weight * (cross + cross.T)
+    return np.asarray(total)
+
+
+def _doubts(
+    space: Coordinates, sd: Floats, correlation: Floats, inflation: Floats, moments: Floats
+) -> tuple[Doubt, ...]:
+    found = []
+    for k, name in enumerate(space.names):
+        if name not in ADVICE or space.high[k] <= space.low[k]:
+            continue
+        unknown = sd[k] > UNKNOWN_SD or sd[k] == 0.0
+        partners = tuple(
+            space.names[j] for j in np.argsort(-np.abs(correlation[k]))[:4] if j != k and abs(correlation[k, j]) > 0.95
+        )
+        rare = 0.0 < moments[k] < FEWEST_MOMENTS
+        if unknown or rare or (inflation[k] > COLLINEAR_VIF and partners and sd[k] > COLLINEAR_SD):
+            reason, excitation = ADVICE[name]
+            if rare:
+                reason = f"only about {moments[k]:.1f} quarter seconds of the data speak about it ({reason})"
+            elif not unknown:
+                reason = f"hardly told apart from {', '.join(partners)} ({reason})"
+            found.append(Doubt(name, reason, excitation, partners))
+    return tuple(found)

@@ -1,0 +1,138 @@
+"""A short sample of each benchmark: the same work in both languages, nothing lost, and ratios with a wide margin.
+
+Each runs in a process of its own, as from a terminal. No figure of time is held against a clock.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
+COMMANDS = ("loop_cycle", "lateness", "plant", "recorder")
+NEED_C = ("loop_cycle", "lateness", "plant")
+UNAVAILABLE = 69
+
+
+def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    inherited = {name: value for name, value in os.environ.items() if name not in ("NUMBA_DISABLE_JIT", "CC")}
+    return subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True, text=True, timeout=560, cwd=BENCHMARKS, env={**inherited, **environment},
+    )  # fmt: skip
+
+
+def sample(name: str) -> dict:
+    """Facts of a sample run; where there is no C compiler, that it says so (and no facts)."""
+    done = python(str(BENCHMARKS / f"{name}.py"), "--sample", "--json")
+    if name in NEED_C and shutil.which("gcc") is None:
+        assert done.returncode == UNAVAILABLE
+        assert "apt install gcc" in done.stderr
+        return {}
+    assert done.returncode == 0, done.stderr
+    facts: dict = json.loads(done.stdout)
+    return facts
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
+    facts = sample("loop_cycle")
+    for bus in ("socket pair", "loopback bus") if facts else ():
+        assert facts[f"{bus}: differing fields"] == []
+        assert facts[f"{bus}: largest command"] > 0.1  # it did control
+    if facts:
+        assert facts["socket pair: least cycle, numba over C"]["median"] < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_plant_is_the_plant_in_c_bit_for_bit_at_its_cost():
+    facts = sample("plant")
+    if facts:
+        assert facts["differing parts"] == []
+        assert facts["sub-step, numba over C"]["median"] < 1.8
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_every_loop_of_the_lateness_benchmark_runs_its_ticks():
+    facts = sample("lateness")
+    if facts:
+        assert facts["ticks"] == 300
+        ratios = [value for value in facts.values() if isinstance(value, dict)]
+        assert len(ratios) == 12
+        assert all(0.0 < ratio["low"] <= ratio["median"] <= ratio["high"] for ratio in ratios)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_recorder_keeps_every_row_and_the_reader_every_column():
+    facts = sample("recorder")
+    assert facts["complete"]
+    assert facts["rows"] == facts["ticks"] > 10_000
+    assert facts["simulated time: rows lost in the ring"] == 0
+    assert facts["simulated time: rows missing or out of order in the file"] == 0
+    assert facts["simulated time: recorder's share of a core"] < 5.0  # CPU time of its own thread
+    assert 30 < facts["simulated time: bytes a row in the MCAP file"] < 250
+    assert facts["columns"] > 30
+
+
+@pytest.mark.parametrize("name", NEED_C)
+def test_a_machine_without_a_c_compiler_gets_one_clear_message(name):
+    done = python(str(BENCHMARKS / f"{name}.py"), "--sample", CC="no-such-compiler")
+    assert done.returncode == UNAVAILABLE
+    assert done.stderr.count("\n") == 1
+    assert "'no-such-compiler'" in done.stderr
+    assert "CC=" in done.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_is_one_command(name):
+    command = BENCHMARKS / name
+    assert os.access(command, os.X_OK)
+    assert name in command.read_text()
+
+
+STATISTICS = """
+import json
+import numpy as np
+from common import interleaved, paired_ratio
+generator = np.random.default_rng(3)
+drift = np.exp(np.cumsum(generator.normal(0.0, 0.5, 60)))  # a machine that is fast and slow, for both alike
+ratio = paired_ratio(1.2 * drift * generator.lognormal(0.0, 0.05, 60), drift)
+order = []
+variants = {name: (lambda name=name: (order.append(name), {"figure": len(order)})[1]) for name in "abc"}
+found = interleaved(variants, 4)
+print(json.dumps({"ratio": ratio, "order": "".join(order), "a": found["a"]["figure"].tolist()}))
+"""
+
+
+def test_paired_ratios_see_through_a_machine_that_changes():
+    done = python("-c", STATISTICS)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    median, low, high, passes = facts["ratio"]
+    assert low < median < high
+    assert low <= 1.2 <= high
+    assert high - low < 0.1
+    assert passes == 60
+    # every variant once a pass, in an order that turns
+    turns = [facts["order"][begin : begin + 3] for begin in range(0, 12, 3)]
+    assert all(sorted(turn) == ["a", "b", "c"] for turn in turns)
+    assert len(set(turns)) > 2
+    assert len(facts["a"]) == 4
+
+
+def test_constants_of_two_values_are_refused():
+    code = "from in_c import Declarations; d = Declarations(); d.numbers({'A': 1}); d.numbers({'A': 2})"
+    done = python("-c", code)
+    assert done.returncode == 1
+    assert "A has two values" in done.stderr

@@ -1,0 +1,104 @@
+"""Measures against closed forms: lags of shifted sines, effort of known tones, bands and histograms that add up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fffo_drive.evaluation.effort import control_effort
+from fffo_drive.evaluation.measures import Yardstick, measure
+from fffo_drive.evaluation.reversal import find_reversals, near_reversals, reversal_lag
+from fffo_drive.evaluation.trace import Trace, trace_of
+from fffo_drive.signals import ROW
+
+PERIOD_S = 5e-4
+TIME_S = np.arange(20_000) * PERIOD_S
+YARDSTICK = Yardstick((0.0, 0.5, 2.0, 1000.0), np.linspace(-0.4, 0.4, 81))
+
+
+def sine(lag_s: float = 0.0, amplitude_rps: float = 3.0, frequency_hz: float = 1.3) -> np.ndarray:
+    return amplitude_rps * np.sin(2.0 * math.pi * frequency_hz * (TIME_S - lag_s) + 0.3)
+
+
+@given(lag_ms=st.floats(-8.0, 8.0))
+@settings(max_examples=40, deadline=None)
+def test_the_lag_of_a_shifted_sine_is_its_shift(lag_ms):
+    reference, axis = (find_reversals(sine(lag), PERIOD_S) for lag in (0.0, 1e-3 * lag_ms))
+    lag = reversal_lag(reference, axis)
+    assert lag.reversals in (25, 26)
+    assert lag.missed <= 1  # the record's ends
+    assert lag.mean_ms == pytest.approx(lag_ms, abs=0.01)
+    assert lag.mean_absolute_ms == pytest.approx(abs(lag_ms), abs=0.01)
+
+
+def test_noise_within_the_threshold_makes_no_reversals():
+    noise = np.random.default_rng(1).normal(0.0, 0.008, TIME_S.size)
+    assert find_reversals(sine() + noise, PERIOD_S).time_s.size == find_reversals(sine(), PERIOD_S).time_s.size
+    assert find_reversals(noise, PERIOD_S).time_s.size == 0
+
+
+def test_an_axis_that_sticks_reverses_when_it_leaves_zero():
+    reference = np.where(TIME_S < 1.0, -1.0, 1.0) * np.minimum(1.0, 5.0 * np.abs(TIME_S - 1.0))
+    stuck = np.where((TIME_S > 0.98) & (TIME_S < 1.03), 0.0, reference)
+    lag = reversal_lag(find_reversals(reference, PERIOD_S), find_reversals(stuck, PERIOD_S))
+    assert lag.missed == 0
+    assert lag.mean_ms == pytest.approx(30.0, abs=0.6)
+
+
+def test_an_axis_that_stands_still_misses_every_reversal():
+    lag = reversal_lag(find_reversals(sine(), PERIOD_S), find_reversals(np.zeros(TIME_S.size), PERIOD_S))
+    assert lag.missed == lag.reversals > 20
+    assert math.isnan(lag.mean_ms)
+
+
+def test_a_reference_without_reversals_has_no_lag():
+    nothing = find_reversals(np.ones(100), PERIOD_S)
+    assert reversal_lag(nothing, nothing).reversals == 0
+
+
+def test_the_neighbourhood_of_reversals_has_the_expected_length():
+    reversals = find_reversals(sine(), PERIOD_S)
+    near = near_reversals(reversals, TIME_S.size, PERIOD_S, 0.01)
+    inner = np.count_nonzero((reversals.time_s > 0.01) & (reversals.time_s < TIME_S[-1] - 0.01))
+    assert near.sum() * PERIOD_S == pytest.approx(0.02 * inner, rel=0.1)
+
+
+@pytest.mark.parametrize(("frequency_hz", "high", "noise"), [(20.0, 0.0, 0.0), (150.0, 1.0, 0.05), (600.0, 1.0, 1.0)])
+def test_effort_tells_motion_from_noise(frequency_hz, high, noise):
+    tone = math.sqrt(2.0) * np.sin(2.0 * math.pi * frequency_hz * TIME_S)
+    effort = control_effort(tone, PERIOD_S)
+    assert effort.rms_a == pytest.approx(1.0, abs=0.01)
+    assert effort.high_rms_a == pytest.approx(high, abs=0.05)
+    assert effort.noise_rms_a == pytest.approx(noise, abs=0.3 if frequency_hz == 150.0 else 0.05)
+
+
+def test_effort_of_a_slow_loop_has_no_high_band():
+    effort = control_effort(np.ones(100), 1e-2)
+    assert math.isnan(effort.high_rms_a)
+    assert effort.rms_a == 1.0
+
+
+def test_bands_and_histogram_hold_every_sample_once():
+    reference = sine()
+    measured = sine(0.002) + np.random.default_rng(2).normal(0.0, 0.05, TIME_S.size)
+    found = measure(Trace(PERIOD_S, reference, measured, None, np.zeros(TIME_S.size)), YARDSTICK)
+    assert found.true is None
+    assert sum(band.ise for band in found.measured.bands) == pytest.approx(found.measured.error.ise)
+    assert found.measured.histogram.sum() == TIME_S.size
+    assert found.measured.error.ise == pytest.approx(float(np.sum((reference - measured) ** 2)) * PERIOD_S)
+
+
+def test_a_trace_is_the_profile_and_nothing_else():
+    rows = np.zeros(10, ROW)
+    rows["profile_sample"] = [-1, -1, 0, 1, 2, 3, 4, -1, -1, -1]
+    rows["reference_rps"] = np.arange(10)
+    rows["true_velocity_rps"] = np.nan
+    trace = trace_of(rows, PERIOD_S, samples=4)
+    np.testing.assert_array_equal(trace.reference_rps, [2.0, 3.0, 4.0, 5.0])
+    assert trace.true_rps is None
+    with pytest.raises(ValueError, match="did not run"):
+        trace_of(rows[:2], PERIOD_S)

@@ -1,0 +1,211 @@
+"""Scenario files: what they change and nothing else, errors with line and key, and what the controllers must reach."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fffo_drive.cli import main
+from fffo_drive.config.scenario import (
+    FRICTION_KEYS,
+    candidates_of,
+    case_of,
+    cases_of,
+    law_cautions,
+    read_scenario,
+    reference_of,
+    select_controllers,
+    wrong_model,
+)
+from fffo_drive.documents import DocumentError
+from fffo_drive.evaluation.campaign import run_campaign, run_case, simulate
+from fffo_drive.evaluation.random_axis import random_axis
+from fffo_drive.evaluation.robustness import HUNTING, STABLE, probe
+from fffo_drive.evaluation.summary import summarise
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "configs" / "scenarios"
+
+SHORT = f"""\
+format: fffo_drive/scenario/1
+name: short
+axis: {SCENARIOS.parent / "axis_simulated.yaml"}
+seeds: 2
+reference: {{kind: paper, duration_s: 4, slope: 0}}
+plant:
+  delay_s: 0.004
+  resolver: {{noise_rev: 0}}
+  effects:
+    - {{name: cogging, parameters: {{amplitude_nm: 0.002}}}}
+mismatch: {{friction_share: 0.1, factors: {{inertia_kg_m2: 1.2}}}}
+controllers:
+  pi: {{toggle: "off"}}
+  pi+fffo+: {{toggle: ff, gain_nm_per_rev: 4, feedforward: {{inertia: true, preview: true, delay_aware: true}}}}
+"""
+CURRENT = "kind: sine, mode: current, duration_s: 4, amplitude: 1, frequency_hz: 1"
+
+
+def written(path: Path, text: str = SHORT) -> Path:
+    file = path / "scenario.yaml"
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_the_shipped_scenarios_are_whole_and_proven(path):
+    scenario = read_scenario(path)
+    assert scenario.file.name == path.stem
+    assert law_cautions(scenario) == []
+    assert list(scenario.seeds) == list(range(1, 11))
+
+
+def test_a_scenario_changes_what_it_names(tmp_path):
+    scenario = read_scenario(written(tmp_path))
+    case = case_of(scenario, 7)
+    assert (case.plant.seed, case.plant.delay_s, case.plant.resolver.noise_rev) == (7, 0.004, 0.0)
+    assert case.plant.resolver.bits == 15
+    assert [effect.name for effect in case.plant.effects] == ["cogging"]
+    pi, plus = case.candidates
+    assert plus.controller.observer.gain_nm_per_rev == 4.0
+    assert pi.controller.feedforward == (0.0, 0.0, 0.0)
+    assert plus.controller.feedforward.inertia_nm_s2_per_rev == pytest.approx(1.2 * 9.387e-4, rel=1e-3)
+
+
+def test_a_wrong_model_is_wrong_by_the_share_in_every_friction_parameter_and_by_seed(tmp_path):
+    scenario = read_scenario(written(tmp_path))
+    signs = set()
+    for seed in range(1, 9):
+        wrong = wrong_model(scenario.model, scenario.file.mismatch, seed)
+        ratios = [
+            getattr(wrong.friction, key).value / getattr(scenario.model.friction, key).value for key in FRICTION_KEYS
+        ]
+        np.testing.assert_allclose(np.abs(np.array(ratios) - 1.0), 0.1)
+        signs.add(tuple(np.sign(np.array(ratios) - 1.0)))
+    assert len(signs) > 4
+    assert candidates_of(scenario, 3) == candidates_of(scenario, 3)
+
+
+def test_seeds_vary_the_phases_of_the_reference(tmp_path):
+    scenario = read_scenario(written(tmp_path))
+    assert not np.array_equal(reference_of(scenario, 1).values, reference_of(scenario, 2).values)
+    fixed = read_scenario(written(tmp_path, SHORT + "vary_phases: false\n"))
+    assert np.array_equal(reference_of(fixed, 1).values, reference_of(fixed, 2).values)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("delay_s: 0.004", "delay: 0.004", "scenario.yaml:7: plant.delay: unknown key; did you mean 'delay_s'?"),
+        ("delay_s: 0.004", "delay_s: 0.4", "scenario.yaml:7: plant.delay_s"),
+        ("{name: cogging,", "{name: coging,", "scenario.yaml:10: plant.effects[0].name"),
+        ("inertia_kg_m2: 1.2", "inertia: 1.2", "unknown number 'inertia'"),
+        ("toggle: ff,", "toggle: on,", "controllers.pi+fffo+.toggle"),
+        ("slope: 0}", "slope: 0, high_rps: 900}", "scenario.yaml:5: reference: peak of"),
+        ("kind: paper, duration_s: 4, slope: 0", CURRENT, "controllers are compared on a velocity"),
+    ],
+)
+def test_errors_name_file_line_and_key(tmp_path, old, new, said):
+    assert old in SHORT
+    with pytest.raises(DocumentError) as error:
+        read_scenario(written(tmp_path, SHORT.replace(old, new)))
+    assert said in str(error.value)
+
+
+def test_controllers_are_chosen_by_name(tmp_path):
+    scenario = read_scenario(written(tmp_path))
+    assert list(select_controllers(scenario, ["pi+fffo+"]).file.controllers) == ["pi+fffo+"]
+    with pytest.raises(DocumentError, match=r"no 'fffo'; there are pi, pi\+fffo\+"):
+        select_controllers(scenario, ["fffo"])
+
+
+@pytest.mark.slow
+def test_processes_give_what_one_process_gives(tmp_path):
+    """The same numbers to the last bit, whoever computes them."""
+    scenario = read_scenario(written(tmp_path))
+    here = [run for case in cases_of(scenario) for run in run_case(case)]
+    there = run_campaign(cases_of(scenario), workers=2)
+    assert [(run.candidate, run.seed) for run in here] == [(run.candidate, run.seed) for run in there]
+    for one, other in zip(here, there, strict=True):
+        assert one.measures is not None
+        assert other.measures is not None
+        assert one.measures.true.error == other.measures.true.error
+        assert one.measures.effort == other.measures.effort
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_page_and_numbers(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["evaluate", str(written(tmp_path)), "--out", str(out), "--workers", "1", "--json"]) == 0
+    results = json.loads(capsys.readouterr().out)
+    assert results["controllers"] == ["pi", "pi+fffo+"]
+    true_mae = results["figures"]["true.mae"]
+    assert true_mae["pi+fffo+"]["value"] < 0.3 * true_mae["pi"]["value"]
+    assert (out / "report.html").stat().st_size > 50_000
+    assert json.loads((out / "report.json").read_text())["results"] == results
+
+
+@pytest.mark.slow
+def test_recordings_are_evaluated_by_controller(tmp_path, capsys):
+    axis = (SCENARIOS.parent / "axis_simulated.yaml").read_text()
+    axis = axis.replace("duration_s: 60", "duration_s: 3, slope: 0")
+    axis = axis.replace("file: simulated", f"file: {SCENARIOS.parent}/simulated")
+    axis = axis.replace("model: models", f"model: {SCENARIOS.parent}/models")
+    file = tmp_path / "axis.yaml"
+    file.write_text(axis)
+    runs = []
+    for toggle in ("off", "ff"):
+        runs.append(str(tmp_path / f"{toggle}.mcap"))
+        assert main(["run", str(file), "--toggle", toggle, "--out", runs[-1], "--json"]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", "--runs", *runs, "--out", str(tmp_path / "out"), "--json"]) == 0
+    results = json.loads(capsys.readouterr().out)
+    assert results["controllers"] == ["pi", "pi+fffo"]
+    mae = results["figures"]["measured.mae"]
+    assert mae["pi+fffo"]["value"] < mae["pi"]["value"]
+
+
+@pytest.mark.slow
+def test_plus_reaches_its_targets_on_the_papers_scenario():
+    """Three of its ten seeds: the whole is in tools/benchmarks/results/evaluation.md."""
+    scenario = read_scenario(SCENARIOS / "paper_wrong_friction.yaml")
+    scenario = select_controllers(scenario, ["pi+fffo", "pi+fffo+"])
+    scenario = scenario._replace(file=scenario.file.model_copy(update={"seeds": 3}))
+    figures = summarise(run_campaign(cases_of(scenario), workers=1), "pi+fffo").figures
+    for name, most in (("true.ise", 5.0), ("true.mae", 20.0), ("measured.ise", 20.0), ("measured.mae", 50.0)):
+        assert figures[name].percent["pi+fffo+"].value < most, name
+    assert figures["true.lag.mean_absolute_ms"].absolute["pi+fffo+"].value < 0.5
+
+
+@pytest.mark.slow
+def test_random_axes_are_the_same_ones_every_time_and_all_effects_come_up():
+    nominal = read_scenario(SCENARIOS / "paper.yaml").plant
+    axes = [random_axis(nominal, number) for number in range(40)]
+    assert [random_axis(nominal, number).plant for number in range(40)] == [axis.plant for axis in axes]
+    from fffo_drive.drive.simulated.effects.registry import EFFECTS
+
+    assert {name for axis in axes for name in axis.effects} == set(EFFECTS)
+    assert all(0.001 <= axis.plant.delay_s <= 0.005 for axis in axes)
+
+
+@pytest.mark.slow
+def test_the_probe_finds_a_loop_with_too_much_delay_and_passes_the_nominal_one():
+    from dataclasses import replace
+
+    case = case_of(read_scenario(SCENARIOS / "paper.yaml"), 1)
+    plus = case.candidates[-1]
+    nominal = probe(case, plus)
+    assert nominal.verdict == STABLE
+    assert nominal.overshoot < 0.1
+    assert nominal.beyond_rest_rps < 0.02
+    late = probe(case._replace(plant=replace(case.plant, extra_delay_s=0.012)), plus)
+    assert late.verdict not in (STABLE, HUNTING)
+
+
+@pytest.mark.slow
+def test_a_run_ends_where_its_profile_does(tmp_path):
+    case = case_of(read_scenario(written(tmp_path)), 1)
+    rows, trip = simulate(case, case.candidates[0])
+    assert trip == 0
+    assert np.count_nonzero(rows["profile_sample"] == case.profile.values.size - 1) == 1

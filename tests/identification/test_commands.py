@@ -1,0 +1,66 @@
+"""`fffo-drive identify` and `fffo-drive tune`, from files to files."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from identification.rig import TABLE_1
+from identification.synthetic import PERIOD_S, TRUTH, chirp_record
+from identification.test_dataset import write_csv
+
+from fffo_drive.cli import main
+from fffo_drive.config.axis import read_axis
+from fffo_drive.config.checks import law_problems
+from fffo_drive.model.parameters import read_model
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drive") / "drive.yaml"
+    path.write_text("torque_constant_nm_per_a: 0.148\nrated_current_a: 8.3\nresolver_bits: 15\nsample_rate_hz: 2000\n")
+    return path
+
+
+@pytest.mark.slow
+def test_identify_writes_a_model_and_a_report(tmp_path, drive, capsys):
+    record = chirp_record(30.0, lsb_rev=2.0**-15, noise_rev=1e-5)
+    time = np.arange(record.samples) * PERIOD_S
+    columns = {"time_s": time, "current_command_a": record.current_a, "position_rev": record.position_rev}
+    log = write_csv(tmp_path / "run.csv.gz", columns)
+    assert main(["identify", str(log), "--drive", str(drive), "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["doubts"] == []
+    model = read_model(tmp_path / "out" / "model.yaml")
+    assert model.friction.coulomb_nm.value == pytest.approx(TRUTH[3], rel=0.03)
+    assert model.sensor_delay_s.value == 0.0
+    assert len(model.provenance.runs[0]) == 64
+    page = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert page["format"] == "fffo_drive/identification/1"
+    assert page["residuals"]["run"]["torque_relative_percent"] < 2.0
+
+
+def test_identify_refuses_what_cannot_be_fitted(tmp_path, drive, capsys):
+    time = np.arange(8000) * PERIOD_S
+    columns = {"time_s": time, "current_command_a": 0.0 * time, "position_rev": np.sin(time)}
+    log = write_csv(tmp_path / "run.csv.gz", columns)
+    assert main(["identify", str(log), "--drive", str(drive), "--out", str(tmp_path / "out")]) == 78
+    assert "nothing is excited" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
+    axis = TABLE_1.parents[1] / "axis_simulated.yaml"
+    assert main(["tune", str(TABLE_1), "--out", str(tmp_path), "--axis", str(axis), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    section = yaml.safe_load((tmp_path / "controller.yaml").read_text())["controller"]
+    assert section["proportional_a_per_rps"] == pytest.approx(printed["gains"]["proportional_a_per_rps"], rel=1e-3)
+    written = read_axis(tmp_path / axis.name)
+    assert written.controller.observer.clamp_ratio == read_axis(axis).controller.observer.clamp_ratio
+    model = read_model(tmp_path / written.model)
+    assert law_problems(written, model, True) == law_problems(written, model, False) == []
+    result = json.loads((tmp_path / "tuning.json").read_text())
+    assert len(result["root_locus"]) > 50
+    assert result["condition_14_nm_per_rev"] >= 0.0

@@ -1,0 +1,99 @@
+"""The observer and the free windows on records of the model itself, where nothing may be left over."""
+
+from __future__ import annotations
+
+import numpy as np
+from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record
+from interpreted import hex_results
+
+from fffo_drive.identification.coordinates import axis_of, coordinates, to_coordinates, to_physical
+from fffo_drive.identification.prediction import jacobian, make_problem, moving_blocks, observer, residual
+from fffo_drive.identification.residuals import velocity_errors
+from fffo_drive.identification.shooting import Kick, Nuisance, follow, innovations, shoot
+
+SHOOTING = observer(PERIOD_S, 40.0, 4)
+
+
+def short():
+    return chirp_record(2.0)
+
+
+def kernel_results():
+    record = short()
+    errors = np.empty(60)
+    innovations(AXIS, SHOOTING, Nuisance(1e-3, 2e-7), record.current_a, record.position_rev, 0, errors)
+    path = np.empty((200, 4))
+    follow(AXIS, SHOOTING, Nuisance(0.0, 0.0), record.current_a[:200], record.position_rev[:200], path)
+    windows = np.empty((2, 10))
+    shoot(
+        AXIS, SHOOTING._replace(samples=40), Kick(0.01, 1e-3), 0.0, record.current_a, record.position_rev,
+        np.array([100, 160]), 0, windows,
+    )  # fmt: skip
+    return [float(x).hex() for x in (*errors, *path.ravel(), *windows.ravel())]
+
+
+def test_compiled_and_interpreted_kernels_agree_bit_for_bit():
+    assert kernel_results() == hex_results("identification.test_shooting", "kernel_results")
+
+
+def test_at_the_truth_nothing_is_left_over():
+    record = chirp_record(10.0)
+    problem = make_problem([record], 40.0)
+    assert problem.rows > 1000
+    assert np.abs(residual(problem, TRUTH)).max() < 1e-6
+    errors, begins = velocity_errors(record, TRUTH)
+    assert errors.shape[0] == begins.size > 10
+    assert np.abs(errors).max() < 1e-6
+
+
+def test_the_observer_carries_the_friction_of_the_motion():
+    record = chirp_record(4.0)
+    path = np.empty((record.samples, 4))
+    follow(AXIS, SHOOTING, Nuisance(0.0, 0.0), record.current_a, record.position_rev, path)
+    velocity = np.gradient(record.position_rev, PERIOD_S)
+    assert np.abs(path[1:-1, 1] - velocity[1:-1]).max() < 0.1  # half a sample of acceleration
+    assert np.abs(path[:, 2]).max() > 0.02
+    assert np.all(path[:, 3] >= 0.0)
+
+
+def test_a_torque_that_the_model_lacks_shows_as_a_steady_innovation():
+    """At rest in the error, J wo^2 e = offset."""
+    offset_nm, omega = 1e-3, 2.0 * np.pi * 40.0
+    current = np.full(4000, 1.0)
+    position = 0.5 * np.arange(4000) ** 2 * PERIOD_S**2 * (AXIS.torque_constant_nm_per_a / AXIS.inertia_nm_s2_per_rev)
+    free = AXIS._replace(
+        delay_s=0.0, friction=AXIS.friction._replace(coulomb_nm=1e-9, static_nm=1e-9, viscous_nm_per_rps=0.0)
+    )
+    errors = np.empty(1000)
+    innovations(free, SHOOTING, Nuisance(offset_nm, 0.0), current, position, 0, errors)
+    expected = offset_nm / (AXIS.inertia_nm_s2_per_rev * omega * omega)
+    assert np.allclose(errors[500:], expected, rtol=1e-3)
+
+
+def test_forward_and_central_differences_agree():
+    record = chirp_record(10.0)
+    problem = make_problem([record], 40.0)
+    off = TRUTH * 1.03
+    space = coordinates(off, PERIOD_S, ("inertia_nm_s2_per_rev", "coulomb_nm", "delay_s"))
+    free = np.flatnonzero(space.high > space.low)
+    values = to_coordinates(off, space.scale)
+    assert [space.names[k] for k in free] == ["inertia_nm_s2_per_rev", "delay_s", "coulomb_nm"]
+    base, forward = jacobian(problem, space, values, free, central=False)
+    again, central = jacobian(problem, space, values, free, central=True)
+    assert np.array_equal(base, again)
+    assert np.linalg.norm(forward - central) < 0.05 * np.linalg.norm(central)
+
+
+def test_coordinates_are_inverted():
+    space = coordinates(TRUTH, PERIOD_S, ())
+    assert np.allclose(to_physical(to_coordinates(TRUTH, space.scale), space.scale), TRUTH)
+    axis, nuisance = axis_of(TRUTH, AXIS.torque_constant_nm_per_a)
+    assert axis == AXIS
+    assert nuisance == Nuisance(0.0, 0.0)
+
+
+def test_a_standstill_does_not_count():
+    position = np.concatenate([np.zeros(2000), np.linspace(0.0, 1.0, 2000)])
+    kept = moving_blocks(position, 1e-4, 4, PERIOD_S)
+    assert not kept[60:440].any()
+    assert kept[560:].all()

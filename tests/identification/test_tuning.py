@@ -1,0 +1,96 @@
+"""The paper's loop: its real-pole bound, its poles, its margins; and what a design must keep."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fffo_drive.control.stability import LinearAxis, loop_margins
+from fffo_drive.identification.tuning import (
+    Gains,
+    Wish,
+    design,
+    judge,
+    margin_range,
+    real_pole_bound,
+    real_pole_range,
+    root_locus,
+    step_response,
+)
+
+PAPER = LinearAxis(9.4e-4, 0.148 / 26.17, 0.003, 0.148)
+WORST = LinearAxis(9.4e-4, 0.003, 0.003, 0.148)
+
+
+def test_the_real_pole_bound_is_the_papers():
+    assert real_pole_bound(26.17, 0.166, 0.1) == pytest.approx(0.1686, abs=5e-5)
+    assert real_pole_bound(26.17, 0.05, 0.1) == 0.0
+
+
+def test_the_root_locus_meets_the_real_axis_at_the_bound():
+    axis = LinearAxis(0.166 * 0.148 / 26.17, 0.148 / 26.17, 0.003, 0.148)
+    bound = real_pole_bound(26.17, 0.166, 0.1)
+    below, above = root_locus(axis, 0.1, np.array([0.99 * bound, 1.01 * bound]))
+    assert abs(below.poles[0].imag) > 0.0
+    assert above.poles[0].imag == above.poles[1].imag == 0.0
+    (nominal,) = root_locus(axis, 0.1, np.array([0.975]))
+    assert sorted(pole.real for pole in nominal.poles) == pytest.approx([-152.0, -10.3], rel=0.02)
+
+
+def test_a_step_without_integral_and_delay_is_exponential():
+    axis = LinearAxis(1e-3, 0.002, 0.0, 0.1)
+    response = step_response(axis, 0.5, 0.0, 0.2)
+    time = np.arange(response.size) * 0.2 / response.size
+    gain = 0.1 * 0.5
+    expected = gain / (gain + 0.002) * (1.0 - np.exp(-(gain + 0.002) / 1e-3 * time))
+    assert np.abs(response - expected).max() < 2e-3
+
+
+def test_the_papers_gains_are_judged_as_in_the_notes():
+    found = judge(PAPER, 2.33, Gains(0.975, 9.75, 3.3))
+    assert found.margins_observer.phase_deg == pytest.approx(53, abs=1.0)
+    assert found.margins_observer.gain == pytest.approx(3.3, abs=0.1)
+    assert found.condition_14_nm_per_rev == pytest.approx(9.75 * 0.148 + 3.3 - 4.66)
+    assert 2.0 < found.overshoot_percent < 12.0
+    assert found.without_overshoot.ratio > 100.0
+    assert found.warnings == ()
+
+
+def test_the_range_of_real_poles_ends_where_they_meet():
+    proportional, integral = 0.1, 30.0
+    lowest = real_pole_range(WORST, proportional, integral).lowest
+    for factor, real in ((0.99, False), (1.01, True)):
+        damping = lowest * factor
+        a, b, c = WORST.inertia_nm_s2_per_rev, damping + proportional * 0.148, integral * 0.148
+        assert (b * b >= 4 * a * c) == real
+
+
+@pytest.mark.parametrize("delay_s", [0.0015, 0.003, 0.005])
+@pytest.mark.parametrize("inertia", [5e-4, 2e-3])
+def test_a_design_keeps_what_was_wished_or_says_what_it_could_not(delay_s, inertia):
+    axis = LinearAxis(inertia, 0.003, delay_s, 0.148)
+    wish = Wish()
+    found = design(axis, 2.33, wish)
+    assert found.condition_14_nm_per_rev >= 0.0
+    margins = loop_margins(axis, *found.gains)
+    kept = margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin
+    assert kept == (not any("margin" in text for text in found.warnings))
+    assert found.margins_observer == margins
+    assert math.isfinite(found.overshoot_percent)
+
+
+def test_a_wanted_bandwidth_is_met():
+    found = design(WORST, 2.33, Wish(bandwidth_hz=20.0))
+    assert found.margins_pi.crossover_hz == pytest.approx(20.0, rel=0.05)
+
+
+def test_margins_hold_inside_their_range_of_damping():
+    gains = Gains(0.94, 9.1, 5.0)
+    span = margin_range(WORST, gains, Wish())
+    for damping in (span.lowest, span.highest):
+        margins = loop_margins(WORST._replace(damping_nm_per_rps=damping), *gains)
+        assert margins.phase_deg >= 45.0 - 1e-6
+        assert margins.gain >= 2.5 - 1e-6
+    assert span.ratio > 100.0

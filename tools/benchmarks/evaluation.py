@@ -1,0 +1,160 @@
+"""Table II beside ours, the targets of PI+FFFO+, how much the unprinted spectrum decides, and how fast it goes.
+
+  .venv/bin/python tools/benchmarks/evaluation.py [--seeds N]
+
+Writes results/evaluation.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from fffo_drive.cli.progress import progress_bar
+from fffo_drive.config.scenario import Scenario, cases_of, read_scenario, select_controllers
+from fffo_drive.evaluation.campaign import run_campaign
+from fffo_drive.evaluation.compare import Interval
+from fffo_drive.evaluation.metrics import PAPER_TABLE_2
+from fffo_drive.evaluation.summary import Summary, summarise
+
+HERE = Path(__file__).resolve().parent
+SCENARIOS = HERE.parents[1] / "configs" / "scenarios"
+PAPER = {name.lower(): name for name in PAPER_TABLE_2}
+METRICS = ("ise", "mae", "max", "std")
+BASE, PLUS = "pi+fffo", "pi+fffo+"
+# figure, most that is allowed: per cent of PI+FFFO, and for the lag milliseconds
+TARGETS = {
+    "true.ise": 5.0,
+    "true.mae": 20.0,
+    "measured.ise": 20.0,
+    "measured.mae": 50.0,
+    "true.lag.mean_absolute_ms": 0.5,
+    "effort.high_rms_a": 100.0,
+    "effort.noise_rms_a": 100.0,
+}
+SLOPES = (0.0, -0.25, -0.5)
+MANY_SEEDS = 50
+
+
+def evaluate(scenario: Scenario, seeds: int | None = None) -> tuple[Summary, float]:
+    """Summary and seconds."""
+    if seeds is not None:
+        scenario = scenario._replace(file=scenario.file.model_copy(update={"seeds": seeds}))
+    began = time.perf_counter()
+    with progress_bar(scenario.file.name) as progress:
+        done = None if progress is None else (lambda cases: progress(cases / scenario.file.seeds))
+        found = run_campaign(cases_of(scenario), progress=done)
+    return summarise(found, BASE), time.perf_counter() - began
+
+
+def processor_s() -> float:
+    """Processor time of this process and of those that it has waited for."""
+    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in spent)
+
+
+def with_slope(scenario: Scenario, slope: float) -> Scenario:
+    """The same with another spectrum."""
+    assert scenario.file.reference is not None
+    reference = scenario.file.reference.model_copy(update={"slope": slope})
+    return scenario._replace(file=scenario.file.model_copy(update={"reference": reference}))
+
+
+def text(interval: Interval, digits: int = 1) -> str:
+    """12.3 [11.0, 13.6]"""
+    return f"{interval.value:.{digits}f} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
+
+
+def table_2(summary: Summary) -> list[str]:
+    """Table II beside ours, and whether the intervals keep the order."""
+    lines = ["| control | " + " | ".join(f"{m.upper()} % (paper)" for m in METRICS) + " |", "|---|---|---|---|---|"]
+    for name in summary.controllers:
+        published = PAPER_TABLE_2.get(PAPER.get(name, ""))
+        cells = []
+        for metric in METRICS:
+            cell = text(summary.figures[f"measured.{metric}"].percent[name], 1)
+            cells.append(f"{cell} ({published[metric]:.0f})" if published else cell)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines += ["", "Order of the paper's three, ISE, MAE and STD, intervals apart: " + order(summary) + ".", ""]
+    return lines
+
+
+def order(summary: Summary) -> str:
+    """Whether PI+FFFO is best and PI worst with intervals that do not overlap."""
+    said = []
+    for metric in ("ise", "mae", "std"):
+        percent = summary.figures[f"measured.{metric}"].percent
+        low, middle, high = percent[BASE], percent["pi+fbfo"], percent["pi"]
+        apart = low.high < middle.low and middle.high < high.low
+        said.append(f"{metric.upper()} {'yes' if apart else 'no'}")
+    return ", ".join(said)
+
+
+def targets(summary: Summary) -> list[str]:
+    """What PI+FFFO+ must reach, and what it does."""
+    lines = ["| figure | PI+FFFO+ | at most | PI+FFFO | reached |", "|---|---|---|---|---|"]
+    for name, most in TARGETS.items():
+        comparison = summary.figures.get(name)
+        if comparison is None:
+            lines.append(f"| {name} | – | {most:g} | – | no: some runs have none |")
+            continue
+        if name.endswith("_ms"):
+            own, other = comparison.absolute[PLUS], comparison.absolute[BASE]
+            cells = f"{text(own, 2)} ms | {most:g} ms | {text(other, 2)} ms"
+        else:
+            own = comparison.percent[PLUS]
+            cells = f"{text(own, 2)} % | {most:g} % | {comparison.absolute[BASE].value:.4g}"
+        lines.append(f"| {name} | {cells} | {'yes' if own.value <= most else 'NO'} |")
+    return [*lines, ""]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run everything and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, help="of each scenario (default: as in its file)")
+    options = parser.parse_args(arguments)
+    lines = [
+        "# Evaluation",
+        "",
+        "Made by tools/benchmarks/evaluation.py; intervals are 95 %, over resampled seeds.",
+        "",
+    ]
+    paper, _ = evaluate(read_scenario(SCENARIOS / "paper.yaml"), options.seeds)
+    lines += [f"## Table II: configs/scenarios/paper.yaml, {len(paper.seeds)} seeds", "", *table_2(paper)]
+    for file in ("paper_wrong_friction", "paper_single_surface"):
+        summary, _ = evaluate(read_scenario(SCENARIOS / f"{file}.yaml"), options.seeds)
+        lines += [f"## Targets: configs/scenarios/{file}.yaml, {len(summary.seeds)} seeds", "", *targets(summary)]
+    lines += [
+        "## How much the spectrum decides that the paper does not print",
+        "",
+        "The same with amplitudes f^slope: reversals a minute, Table II, and the targets with 10 % wrong friction.",
+        "",
+    ]
+    for slope in SLOPES[1:]:
+        found, _ = evaluate(with_slope(read_scenario(SCENARIOS / "paper.yaml"), slope), options.seeds)
+        reversals = found.figure("measured.lag.reversals", BASE)
+        wrong = select_controllers(read_scenario(SCENARIOS / "paper_wrong_friction.yaml"), [BASE, PLUS])
+        reached, _ = evaluate(with_slope(wrong, slope), options.seeds)
+        lines += [f"### slope {slope:g}: {reversals:.0f} reversals", "", *table_2(found), *targets(reached)]
+    before_s = processor_s()
+    many, seconds = evaluate(read_scenario(SCENARIOS / "paper.yaml"), MANY_SEEDS if options.seeds is None else 5)
+    spent_s = processor_s() - before_s
+    runs = len(many.seeds) * len(many.controllers)
+    cores = len(os.sched_getaffinity(0))
+    lines += [
+        "## Speed",
+        "",
+        f"{runs} evaluations of 60 s on {cores} cores: {seconds:.0f} s, compiled before, with a load average of "
+        f"{os.getloadavg()[0]:.1f}; {spent_s:.0f} s of processor time, so {spent_s / cores:.0f} s on cores of its own.",
+        "",
+    ]
+    (HERE / "results" / "evaluation.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
