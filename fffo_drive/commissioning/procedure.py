@@ -188,8 +188,8 @@ class _Procedure:
             )
         elif run.trip in SILENCE:
             remedy = (
-                "the drive or this PC does not keep time: see realtime.*, the load of the bus (fffo-drive config check) "
-                "and its wiring, then repeat"
+                "the drive or this PC does not keep time: see realtime.*, the load of the bus (fffo-drive config "
+                "check) and its wiring, then repeat"
             )
         self.add(told("motion", FAILED, f"{run.fault_text}, with pulses of {current_a:.3g} A", remedy))
 

@@ -28,6 +28,8 @@ COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is k
 DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
 SINGULAR = 1e-11
 FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this speak about is not known, whatever the sandwich says
+UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
+UNFIT_ADVICE = "no other excitation, but a look at the residuals: an effect is missing"
 ADVICE = {
     "inertia_nm_s2_per_rev": ("too little acceleration", "accelerate/brake pairs, or the current chirp up to 10 Hz"),
     "delay_s": ("too little fast torque", "the chirp to 50 Hz"),
@@ -90,8 +92,9 @@ def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shi
     correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
     inflation = np.ones(size)
     inflation[free] = np.diag(hessian) * np.diag(inverse)
-    coordinate_sd = np.zeros(size)
-    coordinate_sd[free] = np.hypot(statistical, shift[free])
+    coordinate_sd = np.zeros((2, size))
+    coordinate_sd[0, free] = statistical
+    coordinate_sd[1, free] = np.abs(shift[free])
     moments = np.zeros(size)
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
@@ -131,17 +134,22 @@ def _dependent_sum(scores: Floats) -> Floats:
 def _doubts(
     space: Coordinates, sd: Floats, correlation: Floats, inflation: Floats, moments: Floats
 ) -> tuple[Doubt, ...]:
+    """`sd` (2, parameters): from noise and from specification, in coordinates."""
+    total = np.hypot(sd[0], sd[1])
     found = []
     for k, name in enumerate(space.names):
         if name not in ADVICE or space.high[k] <= space.low[k]:
             continue
-        unknown = sd[k] > UNKNOWN_SD or sd[k] == 0.0
+        unknown = total[k] > UNKNOWN_SD or total[k] == 0.0
         partners = tuple(
             space.names[j] for j in np.argsort(-np.abs(correlation[k]))[:4] if j != k and abs(correlation[k, j]) > 0.95
         )
         rare = 0.0 < moments[k] < FEWEST_MOMENTS
-        if unknown or rare or (inflation[k] > COLLINEAR_VIF and partners and sd[k] > COLLINEAR_SD):
+        if unknown or rare or (inflation[k] > COLLINEAR_VIF and partners and total[k] > COLLINEAR_SD):
             reason, excitation = ADVICE[name]
+            if not rare and unknown and 0.0 < sd[0, k] < 0.5 * sd[1, k]:
+                found.append(Doubt(name, UNFIT, UNFIT_ADVICE, partners))
+                continue
             if rare:
                 reason = f"only about {moments[k]:.1f} quarter seconds of the data speak about it ({reason})"
             elif not unknown:

@@ -68,7 +68,7 @@ def test_every_loop_of_the_lateness_benchmark_runs_its_ticks():
     if facts:
         assert facts["ticks"] == 300
         ratios = [value for value in facts.values() if isinstance(value, dict)]
-        assert len(ratios) == 12
+        assert len(ratios) == 16
         assert all(0.0 < ratio["low"] <= ratio["median"] <= ratio["high"] for ratio in ratios)
 
 
