@@ -99,9 +99,7 @@ def conversions(mapping: ColumnMap) -> dict[str, Conversion]:
             problems.append(str(error))
     if mapping.rate_hz is not None:
         if TIME in found:
-            problems.append(
-                f"{TIME} comes from column {found[TIME].column!r} and from rate_hz: leave one out"
-            )
+            problems.append(f"{TIME} comes from column {found[TIME].column!r} and from rate_hz: leave one out")
         if not (mapping.rate_hz > 0.0 and math.isfinite(mapping.rate_hz)):
             problems.append(f"rate_hz = {mapping.rate_hz}: a positive number is needed")
     problems += [f"extra column {name!r} is mapped already" for name in mapping.extra if name in found]
@@ -122,9 +120,7 @@ def _conversion(column: Column, linear: bool) -> Conversion:
         if unit in _FACTORS[base]:
             factor = _FACTORS[base][unit]
             if not math.isfinite(column.scale) or column.scale == 0.0 or not math.isfinite(column.offset):
-                raise RecordingError(
-                    f"column {column.column!r}: scale {column.scale}, offset {column.offset}"
-                )
+                raise RecordingError(f"column {column.column!r}: scale {column.scale}, offset {column.offset}")
             return Conversion(column.column, column.scale * factor, column.offset * factor, base)
     known = [unit for base in (own, *_ALSO.get(own, ())) for unit in _FACTORS[base]]
     axis = "a linear" if linear else "a rotary"

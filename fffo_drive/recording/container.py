@@ -106,9 +106,7 @@ class ChunkBuilder:
 class McapFile:
     """Appends to an open, empty file. A method that raises OSError has written nothing."""
 
-    def __init__(
-        self, file: BinaryFile, profile: str, library: str, compression: Compression = "zstd"
-    ) -> None:
+    def __init__(self, file: BinaryFile, profile: str, library: str, compression: Compression = "zstd") -> None:
         if compression not in ("zstd", "none"):
             raise ValueError(f"compression {compression!r}: use 'zstd' or 'none'")
         self._file = file
@@ -142,9 +140,7 @@ class McapFile:
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """A Metadata record: a named map of strings."""
-        record = record_bytes(
-            Metadata(name=_utf8(name), metadata={_utf8(k): _utf8(v) for k, v in data.items()})
-        )
+        record = record_bytes(Metadata(name=_utf8(name), metadata={_utf8(k): _utf8(v) for k, v in data.items()}))
         index = MetadataIndex(offset=self.size, length=len(record), name=_utf8(name))
         self._append(record)
         self._metadata_indexes.append(index)
@@ -152,9 +148,7 @@ class McapFile:
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int = 0) -> None:
         """An Attachment record; `time_ns` is both its log time and its time of creation."""
         record = record_bytes(
-            Attachment(
-                create_time=time_ns, log_time=time_ns, name=_utf8(name), media_type=media_type, data=data
-            )
+            Attachment(create_time=time_ns, log_time=time_ns, name=_utf8(name), media_type=media_type, data=data)
         )
         index = AttachmentIndex(
             offset=self.size,

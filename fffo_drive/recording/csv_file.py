@@ -54,9 +54,7 @@ class CsvFile:
         if name not in self.names:
             raise RecordingError(f"{self.path}: no column {name!r}: {did_you_mean(name, self.names)}")
         if self.names.count(name) > 1:
-            raise RecordingError(
-                f"{self.path}: column {name!r} stands {self.names.count(name)} times in the header"
-            )
+            raise RecordingError(f"{self.path}: column {name!r} stands {self.names.count(name)} times in the header")
         return self.names.index(name)
 
     def _parse(self, places: list[int]) -> Array:
@@ -122,9 +120,7 @@ def _find_header(text: str, path: Path) -> tuple[str, int, int]:
                 return line, end + 1, number + 1
             if len(comment.split(_delimiter(line))) == len(cells):
                 return comment, position, number
-            raise RecordingError(
-                f"{path}, line {number}: numbers where the names of the columns should stand"
-            )
+            raise RecordingError(f"{path}, line {number}: numbers where the names of the columns should stand")
         comment = line.lstrip("#% ") if line else comment
         position, number = end + 1, number + 1
     raise RecordingError(f"{path}: no line with names of columns")

@@ -18,8 +18,6 @@ def read_log(path: Path | str, mapping: ColumnMap | None = None) -> Run | Table:
     name = Path(path).name
     if name.endswith((".mcap", ".mcap.part")):
         if mapping is not None:
-            raise RecordingError(
-                f"{path}: a recording names its own columns and units; leave the column map out"
-            )
+            raise RecordingError(f"{path}: a recording names its own columns and units; leave the column map out")
         return read_run(path)
     return read_table(path, mapping)

@@ -25,13 +25,9 @@ class MatFile:
         try:
             content = loadmat(data, squeeze_me=True)  # type: ignore[arg-type]  # stubs know paths only
         except NotImplementedError as error:
-            raise RecordingError(
-                f"{path}: a MAT file of version 7.3; save it with '-v7' in MATLAB"
-            ) from error
+            raise RecordingError(f"{path}: a MAT file of version 7.3; save it with '-v7' in MATLAB") from error
         except Exception as error:  # scipy raises whatever the bytes lead it to
-            raise RecordingError(
-                f"{path}: not a readable MAT file ({type(error).__name__}: {error})"
-            ) from error
+            raise RecordingError(f"{path}: not a readable MAT file ({type(error).__name__}: {error})") from error
         self._values: dict[str, Any] = {}
         for name, value in content.items():
             if not name.startswith("__"):
@@ -47,17 +43,13 @@ class MatFile:
     @property
     def names(self) -> list[str]:
         """Everything that is a vector of numbers."""
-        return [
-            name for name, value in self._values.items() if value.ndim == 1 and value.dtype.kind in "biuf"
-        ]
+        return [name for name, value in self._values.items() if value.ndim == 1 and value.dtype.kind in "biuf"]
 
     @property
     def scalars(self) -> dict[str, float]:
         """Single numbers: gains and constants that came with the data."""
         return {
-            name: float(value)
-            for name, value in self._values.items()
-            if value.ndim == 0 and value.dtype.kind in "biuf"
+            name: float(value) for name, value in self._values.items() if value.ndim == 0 and value.dtype.kind in "biuf"
         }
 
     def columns(self, wanted: Sequence[str]) -> dict[str, Array]:

@@ -195,14 +195,8 @@ class _Collector:
 
     def _layout(self, channel: Channel, schema: Schema | None) -> RowLayout:
         place = f"{self.path}: channel {channel.topic}"
-        if (
-            schema is None
-            or schema.encoding != SCHEMA_ENCODING
-            or channel.message_encoding != MESSAGE_ENCODING
-        ):
-            kind = (
-                f"{channel.message_encoding or 'no'} encoding, {schema.encoding if schema else 'no'} schema"
-            )
+        if schema is None or schema.encoding != SCHEMA_ENCODING or channel.message_encoding != MESSAGE_ENCODING:
+            kind = f"{channel.message_encoding or 'no'} encoding, {schema.encoding if schema else 'no'} schema"
             needed = f"{MESSAGE_ENCODING} with {SCHEMA_ENCODING}"
             raise RecordingError(f"{place} has {kind}; only {needed} can be read")
         try:
@@ -210,9 +204,7 @@ class _Collector:
         except RecordingError as error:
             raise RecordingError(f"{place}: {error}") from error
         if any(known.dtype != layout.dtype for known in self.layouts.values()):
-            raise RecordingError(
-                f"{place} changes its fields within the file: rows of two kinds make no columns"
-            )
+            raise RecordingError(f"{place} changes its fields within the file: rows of two kinds make no columns")
         return layout
 
     def run(self, tear: str | None) -> Run:
@@ -227,11 +219,7 @@ class _Collector:
         stated = sum(count for channel, count in self.stated.items() if channel in self.layouts)
         if tear is None and self.stated and stated != len(rows):
             tear = f"states {stated} rows in its statistics"
-        reason = (
-            ""
-            if tear is None
-            else f"{self.path} {tear}; {len(rows)} rows, up to the last whole chunk, were read"
-        )
+        reason = "" if tear is None else f"{self.path} {tear}; {len(rows)} rows, up to the last whole chunk, were read"
         return Run(
             path=self.path,
             rows=rows,
@@ -265,9 +253,7 @@ def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Ar
     records: Array = np.frombuffer(data, np.dtype(fields), part.repeats, part.offset)  # type: ignore[call-overload]
     encoding = int(records["encoding"][0])
     if encoding > 1 or (records["encoding"] != encoding).any():
-        raise RecordingError(
-            f"{place}: rows in CDR representation {encoding:#06x}; only plain CDR can be read"
-        )
+        raise RecordingError(f"{place}: rows in CDR representation {encoding:#06x}; only plain CDR can be read")
     raw = np.ascontiguousarray(records["row"])  # a copy, so that the decompressed chunk can go
     if encoding == 0:
         raw = raw.view(layout.dtype.newbyteorder(">")).astype(layout.dtype).view(raw.dtype)

@@ -162,9 +162,7 @@ class Recorder:
     def _guarded(self, turn: Callable[[], object]) -> None:
         try:
             turn()
-        except (
-            Exception
-        ) as error:  # memory may be short for a while; a dead thread would lose the rest of the run
+        except Exception as error:  # memory may be short for a while; a dead thread would lose the rest of the run
             self._files.note_failure(error, self._hooks.clock_ns())
 
     def _report(self, level: Level, text: str, data: Mapping[str, Any]) -> None:

@@ -55,9 +55,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     part = target.with_name(target.name + RESCUE_SUFFIX)
     for taken in (target, part):
         if taken.exists():
-            raise FileExistsError(
-                errno.EEXIST, "a file of this name is there; it is not overwritten", str(taken)
-            )
+            raise FileExistsError(errno.EEXIST, "a file of this name is there; it is not overwritten", str(taken))
     with source.open("rb") as file:
         scanner = Scanner(file, str(source))
         rescue = _Rescue(source, part)
@@ -170,16 +168,13 @@ class _Rescue:
             path_out=target,
             was_complete=scanner.tear is None,
             reason=scanner.tear or "",
-            rows=sum(
-                count for channel, count in self._counts.items() if self._channels[channel] == ROW_TOPIC
-            ),
+            rows=sum(count for channel, count in self._counts.items() if self._channels[channel] == ROW_TOPIC),
             messages=sum(self._counts.values()),
             bytes_in=scanner.size,
             bytes_discarded=scanner.size - scanner.whole_bytes,
         )
         facts = {
-            name: str(getattr(report, name))
-            for name in ("reason", "rows", "messages", "bytes_in", "bytes_discarded")
+            name: str(getattr(report, name)) for name in ("reason", "rows", "messages", "bytes_in", "bytes_discarded")
         }
         self._write_chunk(self._out)
         self._out.add_metadata(SUMMARY_NAME, {"recovered": "true", **facts})

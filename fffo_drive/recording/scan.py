@@ -200,10 +200,6 @@ def _message_segment(data: bytes, position: int, size: int) -> Segment:
         ((len(data) - position) // size,), _MESSAGE_HEAD, buffer=data, offset=position, strides=(size,)
     )
     channel = int(heads["channel"][0])
-    same = (
-        (heads["length"] == size - HEAD_SIZE)
-        & (heads["channel"] == channel)
-        & (heads["opcode"] == Opcode.MESSAGE)
-    )
+    same = (heads["length"] == size - HEAD_SIZE) & (heads["channel"] == channel) & (heads["opcode"] == Opcode.MESSAGE)
     count = len(heads) if same.all() else int(np.argmin(same))
     return Segment(Opcode.MESSAGE, channel, position, size, count)

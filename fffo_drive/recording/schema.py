@@ -76,9 +76,7 @@ def schema_text(signals: Sequence[Signal] = SIGNALS, title: str = "One tick of t
         kind = np.dtype(signal.dtype)
         ros_type = _ROS_TYPES.get(kind.str[1:])
         if ros_type is None:
-            raise RecordingError(
-                f"signal {signal.name}: NumPy type {signal.dtype!r} has no ROS 2 counterpart"
-            )
+            raise RecordingError(f"signal {signal.name}: NumPy type {signal.dtype!r} has no ROS 2 counterpart")
         lines.append(f"{ros_type} {signal.name}  # [{signal.unit}] {' '.join(signal.meaning.split())}")
     return "\n".join(lines) + "\n"
 

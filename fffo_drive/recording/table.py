@@ -146,9 +146,7 @@ def _check(
     return [f"{source.path}: {warning}" for warning in warnings], gaps
 
 
-def _check_time(
-    place: Callable[[int], str], time: Array, problems: list[str], gap_list: list[str]
-) -> tuple[int, ...]:
+def _check_time(place: Callable[[int], str], time: Array, problems: list[str], gap_list: list[str]) -> tuple[int, ...]:
     """Look at the steps of `time`; returns the rows behind gaps."""
     steps = np.diff(time)
     backwards = np.flatnonzero(steps < 0.0)

@@ -158,9 +158,7 @@ class RunWriter:
     def write_rows(self, rows: Rows) -> None:
         """Add rows (n,), dtype `signals.ROW`, in the order of their ticks."""
         if rows.dtype != ROW or rows.ndim != 1:
-            raise RecordingError(
-                f"rows of dtype {rows.dtype} and shape {rows.shape}: signals.ROW and (n,) are needed"
-            )
+            raise RecordingError(f"rows of dtype {rows.dtype} and shape {rows.shape}: signals.ROW and (n,) are needed")
         if len(rows) == 0:
             return
         records, log_times = self._encode(rows)
@@ -226,10 +224,7 @@ class RunWriter:
         if self._chunk.counts:
             self._close_chunk()
         self.check_in_place()
-        if (
-            self._fsync_interval_ns is not None
-            and self._clock_ns() - self._synced_ns >= self._fsync_interval_ns
-        ):
+        if self._fsync_interval_ns is not None and self._clock_ns() - self._synced_ns >= self._fsync_interval_ns:
             self._sync()
 
     def check_in_place(self) -> None:
@@ -239,9 +234,7 @@ class RunWriter:
         except FileNotFoundError:
             same = False
         if not same:
-            raise FileNotFoundError(
-                errno.ENOENT, "deleted or moved while it was being written", str(self.part_path)
-            )
+            raise FileNotFoundError(errno.ENOENT, "deleted or moved while it was being written", str(self.part_path))
 
     @property
     def deleted(self) -> bool:
@@ -285,9 +278,7 @@ class RunWriter:
             "first_tick": str(first),
             "last_tick": str(last),
         }
-        self._mcap.add_metadata(
-            SUMMARY_NAME, {**counts, **{str(key): str(value) for key, value in summary.items()}}
-        )
+        self._mcap.add_metadata(SUMMARY_NAME, {**counts, **{str(key): str(value) for key, value in summary.items()}})
         self._mcap.finish()
         self._finished = True
 

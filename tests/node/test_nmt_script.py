@@ -79,7 +79,7 @@ def test_stopped_has_neither_sdo_nor_pdo_nor_emcy() -> None:
     """)
     rig.node.emergency.raise_error(0xFF01)
     assert rig.wait(100) == []
-    assert rig.send("000#8001") == ["081#01FF810100000000"]  # what happened in STOPPED follows
+    assert rig.send("000#8001") == ["081#01FF810000000000"]  # what happened in STOPPED follows
 
 
 def test_unknown_and_ill_formed_commands_are_ignored() -> None:

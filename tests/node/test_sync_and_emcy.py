@@ -51,8 +51,8 @@ def test_loss_of_sync_is_told_after_the_tolerance_and_ends_with_the_next() -> No
     assert rig.wait(1000) == []  # not before the first
     rig.send("080#")
     assert rig.wait(20.9) == []
-    assert rig.wait(0.2) == ["081#0087210000000000"]
-    assert rig.send("080#") == ["081#0000000000000000", "281#0000000000000000"]
+    assert rig.wait(0.2) == ["081#0087210000000000", "181#D002"]  # and the warning bit of the statusword
+    assert rig.send("080#") == ["081#0000000000000000", "281#0000000000000000", "181#5002"]
     assert rig.read(0x2020, 2) == 20  # SYNCs that did not come
 
 

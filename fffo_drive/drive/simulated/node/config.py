@@ -40,9 +40,7 @@ class NodeConfig:
     undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "of dc_link_v: below, the drive trips with 0x3220")
     overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")
     highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "rise at which the drive trips with 0x4310")
-    sync_loss_tolerance_ms: int = key(
-        50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss"
-    )
+    sync_loss_tolerance_ms: int = key(50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss")
     step_by_sync: bool = False  # the plant advances one 0x1006 period with each SYNC, and not otherwise
     faults: tuple[Fault, ...] = ()
     realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: not asked for")
@@ -51,9 +49,7 @@ class NodeConfig:
         """Self, when nothing is wrong. Raises PlantConfigError."""
         self.plant.validate()
         self.device.validate()
-        own = [
-            (name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))
-        ]
+        own = [(name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))]
         if own:
             raise PlantConfigError("\n".join(f"node.{name}: {text}" for name, text in own))
         return self

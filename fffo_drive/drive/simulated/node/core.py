@@ -77,9 +77,7 @@ class Node:
         )
         self.sync.supervised = not config.step_by_sync
         self.producer = HeartbeatProducer(bus, od, self.nmt)
-        self.consumer = HeartbeatConsumer(
-            bus, od, self._on_heartbeat_loss, self._on_heartbeat_recovery, self._wire_up
-        )
+        self.consumer = HeartbeatConsumer(bus, od, self._on_heartbeat_loss, self._on_heartbeat_recovery, self._wire_up)
         self.sdo = SdoServer(bus, od, self.nmt)
         self.tpdos = [Tpdo(bus, od, self.nmt, n, self._wire_up) for n in range(PDO_COUNT)]
         self.rpdos = [
@@ -198,9 +196,7 @@ class Node:
         bus.listen(self.sync.can_id, self.sync.receive)
         for rpdo in self.rpdos:
             if rpdo.exists:
-                bus.listen(
-                    rpdo.parameters.can_id, rpdo.receive if rpdo.synchronous else self._acting(rpdo.receive)
-                )
+                bus.listen(rpdo.parameters.can_id, rpdo.receive if rpdo.synchronous else self._acting(rpdo.receive))
         bus.listen(self.sdo.request_id, self._acting(self.sdo.receive))
         for node_id in self.consumer.node_ids:
             bus.listen(HEARTBEAT + node_id, self._acting(self.consumer.receive))

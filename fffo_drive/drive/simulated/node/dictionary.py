@@ -103,9 +103,7 @@ class ObjectDictionary:
     of reading.
     """
 
-    def __init__(
-        self, entries: Iterable[Entry], node_id: int, overrides: Mapping[int, Value] | None = None
-    ) -> None:
+    def __init__(self, entries: Iterable[Entry], node_id: int, overrides: Mapping[int, Value] | None = None) -> None:
         """`overrides`: defaults of this device by `multiplexer(index, sub)`. ValueError on an unknown one."""
         self.node_id = node_id
         self.entries: list[Entry] = []
@@ -119,9 +117,7 @@ class ObjectDictionary:
             self.entries.append(replace(entry, default=default))
             self._indices.add(entry.index)
         if pending:
-            raise ValueError(
-                f"no object {min(pending) >> 8:04X}:{min(pending) & 0xFF:02X} in the object dictionary"
-            )
+            raise ValueError(f"no object {min(pending) >> 8:04X}:{min(pending) & 0xFF:02X} in the object dictionary")
         self.values = [self.power_on_value(entry) for entry in self.entries]
         self._guards: dict[int, Guard] = {}
         self._effects: dict[int, Effect] = {}

@@ -66,9 +66,7 @@ class DriveProfile:
         self._own_error = 0  # the EMCY that a fault reset ends; 0 where another service announced it
         self._status_slot = od.slots[multiplexer(STATUSWORD, 0)]
         self._mode_slot = od.slots[multiplexer(MODE_DISPLAY, 0)]
-        self._feedback_slots = tuple(
-            od.slots[multiplexer(i, 0)] for i in (0x6064, 0x606C, 0x6077, 0x6078, 0x6079)
-        )
+        self._feedback_slots = tuple(od.slots[multiplexer(i, 0)] for i in (0x6064, 0x606C, 0x6077, 0x6078, 0x6079))
         self._listen()
         self.restart()
 
@@ -278,10 +276,7 @@ class DriveProfile:
         limit_rps = OVERSPEED_FACTOR * self.od.number(MAX_SPEED) / 60.0
         if powered and abs(plant.velocity_rps) > limit_rps:
             self.trip(OVERSPEED)
-        if (
-            powered
-            and abs(plant.current_a) > OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille
-        ):
+        if powered and abs(plant.current_a) > OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille:
             self.trip(OVERCURRENT)
         if powered and plant.temperature_k > ratings.highest_temperature_k:
             self.trip(OVERTEMPERATURE)

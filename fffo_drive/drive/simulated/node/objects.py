@@ -29,9 +29,7 @@ SUPPORTED_MODES = 1 << (MODE_TORQUE_PROFILE - 1) | 1 << (MODE_CYCLIC_TORQUE - 1)
 DEVICE_TYPE = 0x00020192  # servo drive, device profile 402
 
 
-def _numbered(
-    index: int, count: int, name: str, data_type: DataType, access: str, default: int
-) -> list[Entry]:
+def _numbered(index: int, count: int, name: str, data_type: DataType, access: str, default: int) -> list[Entry]:
     """Sub 0 and `count` like entries of an array."""
     head = Entry(index, 0, "Highest sub-index supported", U8, "const", count)
     return [
@@ -57,9 +55,7 @@ _TPDO_DEFAULTS = (
 def _mapping(index: int, mapped: tuple[int, ...]) -> list[Entry]:
     rows = [Entry(index, 0, "Number of mapped objects", U8, "rw", len(mapped))]
     padded = mapped + (0,) * (MAPPED_OBJECTS - len(mapped))
-    rows += [
-        Entry(index, sub, f"Mapped object {sub}", U32, "rw", value) for sub, value in enumerate(padded, 1)
-    ]
+    rows += [Entry(index, sub, f"Mapped object {sub}", U32, "rw", value) for sub, value in enumerate(padded, 1)]
     return rows
 
 

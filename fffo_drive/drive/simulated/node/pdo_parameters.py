@@ -52,9 +52,7 @@ EMPTY = Mapping(struct.Struct("<"), (), ())
 class PdoParameters:
     """The parameters of one PDO, guarded; `on_change()` is called when any of them was written."""
 
-    def __init__(
-        self, od: ObjectDictionary, number: int, receives: bool, on_change: Callable[[], None]
-    ) -> None:
+    def __init__(self, od: ObjectDictionary, number: int, receives: bool, on_change: Callable[[], None]) -> None:
         self.od = od
         self.receives = receives
         self.communication = (0x1400 if receives else 0x1800) + number

@@ -45,9 +45,7 @@ class Setpoint:
     def current_a(self, mode: int, controlword: int, velocity_rps: float, elapsed_ns: int) -> float:
         """Current command in OPERATION ENABLED; `elapsed_ns` since the last call (for the slope)."""
         pick = self.od.values
-        target, most, most_current, speed_rpm, slope, offset, forward, backward = [
-            pick[slot] for slot in self._slots
-        ]
+        target, most, most_current, speed_rpm, slope, offset, forward, backward = [pick[slot] for slot in self._slots]
         if mode == MODE_CYCLIC_TORQUE:
             wanted: float = target + offset
         elif mode == MODE_TORQUE_PROFILE:

@@ -76,13 +76,7 @@ class SyncConsumer:
     @property
     def deadline_ns(self) -> int:
         """When the SYNC counts as lost."""
-        if (
-            not self.period_ns
-            or self.lost
-            or not self.supervised
-            or self.last_ns < 0
-            or not self.nmt.exchanges
-        ):
+        if not self.period_ns or self.lost or not self.supervised or self.last_ns < 0 or not self.nmt.exchanges:
             return NEVER
         return self.last_ns + self._patience_ns
 
