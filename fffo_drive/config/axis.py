@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -171,7 +172,13 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         model.torque_constant_nm_per_a,
         section.current_limit_a,
         axis.loop.period_s,
+        error_share(section.error_filter_s, axis.loop.period_s),
     )
+
+
+def error_share(time_constant_s: float, period_s: float) -> float:
+    """Share of a new error that a first-order low-pass takes in a period."""
+    return -math.expm1(-period_s / time_constant_s) if time_constant_s > 0.0 else 1.0
 
 
 def feedforward_config(section: FeedforwardSection, model: ModelFile, period_s: float) -> FeedforwardConfig:

@@ -29,7 +29,9 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
     )
     section = axis.controller
     gain = section.observer.gain_nm_per_rev if observer_on else 0.0
-    return loop_margins(linear, section.proportional_a_per_rps, section.integral_a_per_rev, gain)
+    return loop_margins(
+        linear, section.proportional_a_per_rps, section.integral_a_per_rev, gain, section.error_filter_s
+    )
 
 
 def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[str]:

@@ -65,6 +65,7 @@ class ControllerVariant(Record):
     proportional_a_per_rps: Gain = None
     integral_a_per_rev: Gain = None
     gain_nm_per_rev: Gain = None
+    error_filter_s: Annotated[float | None, Field(ge=0, le=0.1)] = None
     clamp_ratio: Annotated[float | None, Field(ge=1, le=10)] = None
     feedback_band_rps: Annotated[float | None, Field(ge=0, le=10)] = None
 
@@ -174,7 +175,7 @@ def axis_of(scenario: Scenario, name: str) -> AxisFile:
     section = scenario.axis.controller
     observer = _given(variant, "toggle", "gain_nm_per_rev", "clamp_ratio", "feedback_band_rps")
     changed = {
-        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev"),
+        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s"),
         "observer": section.observer.model_copy(update=observer),
         "feedforward": variant.feedforward,
     }

@@ -40,6 +40,9 @@ class ControllerSection(Record):
     proportional_a_per_rps: Annotated[float, Field(gt=0, le=1e4, description="Kp")]
     integral_a_per_rev: Annotated[float, Field(ge=0, le=1e6, description="Ki = Kp / Ti")]
     current_limit_a: Amperes
+    error_filter_s: Annotated[
+        float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins count it")
+    ] = 0.0
     observer: ObserverSection = ObserverSection()
     feedforward: FeedforwardSection = FeedforwardSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0

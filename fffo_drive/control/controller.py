@@ -31,12 +31,14 @@ class ControllerConfig(NamedTuple):
     torque_constant_nm_per_a: float
     current_limit_a: float  # of the sum; the envelope has its own
     period_s: float
+    error_share: float = 1.0  # of a new error that is taken in a period; 1: the error is not filtered
 
 
 class ControllerState(NamedTuple):
     """Memory of the control law."""
 
     integral_a: float
+    filtered_error_rps: float
     friction: FrictionState
     toggle: int  # of the last step; a change hands the estimate over
     limited: bool  # the envelope or the limit cut the last command
@@ -46,6 +48,7 @@ class ControllerTerms(NamedTuple):
     """What one step computed, for the row."""
 
     error_rps: float
+    filtered_error_rps: float  # what drives the law
     proportional_a: float
     integral_a: float
     friction_nm: float
@@ -59,7 +62,7 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive gives no torque."""
-    return ControllerState(0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False)
+    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False)
 
 
 @njit
@@ -69,13 +72,26 @@ def _hand_over(
     """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(integral_a, FrictionState(0.0, 0.0, 0.0, 0.0), toggle, state.limited)
+        nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
+        return ControllerState(integral_a, state.filtered_error_rps, nothing, toggle, state.limited)
     if state.toggle == TOGGLE_OFF:
         driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
         integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(integral_a, friction, toggle, state.limited)
-    return ControllerState(state.integral_a, state.friction, toggle, state.limited)
+        return ControllerState(integral_a, state.filtered_error_rps, friction, toggle, state.limited)
+    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited)
+
+
+@njit
+def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: float) -> float:
+    """The error through a first-order low-pass.
+
+    Noise and quantisation of the feedback are filtered with it, the reference is not: what feed-forward does is
+    untouched, and where the axis follows there is nothing to delay.
+    """
+    if config.error_share >= 1.0:
+        return error_rps
+    return before_rps + config.error_share * (error_rps - before_rps)
 
 
 @njit
@@ -90,13 +106,14 @@ def controller_step(
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
     error_rps = reference.expected - velocity_rps
+    driving_rps = filtered_error_rps(config, state.filtered_error_rps, error_rps)
 
     friction = state.friction
     observation_nm_per_s = 0.0
     if toggle != TOGGLE_OFF:
         at_rest = reference.value == 0.0 and reference.ahead == 0.0
         if not (state.limited or at_rest):
-            observation_nm_per_s = config.observer.gain_nm_per_rev * error_rps
+            observation_nm_per_s = config.observer.gain_nm_per_rev * driving_rps
         driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
         friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)
 
@@ -104,13 +121,14 @@ def controller_step(
     feedforward_a = (friction.torque_nm + inertia_nm) / config.torque_constant_nm_per_a
     limit_a = config.current_limit_a
     proportional_a, integral_a = pi_step(
-        config.pi, state.integral_a, error_rps, feedforward_a, limit_a, state.limited, config.period_s
+        config.pi, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
     )
     requested_a = proportional_a + integral_a + feedforward_a
     command_a = min(max(requested_a, -limit_a), limit_a)
     limited = command_a != requested_a
     terms = ControllerTerms(
         error_rps,
+        driving_rps,
         proportional_a,
         integral_a,
         friction.torque_nm,
@@ -120,13 +138,14 @@ def controller_step(
         command_a,
         limited,
     )
-    return terms, ControllerState(integral_a, friction, toggle, limited)
+    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited)
 
 
 @njit
 def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, told whether the envelope cut the command as well."""
-    return ControllerState(state.integral_a, state.friction, state.toggle, state.limited or limited)
+    either = state.limited or limited
+    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either)
 
 
 def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -141,7 +160,9 @@ def unpack_controller(block: Any) -> ControllerConfig:
     friction = FrictionConfig(block[2], block[3], block[4], block[5], block[6], block[7], block[8], int(block[9]))
     observer = ObserverConfig(friction, block[10], block[11], block[12])
     feedforward = FeedforwardConfig(block[13], block[14], block[15])
-    return ControllerConfig(PiConfig(block[0], block[1]), observer, feedforward, block[16], block[17], block[18])
+    return ControllerConfig(
+        PiConfig(block[0], block[1]), observer, feedforward, block[16], block[17], block[18], block[19]
+    )
 
 
-CONTROLLER_BLOCK_SIZE = 19
+CONTROLLER_BLOCK_SIZE = 20

@@ -46,14 +46,15 @@ def condition_14_nm_per_rev(
 
 
 def loop_margins(
-    axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float
-) -> Margins:
-    """Phase and gain margin of PI plus observer on the linearised axis with its delay."""
+    axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
+    error_filter_s: float = 0.0,
+) -> Margins:  # fmt: skip
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter."""
     omega = 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, SWEEP_HIGH_HZ, SWEEP_POINTS)
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    rational = controller / (axis.inertia_nm_s2_per_rev * s + axis.damping_nm_per_rps)
+    rational = controller / (1.0 + error_filter_s * s) / (axis.inertia_nm_s2_per_rev * s + axis.damping_nm_per_rps)
     magnitude = np.abs(rational)
     phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * axis.delay_s)
 

@@ -28,7 +28,11 @@ Rows = np.ndarray[Any, np.dtype[np.void]]
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 # columns of the replayed record, by the names of the row
-REPLAYED = ("error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "requested_a", "limited_a")
+REPLAYED = (
+    "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "requested_a",
+    "limited_a",
+)  # fmt: skip
+REQUESTED = REPLAYED.index("requested_a")
 
 
 class ReplayReport(NamedTuple):
@@ -69,11 +73,12 @@ def replay_into(config: ControllerConfig, limits_config: EnvelopeConfig, rows: A
             )
             terms, state = controller_step(config, state, _int64(row["toggle"]), reference, row["velocity_rps"])
             output[k, 0] = terms.error_rps
-            output[k, 1] = terms.proportional_a
-            output[k, 2] = terms.integral_a
-            output[k, 3] = terms.friction_nm
-            output[k, 4] = terms.inertia_nm
-            output[k, 5] = terms.requested_a
+            output[k, 1] = terms.filtered_error_rps
+            output[k, 2] = terms.proportional_a
+            output[k, 3] = terms.integral_a
+            output[k, 4] = terms.friction_nm
+            output[k, 5] = terms.inertia_nm
+            output[k, 6] = terms.requested_a
             requested_a = terms.command_a
         else:
             state = controller_at_rest()
@@ -100,7 +105,7 @@ def replay_into(config: ControllerConfig, limits_config: EnvelopeConfig, rows: A
         if row["limits"] & ~LIMIT_CONTROLLER:
             state = with_limited(state, True)
         if closed_loop:
-            output[k, 6] = limited_a if row["trip"] == TRIP_NONE else 0.0
+            output[k, 7] = limited_a if row["trip"] == TRIP_NONE else 0.0
 
 
 def replay(rows: Rows, config: ControllerConfig, envelope: EnvelopeConfig) -> ReplayReport:
@@ -112,7 +117,7 @@ def replay(rows: Rows, config: ControllerConfig, envelope: EnvelopeConfig) -> Re
     # bit for bit: compared as integers, so that not even the sign of a zero may differ
     same = (recorded.view(np.int64) == output.view(np.int64)).all(axis=1)
     different = np.flatnonzero(acted & ~same)
-    difference_a = (output[:, 5] - recorded[:, 5])[acted]
+    difference_a = (output[:, REQUESTED] - recorded[:, REQUESTED])[acted]
     return ReplayReport(
         int(acted.sum()),
         int((acted & same).sum()),

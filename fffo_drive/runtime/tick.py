@@ -131,7 +131,7 @@ def apply_law(
 
 @njit
 def _terms_of_current(current_a: float) -> ControllerTerms:
-    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
 
 
 @njit
@@ -178,6 +178,7 @@ def write_row(
     row["expected_rps"] = law.reference.expected
     row["mode"] = law.mode
     row["error_rps"] = law.terms.error_rps
+    row["filtered_error_rps"] = law.terms.filtered_error_rps
     row["proportional_a"] = law.terms.proportional_a
     row["integral_a"] = law.terms.integral_a
     row["friction_nm"] = law.terms.friction_nm

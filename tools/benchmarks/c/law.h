@@ -46,11 +46,15 @@ static void controller_step(const struct controller_config *c, struct controller
     if (toggle != state->toggle)
         hand_over(c, state, toggle, reference, velocity_rps);
     double error_rps = reference->expected - velocity_rps;
+    double driving_rps = error_rps;
+    if (c->error_share < 1.0)
+        driving_rps = state->filtered_error_rps + c->error_share * (error_rps - state->filtered_error_rps);
+    state->filtered_error_rps = driving_rps;
     double observation_nm_per_s = 0.0;
     if (toggle != TOGGLE_OFF) {
         int at_rest = reference->value == 0.0 && reference->ahead == 0.0;
         if (!(state->limited || at_rest))
-            observation_nm_per_s = c->observer.gain_nm_per_rev * error_rps;
+            observation_nm_per_s = c->observer.gain_nm_per_rev * driving_rps;
         double driven_rps = observer_velocity_rps(&c->observer, &state->friction, toggle, reference->ahead, velocity_rps);
         friction_step(&c->observer.friction, &state->friction, driven_rps, observation_nm_per_s, c->period_s);
         clamp_estimate(&c->observer, &state->friction);
@@ -58,16 +62,16 @@ static void controller_step(const struct controller_config *c, struct controller
     double inertia_nm = c->feedforward.inertia_nm_s2_per_rev * reference->ahead_derivative;
     double feedforward_a = (state->friction.torque_nm + inertia_nm) / c->torque_constant_nm_per_a;
     double limit_a = c->current_limit_a;
-    double proportional_a = c->pi.proportional_a_per_rps * error_rps;
-    double candidate_a = state->integral_a + c->pi.integral_a_per_rev * error_rps * c->period_s;
+    double proportional_a = c->pi.proportional_a_per_rps * driving_rps;
+    double candidate_a = state->integral_a + c->pi.integral_a_per_rev * driving_rps * c->period_s;
     double sum_a = proportional_a + candidate_a + feedforward_a;
-    if (!((fabs(sum_a) > limit_a || state->limited) && error_rps * sum_a > 0.0))
+    if (!((fabs(sum_a) > limit_a || state->limited) && driving_rps * sum_a > 0.0))
         state->integral_a = candidate_a;
     double requested_a = proportional_a + state->integral_a + feedforward_a;
     double command_a = smaller(larger(requested_a, -limit_a), limit_a);
     state->limited = command_a != requested_a;
     *terms = (struct controller_terms){
-        .error_rps = error_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
+        .error_rps = error_rps, .filtered_error_rps = driving_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
         .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm,
         .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
         .limited = state->limited,
@@ -86,6 +90,7 @@ static void unpack_controller(const double *block, struct controller_config *c)
     c->torque_constant_nm_per_a = block[16];
     c->current_limit_a = block[17];
     c->period_s = block[18];
+    c->error_share = block[19];
 }
 
 /* ---- the envelope ---- */

@@ -196,6 +196,7 @@ static void write_row(struct row *row, const struct timing *timing, const struct
     row->expected_rps = law->reference.expected;
     row->mode = law->mode;
     row->error_rps = law->terms.error_rps;
+    row->filtered_error_rps = law->terms.filtered_error_rps;
     row->proportional_a = law->terms.proportional_a;
     row->integral_a = law->terms.integral_a;
     row->friction_nm = law->terms.friction_nm;
