@@ -25,6 +25,7 @@ SCENARIOS = HERE.parents[1] / "configs" / "scenarios"
 PICTURE = HERE.parent / "pictures" / "ablation.png"
 NAMES = {"paper_wrong_friction": "paper", "hard": "hard", "smooth": "smooth"}
 BASE = "PI+FFFO"
+FILTER_S = 0.0002  # of the error, as in the scenarios
 SHOWN = ("PI", "PI+FBFO", "FFFO+inertia", "FFFO+inertia+preview", "FFFO+ (all)", "all, no friction")
 COLUMNS = {
     "true.ise": "true ISE",
@@ -40,10 +41,12 @@ COLUMNS = {
 def variants() -> dict[str, ControllerVariant]:
     """Everything that is compared."""
 
-    def variant(toggle: str, gain: float | None = None, **parts: bool) -> ControllerVariant:
-        return ControllerVariant.model_validate(
-            {"toggle": toggle, "feedforward": FeedforwardSection(**parts).model_dump(), "gain_nm_per_rev": gain}
-        )
+    def variant(
+        toggle: str, gain: float | None = None, filter_s: float | None = None, **parts: bool
+    ) -> ControllerVariant:
+        feedforward = FeedforwardSection(**parts).model_dump()
+        law = {"gain_nm_per_rev": gain, "error_filter_s": filter_s}
+        return ControllerVariant.model_validate({"toggle": toggle, "feedforward": feedforward, **law})
 
     every = {"inertia": True, "preview": True, "delay_aware": True}
     return {
@@ -57,11 +60,13 @@ def variants() -> dict[str, ControllerVariant]:
         "FFFO+inertia": variant("ff", inertia=True),
         "FFFO+inertia+delay-aware": variant("ff", inertia=True, delay_aware=True),
         "FFFO+inertia+preview": variant("ff", inertia=True, preview=True),
-        "FFFO+ (all)": variant("ff", **every),
-        "all, L = 0": variant("ff", 0.0, **every),
-        "all, L = 10": variant("ff", 10.0, **every),
-        "all, friction on feedback": variant("fb", **every),
-        "all, no friction": variant("off", **every),
+        "FFFO+filter": variant("ff", None, FILTER_S),
+        "FFFO+inertia+preview+delay-aware": variant("ff", **every),
+        "FFFO+ (all)": variant("ff", None, FILTER_S, **every),
+        "all, L = 0": variant("ff", 0.0, FILTER_S, **every),
+        "all, L = 10": variant("ff", 10.0, FILTER_S, **every),
+        "all, friction on feedback": variant("fb", None, FILTER_S, **every),
+        "all, no friction": variant("off", None, FILTER_S, **every),
     }
 
 
