@@ -17,6 +17,8 @@ from pydantic import Field
 from .. import units
 from ..documents import Record, load, refuse
 from .axis import AxisConfig
+from .effects.registry import name_error, parameter_errors
+from .effects.table import EffectTable, Term, effect_table
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
 OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEGA_LITERAL}
@@ -48,6 +50,23 @@ class FrictionModel(Record):
     attraction_nm_per_rev: Quantity
 
 
+class EffectModel(Record):
+    """An effect beside J, Td and friction, by its name in model/effects; its torque is taken from the motor's."""
+
+    name: Annotated[str, Field(description="a law of model/effects, or unknown:AXIS")]
+    parameters: dict[str, Quantity]
+    datum: Annotated[
+        Literal["absolute", "run"],
+        Field(description="run: what is periodic has another phase in every run, and cannot be compensated"),
+    ] = "absolute"
+    alternatives: list[str] = Field(default_factory=list, description="effects that the data could not tell from it")
+    provenance: str = ""
+
+    def term(self) -> Term:
+        """As the kernels take it."""
+        return Term(self.name, {key: quantity.value for key, quantity in self.parameters.items()})
+
+
 class Provenance(Record):
     """Where the model came from."""
 
@@ -69,6 +88,7 @@ class ModelFile(Record):
         Quantity, Field(description="the sensor's share of it; declared, it cannot be fitted")
     ] = Quantity(value=0.0)
     friction: FrictionModel
+    effects: list[EffectModel] = Field(default_factory=list, description="what else takes torque away")
     provenance: Provenance = Provenance()
     content_hash: Annotated[str | None, Field(description="written by the tools; checked when it is there")] = None
 
@@ -92,10 +112,18 @@ class ModelFile(Record):
         inertia = units.inertia_nm_s2_per_rev(self.inertia_kg_m2.value)
         return AxisConfig(inertia, self.torque_constant_nm_per_a, self.delay_s.value, self.friction_config())
 
+    def effect_terms(self) -> list[Term]:
+        """The effects as the kernels take them."""
+        return [effect.term() for effect in self.effects]
+
+    def effect_table(self, step_s: float) -> EffectTable:
+        """The effects packed for a simulation with this step."""
+        return effect_table(self.effect_terms(), self.axis_config(), step_s)
+
 
 def content_hash(model: ModelFile) -> str:
-    """SHA-256 over everything but the hash itself."""
-    content = model.model_dump(mode="json", exclude={"content_hash"})
+    """SHA-256 over everything but the hash itself, and over the effects where there are any."""
+    content = model.model_dump(mode="json", exclude={"content_hash"} | (set() if model.effects else {"effects"}))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -124,6 +152,7 @@ def read_model(path: str | Path) -> ModelFile:
             quantity = getattr(quantity, part)
         if not low <= quantity.value <= high:
             errors.append((f"{key}.value", f"{quantity.value:g} is outside {low:g} .. {high:g}"))
+    errors += effect_errors(model.effects)
     if model.content_hash is not None and model.content_hash != content_hash(model):
         text = "does not match the content: the file was edited by hand. Remove the line to accept the edit, or restore"
         errors.append(("content_hash", f"{text} the file"))
@@ -131,8 +160,22 @@ def read_model(path: str | Path) -> ModelFile:
     return model
 
 
+def effect_errors(effects: list[EffectModel]) -> list[tuple[str, str]]:
+    """(key, what is wrong with it) for the effects of a model."""
+    errors = []
+    for k, effect in enumerate(effects):
+        wrong = name_error(effect.name)
+        if wrong is not None:
+            errors.append((f"effects[{k}].name", wrong))
+            continue
+        values = {key: quantity.value for key, quantity in effect.parameters.items()}
+        errors += [(f"effects[{k}].parameters.{key}", text) for key, text in parameter_errors(effect.name, values)]
+    return errors
+
+
 def write_model(path: str | Path, model: ModelFile) -> None:
     """Write a model file with its content hash."""
     stamped = model.model_copy(update={"content_hash": content_hash(model)})
-    text = yaml.safe_dump(stamped.model_dump(mode="json", exclude_none=True), sort_keys=False, width=110)
+    content = stamped.model_dump(mode="json", exclude_none=True, exclude=set() if model.effects else {"effects"})
+    text = yaml.safe_dump(content, sort_keys=False, width=110)
     Path(path).write_text(text, encoding="utf-8")

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from ...jit.by_address import vectors_address
 from ...units import TWO_PI, counts_per_rev, inertia_nm_s2_per_rev
 from . import friction
 from . import state as at
 from .effects import slots
-from .effects.call import effect_address
 from .effects.registry import EFFECTS
 from .noise import RANDOM_WORDS, seed_words
 from .parameters import PlantConfig, delay_budget
@@ -144,7 +144,7 @@ def _effects(config: PlantConfig) -> tuple[Integers, Floats, list[int]]:
     for k, (name, values) in enumerate(running):
         kernel = EFFECTS[name].kernel
         assert kernel is not None
-        addresses[k] = effect_address(kernel)
+        addresses[k] = vectors_address(kernel)
         parameters[k, : len(values)] = list(values.values())
     stages = [EFFECTS[name].stage for name, _ in running]
     first = [sum(stage < boundary for stage in stages) for boundary in range(slots.N_STAGES + 1)]

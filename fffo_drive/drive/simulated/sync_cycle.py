@@ -11,8 +11,8 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from ...jit import njit
+from ...jit.by_address import address_of, emit_call, interpreted_kernel
 from .braking import BrakeSettings, brake_kind, brake_step
-from .by_address import address_of, emit_call, interpreted_kernel
 from .cia402_device import (
     FAULT_REACTION_ACTIVE,
     NO_TRANSITION,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from .call import EffectKernel
+from ....jit.by_address import VectorKernel as EffectKernel
 
 if TYPE_CHECKING:
     from ..parameters import PlantConfig

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ....jit import njit
+from ....jit.by_address import call_on_vectors
 from ..friction import Scales
 from ..state import Floats, Integers
 from . import slots
-from .call import call_effect
 
 
 class Effects(NamedTuple):
@@ -26,7 +26,7 @@ def _run_stage(effects: Effects, stage: int) -> None:
     first = effects.first[stage]
     beyond = effects.first[stage + 1]
     for k in range(first, beyond):
-        call_effect(effects.addresses[k], effects.signals, effects.parameters[k], effects.memory[k])
+        call_on_vectors(effects.addresses[k], effects.signals, effects.parameters[k], effects.memory[k])
 
 
 @njit

@@ -1,0 +1,1 @@
+"""One effect a file: its kernel, what it is looked for with, and what tells it from its lookalikes."""

@@ -1,0 +1,39 @@
+"""Viscous friction is stronger one way than the other."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..law import STRENGTH, Law, Parameter, no_shape
+from ..slots import Floats
+
+
+@njit
+def asymmetric_viscous(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = excess |w|: even in the direction."""
+    signals[s.LOAD_NM] += parameters[0] * abs(signals[s.VELOCITY_RPS])
+
+
+LAW = Law(
+    name="asymmetric_viscous",
+    axis="velocity",
+    kernel=asymmetric_viscous,
+    parameters=(
+        Parameter(
+            "excess_nm_per_rps",
+            "Nm/rps",
+            STRENGTH,
+            -1e6,
+            1e6,
+            1e-3,
+            "excess of the viscous coefficient in positive direction, missing in the other",
+        ),
+    ),
+    search=no_shape,
+    meaning="viscous friction differs between the directions",
+    compensable=True,
+    regime="sliding, the faster the more",
+    lookalikes=("torque_offset", "asymmetric_coulomb", "quadratic_drag"),
+    experiment="constant speeds at three levels and more, both ways: the even part grows in proportion to speed",
+    picture="velocity",
+)

@@ -1,0 +1,87 @@
+"""A gap between motor and load: a part of inertia and friction is let go after a reversal."""
+
+from __future__ import annotations
+
+import math
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import TURN
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric
+from ..slots import Floats
+
+FINEST = 0.25  # of a radian of the contact's resonance in a sub-step
+FLANK_DAMPING = 0.5
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return [
+        {"gap_rev": gap_rev, "friction_share": friction_share, "contact_hz": min(150.0, 0.1 / context.period_s)}
+        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 6)
+        for friction_share in (0.0, 1.0)
+    ]
+
+
+@njit
+def backlash(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """Two masses as in elasticity, with a joint that bears nothing inside the gap and only pushes at its flanks.
+
+    Behind the gap are a share of the inertia and a share of the friction. memory: speed of the load, lead of the motor.
+    """
+    share, gap_rev, friction_share, contact_hz = parameters[0], parameters[1], parameters[2], parameters[3]
+    omega = TURN * contact_hz
+    count = math.ceil(omega * signals[s.STEP_S] / FINEST)
+    step_s = signals[s.STEP_S] / count
+    inertia = signals[s.INERTIA_NM_S2_PER_REV]
+    stiff, damp = omega * omega * (1.0 - share), FLANK_DAMPING * omega * (1.0 - share)
+    drag_rps2 = friction_share * abs(signals[s.CONTACT_NM]) / inertia
+    total = 0.0
+    for _ in range(count):
+        slip_rps = signals[s.VELOCITY_RPS] - memory[0]
+        memory[1] += slip_rps * step_s
+        load_rps2 = 0.0
+        if memory[1] > 0.5 * gap_rev:
+            load_rps2 = max(0.0, stiff * (memory[1] - 0.5 * gap_rev) + damp * slip_rps)
+        elif memory[1] < -0.5 * gap_rev:
+            load_rps2 = min(0.0, stiff * (memory[1] + 0.5 * gap_rev) + damp * slip_rps)
+        drag = drag_rps2 * min(1.0, max(-1.0, memory[0] / signals[s.REST_SPEED_RPS]))
+        memory[0] += load_rps2 * step_s
+        # drag stops the load, it does not turn it round
+        if abs(memory[0]) > abs(drag) * step_s:
+            memory[0] -= drag * step_s
+        else:
+            memory[0] = 0.0
+        total += load_rps2
+    driving_nm = signals[s.MOTOR_TORQUE_NM] - signals[s.FRICTION_NM]
+    joint_nm = share * inertia * total / count
+    # the friction behind the gap is part of F, and is given back: the motor feels the joint instead
+    behind_nm = share * friction_share * signals[s.CONTACT_NM]
+    signals[s.LOAD_NM] += (joint_nm - share * driving_nm - behind_nm) / (1.0 - share)
+
+
+LAW = Law(
+    name="backlash",
+    axis="travel_since_reversal",
+    kernel=backlash,
+    parameters=(
+        Parameter("share", "-", STRENGTH, 0.0, 0.9, 0.2, "share of the inertia behind the gap"),
+        Parameter("gap_rev", "rev", SHAPE, 0.0, 1000.0, 0.01, "width of the gap at the motor shaft"),
+        Parameter(
+            "friction_share",
+            "-",
+            SHAPE,
+            0.0,
+            1.0,
+            0.0,
+            "friction behind the gap, as a share of what its inertia would have",
+        ),
+        Parameter("contact_hz", "Hz", SHAPE, 1.0, 10000.0, 150.0, "resonance of the closed joint"),
+    ),
+    search=_search,
+    meaning="a gap lets go of a share of the inertia after reversals",
+    compensable=False,
+    regime="after reversals, within the gap",
+    lookalikes=("presliding_shape", "elasticity", "dead_zone"),
+    experiment="reversals at several accelerations: the gap is fixed in angle; the resonance falls at small amplitude",
+    picture="travel_since_reversal",
+)

@@ -1,0 +1,37 @@
+"""Friction between the surfaces drifts with the time of the run."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import settled
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return over("tau_s", [context.duration_s * ratio for ratio in (0.1, 0.3, 1.0, 3.0)])
+
+
+@njit
+def coulomb_drift(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = share contact (1 - exp(-t/tau))."""
+    signals[s.LOAD_NM] += parameters[0] * signals[s.CONTACT_NM] * settled(signals[s.TIME_S], parameters[1])
+
+
+LAW = Law(
+    name="coulomb_drift",
+    axis="time",
+    kernel=coulomb_drift,
+    parameters=(
+        Parameter("share", "-", STRENGTH, -0.95, 10.0, 0.1, "change in the end, as a share of the contact's friction"),
+        Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant"),
+    ),
+    search=_search,
+    meaning="Coulomb and Stribeck friction drift with time",
+    compensable=True,
+    regime="sliding, late in the run",
+    lookalikes=("viscous_drift", "position_dependent_friction"),
+    experiment="the same motion at the beginning, in the middle and at the end, at several speeds; then after a rest",
+    picture="time",
+)

@@ -1,0 +1,41 @@
+"""The current follows its command with a first-order lag."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import approach
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return over("tau_s", [context.period_s * ratio for ratio in (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)])
+
+
+@njit
+def current_lag(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = share (torque - lagged torque). memory: the lagged torque."""
+    torque_nm = signals[s.MOTOR_TORQUE_NM]
+    memory[0] = approach(memory[0], torque_nm, signals[s.STEP_S], parameters[1])
+    signals[s.LOAD_NM] += parameters[0] * (torque_nm - memory[0])
+
+
+LAW = Law(
+    name="current_lag",
+    axis="memory",
+    kernel=current_lag,
+    parameters=(
+        Parameter("share", "-", STRENGTH, -2.0, 2.0, 0.5, "share of the torque that lags; 1: all of it"),
+        Parameter("tau_s", "s", SHAPE, 1e-06, 1.0, 0.002, "time constant"),
+    ),
+    search=_search,
+    meaning="the current follows its command with a lag",
+    compensable=True,
+    regime="fast changes of torque",
+    lookalikes=("delay", "frictional_lag", "elasticity"),
+    experiment=(
+        "a chirp of current to 100 Hz and more: a lag takes amplitude too; compare commanded and measured current"
+    ),
+    picture="frequency",
+)

@@ -1,0 +1,62 @@
+"""Break-away friction grows with the time at rest."""
+
+from __future__ import annotations
+
+import math
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import approach, settled, sign_of
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    shortest_rev = 3.0 / context.stiffness_per_rev
+    return [
+        {"tau_s": tau_s, "release_rev": ratio * shortest_rev}
+        for tau_s in (0.1, 0.5, 2.0, 8.0)
+        for ratio in (1.0, 4.0, 16.0, 64.0)
+    ]
+
+
+@njit
+def dwell_stiction(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """Contacts strengthen with age (Dieterich's ageing law), and are renewed by travel:
+
+    d(age)/dt = 1 - age |w| / release,    level = peak (1 - exp(-age/tau))
+
+    The level is felt over the presliding travel: dE/dx = K (sgn w level - E), so that nothing moves an axis at rest.
+    memory: age, E.
+    """
+    step_s = signals[s.STEP_S]
+    distance_rev = abs(signals[s.VELOCITY_RPS]) * step_s
+    renewed = distance_rev / parameters[2]
+    mean = 1.0 if renewed < 1e-12 else -math.expm1(-renewed) / renewed
+    memory[0] = memory[0] * math.exp(-renewed) + step_s * mean
+    if distance_rev > 0.0:
+        level_nm = parameters[0] * settled(memory[0], parameters[1])
+        goal_nm = sign_of(signals[s.VELOCITY_RPS]) * level_nm
+        memory[1] = approach(memory[1], goal_nm, distance_rev, 1.0 / signals[s.STIFFNESS_PER_REV])
+    signals[s.LOAD_NM] += memory[1]
+
+
+LAW = Law(
+    name="dwell_stiction",
+    axis="dwell",
+    kernel=dwell_stiction,
+    parameters=(
+        Parameter("peak_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "rise of the break-away torque after a long rest"),
+        Parameter("tau_s", "s", SHAPE, 0.0001, 1000000.0, 1.0, "time at rest after which 63 % of it are there"),
+        Parameter("release_rev", "rev", SHAPE, 1e-06, 10000.0, 0.03, "travel over which contacts are renewed"),
+    ),
+    search=_search,
+    meaning="break-away torque grows with the time at rest",
+    compensable=True,
+    regime="break-away after a rest",
+    lookalikes=("stribeck_shape", "presliding_shape"),
+    experiment=(
+        "four rests and more of 0.1 to 30 s, left with the same rise of torque; then the rise varied after equal rests"
+    ),
+    picture="dwell",
+)

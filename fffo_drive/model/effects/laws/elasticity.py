@@ -1,0 +1,67 @@
+"""A part of the inertia hangs on a spring: two masses."""
+
+from __future__ import annotations
+
+import math
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import TURN
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
+from ..slots import Floats
+
+FINEST = 0.2  # of a radian of the resonance in a sub-step
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    found = [f for f in context.frequencies_hz if f * context.period_s * 1000.0 >= 3.0]
+    grid = [8.0, 12.0, 18.0, 26.0, 36.0, 50.0, 70.0, 100.0, 140.0]
+    return [
+        {"frequency_hz": frequency_hz, "damping": damping}
+        for frequency_hz in sorted({*grid, *found})
+        if frequency_hz * context.period_s < 0.1
+        for damping in (0.02, 0.1)
+    ]
+
+
+@njit
+def elasticity(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = (Ts - share (u - F)) / (1 - share), Ts the torque of the joint: J - share J turns with the motor.
+
+    memory: speed of the load, twist of the joint. A damped spring whose resonance, motor against load, is given; as
+    many sub-steps as the resonance needs.
+    """
+    share, frequency_hz, damping = parameters[0], parameters[1], parameters[2]
+    omega = TURN * frequency_hz
+    count = math.ceil(omega * signals[s.STEP_S] / FINEST)
+    step_s = signals[s.STEP_S] / count
+    inertia = signals[s.INERTIA_NM_S2_PER_REV]
+    stiff, damp = omega * omega * (1.0 - share), 2.0 * damping * omega * (1.0 - share)
+    total = 0.0
+    for _ in range(count):
+        slip_rps = signals[s.VELOCITY_RPS] - memory[0]
+        memory[1] += slip_rps * step_s
+        load_rps2 = stiff * memory[1] + damp * slip_rps
+        memory[0] += load_rps2 * step_s
+        total += load_rps2
+    driving_nm = signals[s.MOTOR_TORQUE_NM] - signals[s.FRICTION_NM]
+    signals[s.LOAD_NM] += share * (inertia * total / count - driving_nm) / (1.0 - share)
+
+
+LAW = Law(
+    name="elasticity",
+    axis="frequency",
+    kernel=elasticity,
+    parameters=(
+        Parameter("share", "-", STRENGTH, -0.9, 0.9, 0.2, "share of the inertia behind the spring"),
+        Parameter("frequency_hz", "Hz", SHAPE, 0.1, 10000.0, 40.0, "resonance of motor against load"),
+        Parameter("damping", "-", SHAPE, 0.0, 2.0, 0.03, "damping ratio of the resonance"),
+    ),
+    search=_search,
+    meaning="a share of the inertia hangs on a damped spring",
+    compensable=False,
+    regime="changes of torque near the resonance",
+    lookalikes=("delay", "current_lag", "backlash", "presliding_shape"),
+    experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring stays",
+    picture="frequency",
+)

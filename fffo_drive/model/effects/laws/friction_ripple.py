@@ -1,0 +1,44 @@
+"""Friction between the surfaces varies with the motor angle."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import wave
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, motor_orders, over
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return over("order", motor_orders(context, half=True))
+
+
+@njit
+def friction_ripple(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = contact (cos, sin of an order of the motor turn): its sign turns with the direction."""
+    turns = parameters[2] * signals[s.MOTOR_ANGLE_REV]
+    signals[s.LOAD_NM] += signals[s.CONTACT_NM] * wave(parameters[0], parameters[1], turns)
+
+
+LAW = Law(
+    name="friction_ripple",
+    axis="motor_angle",
+    kernel=friction_ripple,
+    parameters=(
+        Parameter(
+            "cos_share", "-", STRENGTH, -10.0, 10.0, 0.1, "cosine of the wave, as a share of the contact's friction"
+        ),
+        Parameter("sin_share", "-", STRENGTH, -10.0, 10.0, 0.1, "sine of the wave"),
+        Parameter("order", "1/rev", SHAPE, 0.001, 10000.0, 1.0, "periods in a motor turn"),
+    ),
+    search=_search,
+    meaning="friction varies with the motor angle",
+    compensable=True,
+    regime="sliding",
+    lookalikes=("cogging", "torque_ripple", "position_dependent_friction"),
+    experiment=(
+        "slow constant speed, five turns both ways: the ripple changes its sign with the direction, cogging does not"
+    ),
+    picture="motor_angle",
+    per_run=("cos_share", "sin_share"),
+)

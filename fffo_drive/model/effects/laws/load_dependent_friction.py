@@ -1,0 +1,40 @@
+"""The torque that is transmitted presses the surfaces together."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import sign_of
+from ..law import STRENGTH, Law, Parameter, no_shape
+from ..slots import Floats
+
+
+@njit
+def load_dependent_friction(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = share |motor torque| grip."""
+    signals[s.LOAD_NM] += parameters[0] * abs(signals[s.MOTOR_TORQUE_NM]) * signals[s.GRIP]
+
+
+@njit
+def _inverse(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """The E that the wanted torque needs: what is added presses too."""
+    wanted_nm = signals[s.MOTOR_TORQUE_NM] + signals[s.LOAD_NM]
+    share = parameters[0] * signals[s.GRIP]
+    with_it = max(0.1, 1.0 - share * sign_of(wanted_nm))
+    signals[s.LOAD_NM] += share * abs(wanted_nm) / with_it
+
+
+LAW = Law(
+    name="load_dependent_friction",
+    axis="torque",
+    kernel=load_dependent_friction,
+    parameters=(Parameter("share", "-", STRENGTH, -1.0, 1.0, 0.1, "friction per transmitted torque"),),
+    search=no_shape,
+    meaning="friction grows with the transmitted torque",
+    compensable=True,
+    regime="high torque: acceleration, braking, load",
+    lookalikes=("torque_saturation", "asymmetric_viscous", "quadratic_drag"),
+    experiment="accelerate and brake with the same torque: this opposes the motion, saturation opposes the torque",
+    picture="torque",
+    feedforward=_inverse,
+)

@@ -1,0 +1,42 @@
+"""A torque that is periodic in time: a neighbouring machine, mains."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import wave
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
+from ..slots import Floats
+
+MAINS_HZ = (16.7, 25.0, 50.0, 60.0, 100.0, 120.0)
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    highest_hz = 0.1 / context.period_s
+    return over("frequency_hz", [f for f in sorted({*context.frequencies_hz, *MAINS_HZ}) if 0.0 < f < highest_hz])
+
+
+@njit
+def periodic_disturbance(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = cos, sin of a frequency."""
+    signals[s.LOAD_NM] += wave(parameters[0], parameters[1], parameters[2] * signals[s.TIME_S])
+
+
+LAW = Law(
+    name="periodic_disturbance",
+    axis="frequency",
+    kernel=periodic_disturbance,
+    parameters=(
+        Parameter("cos_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "cosine of the wave"),
+        Parameter("sin_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "sine of the wave"),
+        Parameter("frequency_hz", "Hz", SHAPE, 1e-06, 10000.0, 1.0, "frequency"),
+    ),
+    search=_search,
+    meaning="torque that is periodic in time, whatever the axis does",
+    compensable=False,
+    regime="everywhere, at rest too",
+    lookalikes=("cogging", "unbalance"),
+    experiment="two speeds: the frequency stays, an order of the angle moves; hold the axis at rest",
+    picture="frequency",
+    per_run=("cos_nm", "sin_nm"),
+)

@@ -1,0 +1,77 @@
+"""Friction between the surfaces varies along the travel: a wave, or a worn or tight place."""
+
+from __future__ import annotations
+
+import math
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import TURN, wave
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, slow_periods_rev
+from ..slots import Floats
+
+WIDTH_SHARES = (0.06, 0.15)  # of the travel
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    shapes: list[Shape] = [{"period_rev": period_rev} for period_rev in slow_periods_rev(context)]
+    places = list(context.windows_rev)
+    for share in WIDTH_SHARES if context.turns > 0.0 else ():
+        width_rev = share * context.turns
+        places += [
+            (context.low_rev + 0.5 * width_rev * (k + 1), width_rev)
+            for k in range(int(2.0 * (1.0 - share) / share) + 1)
+        ]
+    shapes += [{"centre_rev": centre_rev, "width_rev": width_rev} for centre_rev, width_rev in places]
+    if context.turns > 3.0:
+        shapes += [{"centre_rev": k / 8.0, "width_rev": 0.25, "pitch_rev": 1.0} for k in range(8)]
+    return shapes
+
+
+@njit
+def position_dependent_friction(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = contact (wave over a period + share inside a window), each switched off by a length of zero.
+
+    The window has the shape of a raised cosine towards its edges (a fifth of the width each); it repeats every pitch,
+    or stands once along the travel.
+    """
+    angle_rev = signals[s.MOTOR_ANGLE_REV]
+    scale = 0.0
+    if parameters[3] > 0.0:
+        scale += wave(parameters[0], parameters[1], angle_rev / parameters[3])
+    if parameters[5] > 0.0:
+        away_rev = angle_rev - parameters[4]
+        if parameters[6] > 0.0:
+            away_rev -= parameters[6] * math.floor(away_rev / parameters[6] + 0.5)
+        inside = (0.5 * parameters[5] - abs(away_rev)) / (0.2 * parameters[5])
+        if inside >= 1.0:
+            scale += parameters[2]
+        elif inside > 0.0:
+            scale += parameters[2] * 0.5 * (1.0 - math.cos(0.5 * TURN * inside))
+    signals[s.LOAD_NM] += signals[s.CONTACT_NM] * scale
+
+
+LAW = Law(
+    name="position_dependent_friction",
+    axis="output_angle",
+    kernel=position_dependent_friction,
+    parameters=(
+        Parameter(
+            "cos_share", "-", STRENGTH, -10.0, 10.0, 0.1, "cosine of the wave, as a share of the contact's friction"
+        ),
+        Parameter("sin_share", "-", STRENGTH, -10.0, 10.0, 0.1, "sine of the wave"),
+        Parameter("window_share", "-", STRENGTH, -10.0, 10.0, 0.1, "change inside the window"),
+        Parameter("period_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "period of the wave along the travel; 0: no wave"),
+        Parameter("centre_rev", "rev", SHAPE, -1000000000.0, 1000000000.0, 0.0, "centre of the window"),
+        Parameter("width_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "width of the window; 0: no window"),
+        Parameter("pitch_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "travel after which the window repeats; 0: never"),
+    ),
+    search=_search,
+    meaning="friction varies along the travel, in waves or in a window",
+    compensable=True,
+    regime="sliding",
+    lookalikes=("friction_ripple", "unbalance", "coulomb_drift"),
+    experiment="slow constant speed over the whole travel, both ways: friction changes its sign, a weight does not",
+    picture="output_angle",
+    per_run=("cos_share", "sin_share"),
+)

@@ -1,0 +1,30 @@
+"""Drag with the square of the speed: a fan, or churned oil."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..law import STRENGTH, Law, Parameter, no_shape
+from ..slots import Floats
+
+
+@njit
+def quadratic_drag(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = drag w |w|."""
+    velocity_rps = signals[s.VELOCITY_RPS]
+    signals[s.LOAD_NM] += parameters[0] * velocity_rps * abs(velocity_rps)
+
+
+LAW = Law(
+    name="quadratic_drag",
+    axis="velocity",
+    kernel=quadratic_drag,
+    parameters=(Parameter("drag_nm_per_rps2", "Nm/rps2", STRENGTH, -1e6, 1e6, 1e-4, "torque per speed squared"),),
+    search=no_shape,
+    meaning="drag with the square of the speed",
+    compensable=True,
+    regime="fast sliding",
+    lookalikes=("viscous_drift", "torque_saturation", "load_dependent_friction"),
+    experiment="constant speeds at four levels and more, up to the highest",
+    picture="velocity",
+)

@@ -1,0 +1,38 @@
+"""The sensor says an angle that is wrong by waves of the motor turn: eccentricity and unequal windings."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import wave
+from ..law import STRENGTH, Law, Parameter, no_shape
+from ..slots import Floats
+
+
+@njit
+def resolver_error(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """SENSOR_REV = first and second order of the angle at which the sensor looks."""
+    angle_rev = signals[s.SENSOR_ANGLE_REV]
+    error_rev = wave(parameters[0], parameters[1], angle_rev) + wave(parameters[2], parameters[3], 2.0 * angle_rev)
+    signals[s.SENSOR_REV] += error_rev
+
+
+LAW = Law(
+    name="resolver_error",
+    axis="motor_angle",
+    kernel=resolver_error,
+    parameters=(
+        Parameter("cos1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine once a turn"),
+        Parameter("sin1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine once a turn"),
+        Parameter("cos2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine twice a turn"),
+        Parameter("sin2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine twice a turn"),
+    ),
+    search=no_shape,
+    meaning="the measured angle is wrong once and twice a turn",
+    compensable=False,
+    regime="everywhere; in torque with the square of the speed",
+    lookalikes=("cogging", "torque_ripple"),
+    experiment="two speeds: in torque it grows with the square of the speed, cogging stays; coasting down shows it too",
+    picture="motor_angle",
+    per_run=("cos1_rev", "sin1_rev", "cos2_rev", "sin2_rev"),
+)

@@ -1,0 +1,29 @@
+"""A constant torque, or an offset of the current."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..law import STRENGTH, Law, Parameter, no_shape
+from ..slots import Floats
+
+
+@njit
+def torque_offset(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = offset."""
+    signals[s.LOAD_NM] += parameters[0]
+
+
+LAW = Law(
+    name="torque_offset",
+    axis="torque",
+    kernel=torque_offset,
+    parameters=(Parameter("torque_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "the torque that is lost"),),
+    search=no_shape,
+    meaning="constant torque, such as an offset of the current makes",
+    compensable=True,
+    regime="everywhere, at rest too",
+    lookalikes=("asymmetric_coulomb", "unbalance"),
+    experiment="turn the mounting or the sign of the motor round; at rest an offset acts, asymmetric friction does not",
+    picture="torque",
+)

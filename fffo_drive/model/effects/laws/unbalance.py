@@ -1,0 +1,41 @@
+"""Weight of the load: a torque over the turn of the gear's output."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import wave
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return over("ratio", [context.gear_ratio or 1.0])
+
+
+@njit
+def unbalance(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = cos, sin of the output angle."""
+    signals[s.LOAD_NM] += wave(parameters[0], parameters[1], signals[s.MOTOR_ANGLE_REV] / parameters[2])
+
+
+LAW = Law(
+    name="unbalance",
+    axis="output_angle",
+    kernel=unbalance,
+    parameters=(
+        Parameter("cos_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "cosine of the wave, at the motor shaft"),
+        Parameter("sin_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "sine of the wave"),
+        Parameter("ratio", "-", SHAPE, 0.001, 1000000.0, 1.0, "motor turns in a turn of the output"),
+    ),
+    search=_search,
+    meaning="weight of the load: one wave in a turn of the output, of one sign",
+    compensable=True,
+    regime="everywhere, at rest too",
+    lookalikes=("torque_offset", "position_dependent_friction", "cogging"),
+    experiment=(
+        "half a turn of the output and more, both ways: the torque keeps its sign; with another payload it changes"
+    ),
+    picture="output_angle",
+    per_run=("cos_nm", "sin_nm"),
+)

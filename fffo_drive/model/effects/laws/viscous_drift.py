@@ -1,0 +1,41 @@
+"""Viscous friction drifts with the time of the run, as a lubricant does that warms up."""
+
+from __future__ import annotations
+
+from ....jit import njit
+from .. import slots as s
+from ..kinds import settled
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
+from ..slots import Floats
+
+
+def _search(context: SearchContext) -> list[Shape]:
+    return over("tau_s", [context.duration_s * ratio for ratio in (0.1, 0.3, 1.0, 3.0)])
+
+
+@njit
+def viscous_drift(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = change w (1 - exp(-t/tau))."""
+    signals[s.LOAD_NM] += parameters[0] * signals[s.VELOCITY_RPS] * settled(signals[s.TIME_S], parameters[1])
+
+
+LAW = Law(
+    name="viscous_drift",
+    axis="time",
+    kernel=viscous_drift,
+    parameters=(
+        Parameter(
+            "change_nm_per_rps", "Nm/rps", STRENGTH, -1e6, 1e6, 1e-3, "change of the viscous coefficient in the end"
+        ),
+        Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant"),
+    ),
+    search=_search,
+    meaning="viscous friction drifts with time",
+    compensable=True,
+    regime="fast sliding, late in the run",
+    lookalikes=("coulomb_drift", "quadratic_drag"),
+    experiment=(
+        "the same motion at the beginning, in the middle and at the end, at several speeds: the change grows with speed"
+    ),
+    picture="time",
+)

@@ -1,0 +1,113 @@
+"""The registry of effects: every law by its name, and what is wrong with a request for one.
+
+An effect is added by its file in laws/ and a line in `NAMES`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import math
+from collections.abc import Iterable, Mapping
+
+from .law import SHAPE, Axis, Law
+from .laws.lookup import AXIS_CODES, KNOWN_AHEAD, UNKNOWN
+
+NAMES = (
+    "torque_offset",
+    "asymmetric_coulomb",
+    "asymmetric_viscous",
+    "stribeck_shape",
+    "presliding_shape",
+    "frictional_lag",
+    "dwell_stiction",
+    "load_dependent_friction",
+    "position_dependent_friction",
+    "friction_ripple",
+    "coulomb_drift",
+    "viscous_drift",
+    "quadratic_drag",
+    "cogging",
+    "torque_ripple",
+    "unbalance",
+    "torque_saturation",
+    "dead_zone",
+    "voltage_limit",
+    "delay",
+    "current_lag",
+    "elasticity",
+    "backlash",
+    "resolver_error",
+    "periodic_disturbance",
+    "lookup",
+)
+LAWS: dict[str, Law] = {name: importlib.import_module(f"{__package__}.laws.{name}").LAW for name in NAMES}
+
+
+def law_of(name: str) -> Law:
+    """The law of a name; `unknown:AXIS` is the lookup over that axis. Raises KeyError for any other."""
+    return LAWS["lookup" if name.startswith(UNKNOWN) else name]
+
+
+def axis_of_effect(name: str) -> Axis:
+    """The axis on which an effect lives."""
+    if name.startswith(UNKNOWN):
+        return next(word for word in AXIS_CODES if word == name.removeprefix(UNKNOWN))
+    return LAWS[name].axis
+
+
+def vector_of(name: str, values: Mapping[str, float]) -> list[float]:
+    """Parameters in the kernel's order; of an `unknown:AXIS` the axis comes from the name."""
+    given = dict(values)
+    if name.startswith(UNKNOWN):
+        given["axis"] = float(AXIS_CODES[axis_of_effect(name)])
+    return law_of(name).vector(given)
+
+
+def is_compensable(name: str, values: Mapping[str, float]) -> bool:
+    """True where a feed-forward can give the torque: for a lookup only over what is known ahead."""
+    law = law_of(name)
+    return law.compensable and (law.name != "lookup" or vector_of(name, values)[0] in KNOWN_AHEAD)
+
+
+def name_error(name: str) -> str | None:
+    """What is wrong with the name of an effect; None when nothing is."""
+    if name.startswith(UNKNOWN):
+        word = name.removeprefix(UNKNOWN)
+        return None if word in AXIS_CODES else f"no axis is called {word!r}{_suggestion(word, AXIS_CODES)}"
+    return None if name in LAWS else f"no effect is called {name!r}{_suggestion(name, LAWS)}"
+
+
+def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, str]]:
+    """(parameter, what is wrong with it) for an effect whose name is known."""
+    known = {p.name: p for p in law_of(name).parameters}
+    errors = []
+    for key, value in values.items():
+        if key not in known:
+            text = f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
+            errors.append((key, text))
+        elif not (math.isfinite(value) and known[key].low <= value <= known[key].high):
+            p = known[key]
+            errors.append((key, f"{value:g} is outside {p.low:g} to {p.high:g} {p.unit}"))
+    missing = [p.name for p in law_of(name).parameters if p.kind == SHAPE and p.name not in values]
+    if missing and law_of(name).name != "lookup":
+        errors.append((missing[0], f"missing: effect {name!r} needs its shape ({', '.join(missing)})"))
+    return errors
+
+
+def _suggestion(word: str, known: Iterable[str]) -> str:
+    names = list(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    return f" (did you mean {close[0]!r}?)" if close else f"; known: {', '.join(names)}"
+
+
+def law_table() -> str:
+    """Markdown table of all laws and their parameters."""
+    lines = ["| effect | axis | what it is | parameter | unit | range |", "|---|---|---|---|---|---|"]
+    for law in LAWS.values():
+        head = f"| `{law.name}` | {law.axis} | {law.meaning}{', compensable' if law.compensable else ''} "
+        for p in law.parameters if law.name != "lookup" else law.parameters[:4]:
+            cells = f"| `{p.name}`: {p.meaning} ({p.kind}) | {p.unit} | {p.low:g} to {p.high:g} |"
+            lines.append(head + cells)
+            head = "| | | "
+    return "\n".join(lines)

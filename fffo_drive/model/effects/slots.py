@@ -1,0 +1,99 @@
+"""What a law sees and says: slots of the float64 vector `signals`.
+
+    J dw/dt = Kt i(t - Td) - F(2SEP) - E,    E = sum of the effects: the torque that they take away
+
+A law reads the motion, the torque and the constants of the axis, adds its torque to LOAD_NM (a feed-forward adds the
+same to the command) and what a sensor says too much to SENSOR_REV. Angles are of the motor shaft, multi-turn, in the
+datum of the run. The first N_MOTION slots are the motion and come with each step; the rest is derived or constant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..axis import AxisConfig
+
+Floats = npt.NDArray[np.float64]
+
+# the motion, in the order of the columns of a followed record
+TIME_S = 0  # since the begin of the run
+VELOCITY_RPS = 1
+ACCELERATION_RPS2 = 2
+MOTOR_ANGLE_REV = 3  # in the middle of the step, where torque acts
+SENSOR_ANGLE_REV = 4  # at its end, where the sensor looks
+CURRENT_A = 5  # the command as it acts: Td late
+FRICTION_NM = 6  # of the 2SEP model
+TRAVEL_REV = 7  # since the last reversal
+DIRECTION = 8  # -1, 0 (never moved), 1: of the motion under way or last made
+N_MOTION = 9
+
+# derived at each step
+MOTOR_TORQUE_NM = 9  # Kt times the current
+CONTACT_NM = 10  # friction without its viscous part: follows the force between the surfaces; zero before any motion
+GRIP = 11  # -1 to 1: contact over the Coulomb level; how far presliding is crossed, and which way
+REST_S = 12  # time at rest so far; in motion: of the last rest
+SLIDE_REV = 13  # travel since the last rest
+RESTING = 14  # 1 at rest
+LOAD_NM = 15  # out
+SENSOR_REV = 16  # out: measured position minus true angle
+
+# constants of the axis
+STEP_S = 17
+INERTIA_NM_S2_PER_REV = 18
+TORQUE_CONSTANT_NM_PER_A = 19
+COULOMB_NM = 20
+STATIC_NM = 21
+STRIBECK_VELOCITY_RPS = 22
+STRIBECK_EXPONENT = 23
+VISCOUS_NM_PER_RPS = 24
+STIFFNESS_PER_REV = 25
+ATTRACTION_NM_PER_REV = 26
+REST_SPEED_RPS = 27  # below it the axis rests
+N_SLOTS = 28
+
+MAX_PARAMETERS = 52
+MEMORY_SLOTS = 72
+
+REST_SPEED_DEFAULT_RPS = 0.02  # some counts of a 15-bit resolver in the memory of a filter; creep in presliding is less
+
+MOTION_NAMES = {
+    "time_s": TIME_S,
+    "velocity_rps": VELOCITY_RPS,
+    "acceleration_rps2": ACCELERATION_RPS2,
+    "motor_angle_rev": MOTOR_ANGLE_REV,
+    "sensor_angle_rev": SENSOR_ANGLE_REV,
+    "current_a": CURRENT_A,
+    "friction_nm": FRICTION_NM,
+    "travel_rev": TRAVEL_REV,
+    "direction": DIRECTION,
+}
+
+
+class AxisFacts(NamedTuple):
+    """What an effect needs besides the axis itself."""
+
+    rest_speed_rps: float = REST_SPEED_DEFAULT_RPS
+
+
+def new_signals(axis: AxisConfig, step_s: float, facts: AxisFacts | None = None) -> Floats:
+    """The vector at rest, with the constants of an axis. (N_SLOTS,)"""
+    signals = np.zeros(N_SLOTS)
+    friction = axis.friction
+    for slot, value in (
+        (STEP_S, step_s),
+        (INERTIA_NM_S2_PER_REV, axis.inertia_nm_s2_per_rev),
+        (TORQUE_CONSTANT_NM_PER_A, axis.torque_constant_nm_per_a),
+        (COULOMB_NM, friction.coulomb_nm),
+        (STATIC_NM, friction.static_nm),
+        (STRIBECK_VELOCITY_RPS, friction.stribeck_velocity_rps),
+        (STRIBECK_EXPONENT, friction.stribeck_exponent),
+        (VISCOUS_NM_PER_RPS, friction.viscous_nm_per_rps),
+        (STIFFNESS_PER_REV, friction.stiffness_per_rev),
+        (ATTRACTION_NM_PER_REV, friction.attraction_nm_per_rev),
+        (REST_SPEED_RPS, (facts or AxisFacts()).rest_speed_rps),
+    ):
+        signals[slot] = value
+    return signals

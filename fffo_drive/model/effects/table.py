@@ -1,0 +1,132 @@
+"""Effects as the kernels run them: packed tables, one step, and a whole followed record at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ...jit import njit
+from ...jit.by_address import call_on_vectors, vectors_address
+from ..axis import AxisConfig
+from . import slots as s
+from .registry import law_of, vector_of
+from .slots import AxisFacts, Floats, new_signals
+
+Integers = npt.NDArray[np.int64]
+
+
+class EffectTable(NamedTuple):
+    """Effects of one axis with their memory. Without effects the arrays have no rows, and nothing of it is run."""
+
+    addresses: Integers  # (effects,)
+    parameters: Floats  # (effects, slots.MAX_PARAMETERS)
+    memory: Floats  # (effects, slots.MEMORY_SLOTS)
+    signals: Floats  # (slots.N_SLOTS,)
+
+
+class Term(NamedTuple):
+    """An effect by name with its parameters; those that are not given are zero (strengths) or typical (shapes)."""
+
+    name: str
+    values: Mapping[str, float]
+
+
+def effect_table(
+    terms: Sequence[Term], axis: AxisConfig, step_s: float, facts: AxisFacts | None = None, feedforward: bool = False
+) -> EffectTable:
+    """Pack effects for an axis, memory at rest. With `feedforward` the kernels that a controller runs."""
+    count = len(terms)
+    addresses = np.zeros(count, np.int64)
+    parameters = np.zeros((count, s.MAX_PARAMETERS))
+    for k, term in enumerate(terms):
+        law = law_of(term.name)
+        kernel = law.feedforward if feedforward and law.feedforward is not None else law.kernel
+        addresses[k] = vectors_address(kernel)
+        vector = vector_of(term.name, term.values)
+        parameters[k, : len(vector)] = vector
+    return EffectTable(addresses, parameters, np.zeros((count, s.MEMORY_SLOTS)), new_signals(axis, step_s, facts))
+
+
+def no_effects() -> EffectTable:
+    """A table without effects."""
+    return EffectTable(
+        np.zeros(0, np.int64), np.zeros((0, s.MAX_PARAMETERS)), np.zeros((0, s.MEMORY_SLOTS)), np.zeros(s.N_SLOTS)
+    )
+
+
+@njit
+def derive_signals(signals: Floats) -> None:
+    """Everything that follows from the motion: torque, contact, grip, rest; and the outputs to zero."""
+    velocity_rps = signals[s.VELOCITY_RPS]
+    speed_rps = abs(velocity_rps)
+    step_s = signals[s.STEP_S]
+    signals[s.MOTOR_TORQUE_NM] = signals[s.TORQUE_CONSTANT_NM_PER_A] * signals[s.CURRENT_A]
+    contact_nm = signals[s.FRICTION_NM] - signals[s.VISCOUS_NM_PER_RPS] * velocity_rps
+    signals[s.CONTACT_NM] = contact_nm
+    signals[s.GRIP] = min(1.0, max(-1.0, contact_nm / signals[s.COULOMB_NM]))
+    if speed_rps < signals[s.REST_SPEED_RPS]:
+        if signals[s.RESTING] == 0.0:
+            signals[s.RESTING] = 1.0
+            signals[s.REST_S] = 0.0
+            signals[s.SLIDE_REV] = 0.0
+        signals[s.REST_S] += step_s
+    else:
+        signals[s.RESTING] = 0.0
+        signals[s.SLIDE_REV] += speed_rps * step_s
+    signals[s.LOAD_NM] = 0.0
+    signals[s.SENSOR_REV] = 0.0
+
+
+@njit
+def effects_step(table: EffectTable) -> None:
+    """Run all effects on the motion that stands in the signals; LOAD_NM and SENSOR_REV are their sums."""
+    derive_signals(table.signals)
+    for k in range(table.addresses.size):
+        call_on_vectors(table.addresses[k], table.signals, table.parameters[k], table.memory[k])
+
+
+@njit
+def along_into(table: EffectTable, motion: Floats, load_nm: Floats, sensor_rev: Floats) -> None:
+    """Run the effects over rows of motion (n, slots.N_MOTION); `load_nm`, `sensor_rev` (n,)."""
+    signals = table.signals
+    for k in range(motion.shape[0]):
+        for slot in range(s.N_MOTION):
+            signals[slot] = motion[k, slot]
+        effects_step(table)
+        load_nm[k] = signals[s.LOAD_NM]
+        sensor_rev[k] = signals[s.SENSOR_REV]
+
+
+def effects_along(
+    terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, facts: AxisFacts | None = None
+) -> tuple[Floats, Floats]:
+    """(torque that the effects take away (n,) Nm, what the sensor says too much (n,) rev) along a followed record.
+
+    `motion` (n, slots.N_MOTION), columns as in slots.MOTION_NAMES. The same kernels as in a simulation, from rest.
+    """
+    table = effect_table(terms, axis, period_s, facts)
+    load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
+    along_into(table, np.ascontiguousarray(motion, dtype=np.float64), load_nm, sensor_rev)
+    return load_nm, sensor_rev
+
+
+def regressors(
+    name: str, shape: Mapping[str, float], motion: Floats, axis: AxisConfig, period_s: float,
+    facts: AxisFacts | None = None,
+) -> tuple[tuple[str, ...], Floats, Floats]:  # fmt: skip
+    """One strength of an effect at a time: (names (k,), torque per unit (n, k), sensor rev per unit (n, k)).
+
+    A strength that does nothing with this shape has a column of zeros.
+    """
+    law = law_of(name)
+    names = tuple(p.name for p in law.strengths)
+    load, sensor = np.empty((motion.shape[0], len(names))), np.empty((motion.shape[0], len(names)))
+    for k, strength in enumerate(law.strengths):
+        terms = [Term(name, {**shape, strength.name: strength.typical})]
+        found_nm, found_rev = effects_along(terms, motion, axis, period_s, facts)
+        load[:, k] = found_nm / strength.typical
+        sensor[:, k] = found_rev / strength.typical
+    return names, load, sensor

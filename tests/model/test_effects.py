@@ -1,0 +1,283 @@
+"""Laws of effects: closed forms, linearity in their strengths, the registry, the model file, bit-for-bit kernels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from interpreted import hex_results
+
+from fffo_drive.documents import DocumentError
+from fffo_drive.model.axis import AxisConfig, AxisState, simulate
+from fffo_drive.model.effects import slots as s
+from fffo_drive.model.effects.law import SearchContext
+from fffo_drive.model.effects.registry import LAWS, NAMES, is_compensable, law_table, name_error, parameter_errors
+from fffo_drive.model.effects.step import simulate_with_effects
+from fffo_drive.model.effects.table import Term, effect_table, effects_along, regressors
+from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
+from fffo_drive.model.parameters import EffectModel, Quantity, content_hash, read_model, write_model
+
+STEP_S = 5e-4
+TURN = 2.0 * math.pi
+FRICTION = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, OMEGA_CLIPPED)
+AXIS = AxisConfig(9.4e-4, 0.148, 0.00275, FRICTION)
+CONTEXT = SearchContext(100.0, STEP_S, 0.02, 15.0, -20.0, 20.0, 2.0, 0.3, 0.025, 0.067, 778.0, 2.33, 160.0, 4, 12)
+# a shape in which every strength of a law acts
+SHAPES = {
+    "position_dependent_friction": {"period_rev": 3.0, "centre_rev": 0.5, "width_rev": 1.0},
+    "torque_saturation": {"knee_a": 1.0},
+    "voltage_limit": {"stall_nm": 0.1, "no_load_rps": 20.0},
+    "lookup": {"count": 3.0, "axis": 1.0, "kind": 1.0, "x00": -4.0, "x01": 0.5, "x02": 4.0},
+}
+
+
+def motion(n=4000, friction=FRICTION, amplitude_rps=5.0):
+    """A motion with reversals, its own friction, and a current that is not just that of the motion."""
+    time_s = np.arange(n) * STEP_S
+    velocity = amplitude_rps * np.sin(TURN * 0.5 * time_s) + np.sin(TURN * 3.1 * time_s)
+    rows = np.zeros((n, s.N_MOTION))
+    state = REST
+    for k in range(n):
+        state = friction_step(friction, state, float(velocity[k]), 0.0, STEP_S)
+        rows[k, s.FRICTION_NM], rows[k, s.TRAVEL_REV], rows[k, s.DIRECTION] = state[0], state[1], state[3]
+    rows[:, s.TIME_S], rows[:, s.VELOCITY_RPS] = time_s, velocity
+    rows[:, s.ACCELERATION_RPS2] = np.gradient(velocity, STEP_S)
+    rows[:, s.MOTOR_ANGLE_REV] = rows[:, s.SENSOR_ANGLE_REV] = np.cumsum(velocity) * STEP_S
+    rows[:, s.CURRENT_A] = 1.2 * np.cos(TURN * 0.5 * time_s) + 0.3 * np.sin(TURN * 7.0 * time_s)
+    return rows
+
+
+MOTION = motion()
+
+
+def along(name, values):
+    return effects_along([Term(name, values)], MOTION, AXIS, STEP_S)
+
+
+def kernel_results():
+    rows = MOTION[:600]
+    found = []
+    for name in NAMES:
+        names, load, sensor = regressors(name, SHAPES.get(name, {}), rows, AXIS, STEP_S)
+        found += [*load[::50, 0], *sensor[::50, -1]]
+        kernel = effect_table([Term(name, {names[0]: 0.1, **SHAPES.get(name, {})})], AXIS, STEP_S, feedforward=True)
+        found.append(float(kernel.parameters.sum()))
+    terms = [Term("cogging", {"cos_nm": 0.004, "order": 6.0}), Term("elasticity", {"share": 0.2}),
+             Term("resolver_error", {"cos1_rev": 1e-3})]  # fmt: skip
+    output, end = simulate_with_effects(AXIS, terms, AxisState(0.0, 0.0, REST), rows[:, s.CURRENT_A], STEP_S, 2)
+    return [float(x).hex() for x in (*found, *output[-1], end.velocity_rps)]
+
+
+def test_compiled_and_interpreted_laws_agree_bit_for_bit():
+    assert kernel_results() == hex_results("model.test_effects", "kernel_results")
+
+
+CLOSED = {
+    "torque_offset": ({"torque_nm": 0.01}, lambda m: np.full(len(m), 0.01)),
+    "asymmetric_viscous": ({"excess_nm_per_rps": 2e-3}, lambda m: 2e-3 * np.abs(m[:, 1])),
+    "quadratic_drag": ({"drag_nm_per_rps2": 1e-4}, lambda m: 1e-4 * m[:, 1] * np.abs(m[:, 1])),
+    "cogging": (
+        {"cos_nm": 0.004, "sin_nm": 0.003, "order": 6.0},
+        lambda m: 0.004 * np.cos(TURN * 6.0 * m[:, 3]) + 0.003 * np.sin(TURN * 6.0 * m[:, 3]),
+    ),
+    "unbalance": ({"sin_nm": 0.01, "ratio": 160.0}, lambda m: 0.01 * np.sin(TURN * m[:, 3] / 160.0)),
+    "torque_ripple": (
+        {"cos_share": 0.1, "order": 2.0}, lambda m: 0.148 * m[:, 5] * 0.1 * np.cos(TURN * 2.0 * m[:, 3]),
+    ),
+    "periodic_disturbance": ({"sin_nm": 0.01, "frequency_hz": 7.3}, lambda m: 0.01 * np.sin(TURN * 7.3 * m[:, 0])),
+    "viscous_drift": (
+        {"change_nm_per_rps": 1e-3, "tau_s": 2.0}, lambda m: 1e-3 * m[:, 1] * (1.0 - np.exp(-m[:, 0] / 2.0)),
+    ),
+    "dead_zone": (
+        {"lost_nm": 0.0148, "width_a": 0.1}, lambda m: 0.0148 * np.clip(m[:, 5] / 0.1, -1.0, 1.0),
+    ),
+    "torque_saturation": (
+        {"share": 0.5, "knee_a": 1.0}, lambda m: 0.5 * 0.148 * m[:, 5] * m[:, 5] ** 2 / (1.0 + m[:, 5] ** 2),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_closed_forms(name):
+    values, expected = CLOSED[name]
+    load, sensor = along(name, values)
+    assert np.allclose(load, expected(MOTION), rtol=1e-9, atol=1e-12)
+    assert not sensor.any()
+
+
+def test_a_delay_gives_back_the_torque_of_before():
+    load, _ = along("delay", {"delay_s": 3.0 * STEP_S})
+    torque = 0.148 * MOTION[:, s.CURRENT_A]
+    assert np.allclose(load[3:], torque[3:] - torque[:-3], atol=1e-12)
+    half, _ = along("delay", {"delay_s": 2.5 * STEP_S})
+    assert np.allclose(half[3:], torque[3:] - 0.5 * (torque[1:-2] + torque[:-3]), atol=1e-12)
+
+
+def test_a_lag_answers_a_step_with_an_exponential():
+    rows = np.zeros((400, s.N_MOTION))
+    rows[:, s.CURRENT_A] = 1.0
+    load, _ = effects_along([Term("current_lag", {"share": 1.0, "tau_s": 0.01})], rows, AXIS, STEP_S)
+    time_s = (np.arange(400) + 1.0) * STEP_S
+    assert np.allclose(load, 0.148 * np.exp(-time_s / 0.01), rtol=1e-9)
+
+
+def test_the_resolver_is_wrong_and_the_torque_is_not():
+    load, sensor = along("resolver_error", {"cos1_rev": 1e-3, "sin2_rev": 5e-4})
+    angle = MOTION[:, s.SENSOR_ANGLE_REV]
+    assert not load.any()
+    assert np.allclose(sensor, 1e-3 * np.cos(TURN * angle) + 5e-4 * np.sin(2.0 * TURN * angle))
+
+
+@pytest.mark.parametrize("name", sorted(set(NAMES) - {"delay", "elasticity", "backlash"}))
+def test_effects_are_linear_in_their_strengths(name):
+    names, load, sensor = regressors(name, SHAPES.get(name, {}), MOTION, AXIS, STEP_S)
+    generator = np.random.default_rng(4)
+    strengths = generator.uniform(0.2, 0.8, len(names)) * [p.typical for p in LAWS[name].strengths]
+    values = {**SHAPES.get(name, {}), **dict(zip(names, strengths, strict=True))}
+    found_nm, found_rev = along(name, values)
+    scale = np.abs(load).max() * np.abs(strengths).max() + 1e-300
+    assert np.allclose(found_nm, load @ strengths, rtol=1e-9, atol=1e-9 * scale)
+    assert np.allclose(found_rev, sensor @ strengths, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_strength_there_is_no_effect(name):
+    load, sensor = along(name, SHAPES.get(name, {}))
+    assert not load.any()
+    assert not sensor.any()
+
+
+@pytest.mark.parametrize("name", ["asymmetric_coulomb", "coulomb_drift", "load_dependent_friction", "friction_ripple",
+                                  "dwell_stiction", "position_dependent_friction"])  # fmt: skip
+def test_friction_effects_do_nothing_to_an_axis_that_never_moved(name):
+    rows = np.zeros((500, s.N_MOTION))
+    rows[:, s.CURRENT_A] = 0.1
+    rows[:, s.TIME_S] = np.arange(500) * STEP_S
+    values = {p.name: p.typical for p in LAWS[name].parameters} | SHAPES.get(name, {})
+    load, _ = effects_along([Term(name, values)], rows, AXIS, STEP_S)
+    assert not load.any()
+
+
+def test_asymmetric_friction_is_that_of_two_levels():
+    """In first order: the 2SEP model itself, with Fc and Fs higher one way than the other."""
+    share = 0.01
+    states = {a: REST for a in (share, 0.0)}
+    difference = np.empty(len(MOTION))
+    for k, velocity in enumerate(MOTION[:, s.VELOCITY_RPS]):
+        for a in states:
+            level = 1.0 + a * math.copysign(1.0, velocity)
+            config = FRICTION._replace(coulomb_nm=level * 0.025, static_nm=level * 0.067)
+            states[a] = friction_step(config, states[a], float(velocity), 0.0, STEP_S)
+        difference[k] = states[share].torque_nm - states[0.0].torque_nm
+    load, _ = along("asymmetric_coulomb", {"share": share})
+    assert np.sqrt(np.mean((load - difference) ** 2)) < 0.1 * np.sqrt(np.mean(difference**2))
+
+
+def test_break_away_grows_with_the_time_at_rest_and_goes_with_travel():
+    def peak(rest_s):
+        n = round(rest_s / STEP_S)
+        velocity = np.concatenate([np.zeros(n), np.full(2000, 0.5)])
+        rows = np.zeros((velocity.size, s.N_MOTION))
+        rows[:, s.VELOCITY_RPS] = velocity
+        values = {"peak_nm": 0.02, "tau_s": 1.0, "release_rev": 0.02}
+        load, _ = effects_along([Term("dwell_stiction", values)], rows, AXIS, STEP_S)
+        assert not load[:n].any()
+        return load.max(), load[-1]
+
+    short, long = peak(0.2), peak(3.0)
+    assert 0.0 < short[0] < 0.4 * long[0]
+    assert 0.015 < long[0] < 0.02
+    assert long[1] < 0.1 * long[0]
+
+
+def test_a_presliding_part_is_gone_in_sliding():
+    load, _ = along("presliding_shape", {"torque_nm": 0.01, "length_ratio": 5.0})
+    sliding = MOTION[:, s.TRAVEL_REV] > 0.1
+    assert np.abs(load[~sliding]).max() > 0.004
+    assert np.abs(load[sliding]).max() < 1e-5
+
+
+def test_two_masses_share_their_motion_at_low_frequency_and_part_at_resonance():
+    values = {"share": 0.3, "frequency_hz": 40.0, "damping": 0.05}
+
+    def response(frequency_hz):
+        rows = np.zeros((8000, s.N_MOTION))
+        time_s = np.arange(8000) * STEP_S
+        rows[:, s.VELOCITY_RPS] = np.sin(TURN * frequency_hz * time_s)
+        acceleration = TURN * frequency_hz * np.cos(TURN * frequency_hz * time_s)
+        rows[:, s.CURRENT_A] = AXIS.inertia_nm_s2_per_rev * acceleration / 0.148
+        load, _ = effects_along([Term("elasticity", values)], rows, AXIS, STEP_S)
+        return np.abs(load[4000:]).max() / (AXIS.inertia_nm_s2_per_rev * np.abs(acceleration).max())
+
+    assert response(1.0) < 0.01  # one body: nothing is taken away
+    assert response(33.0) > 0.5  # where the load swings against the motor held in motion: sqrt(1 - share) of 40 Hz
+
+
+def test_a_table_of_knots_is_drawn_with_straight_lines():
+    values = {"count": 3.0, "x00": -2.0, "x01": 0.0, "x02": 2.0, "y00": -0.01, "y01": 0.0, "y02": 0.03}
+    load, _ = along("unknown:velocity", values)
+    expected = np.interp(MOTION[:, s.VELOCITY_RPS], [-2.0, 0.0, 2.0], [-0.01, 0.0, 0.03])
+    assert np.allclose(load, expected, atol=1e-12)
+    turned, _ = along("unknown:motor_angle", {**values, "x00": 0.0, "x01": 0.5, "x02": 1.0, "scale": 1.0})
+    angle = MOTION[:, s.MOTOR_ANGLE_REV] % 1.0
+    assert np.allclose(turned, np.interp(angle, [0.0, 0.5, 1.0], [-0.01, 0.0, 0.03]), atol=1e-9)
+
+
+def test_without_effects_the_loaded_axis_is_the_axis():
+    command = np.ascontiguousarray(MOTION[:, s.CURRENT_A])
+    plain, _ = simulate(AXIS, AxisState(0.0, 0.0, REST), command, STEP_S, 2)
+    loaded, _ = simulate_with_effects(AXIS, [], AxisState(0.0, 0.0, REST), command, STEP_S, 2)
+    assert np.allclose(loaded[:, :3], plain, rtol=1e-9, atol=1e-12)
+
+
+def test_every_law_says_what_a_reader_and_a_search_need():
+    for name, law in LAWS.items():
+        assert law.name == name
+        assert law.strengths
+        assert set(law.per_run) <= {p.name for p in law.strengths}
+        assert set(law.lookalikes) <= set(NAMES)
+        assert all((law.meaning, law.experiment, law.regime))
+        assert f"`{name}`" in law_table()
+        for shape in law.search(CONTEXT):
+            assert not parameter_errors(name, {**{p.name: p.typical for p in law.shapes}, **shape})
+
+
+def test_what_is_wrong_with_a_request_is_said():
+    assert "did you mean 'cogging'" in (name_error("coging") or "")
+    assert "did you mean 'velocity'" in (name_error("unknown:velocty") or "")
+    assert name_error("unknown:dwell") is None
+    wrong = dict(parameter_errors("cogging", {"cos_mn": 1.0, "order": -1.0}))
+    assert "did you mean 'cos_nm'" in wrong["cos_mn"]
+    assert "outside" in wrong["order"]
+    assert "missing" in dict(parameter_errors("dwell_stiction", {"peak_nm": 0.01}))["tau_s"]
+    assert is_compensable("cogging", {})
+    assert not is_compensable("elasticity", {})
+    assert not is_compensable("unknown:frequency", {})
+
+
+def with_cogging(model, order=6.0):
+    values = {"cos_nm": 0.004, "sin_nm": 0.0, "order": order}
+    parameters = {key: Quantity(value=value, sd=1e-4, source="fitted") for key, value in values.items()}
+    return model.model_copy(update={"effects": [EffectModel(name="cogging", parameters=parameters)]})
+
+
+def test_a_model_file_carries_its_effects_and_they_are_in_its_hash(tmp_path, table_1):
+    plain = read_model(table_1)
+    loaded = with_cogging(plain)
+    write_model(tmp_path / "model.yaml", loaded)
+    again = read_model(tmp_path / "model.yaml")
+    assert again.effect_terms() == [Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.0, "order": 6.0})]
+    assert again.effect_table(STEP_S).addresses.shape == (1,)
+    assert len({content_hash(plain), content_hash(loaded), content_hash(with_cogging(plain, 7.0))}) == 3
+    write_model(tmp_path / "plain.yaml", plain)
+    assert "effects" not in (tmp_path / "plain.yaml").read_text()
+    text = (tmp_path / "model.yaml").read_text().replace("name: cogging", "name: coging")
+    (tmp_path / "wrong.yaml").write_text(text)
+    with pytest.raises(DocumentError, match=r"effects\[0\].name: no effect is called 'coging'"):
+        read_model(tmp_path / "wrong.yaml")
+
+
+@pytest.fixture
+def table_1(request):
+    return request.config.rootpath / "configs" / "models" / "table1.yaml"
