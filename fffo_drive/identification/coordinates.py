@@ -84,27 +84,33 @@ def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising
 
 
 def to_coordinates(physical: Floats, scale: Floats) -> Floats:
-    """Logarithm where the parameter is positive by nature, else value over scale."""
+    """Logarithm where the parameter is positive by nature, else value over scale; so all that follow PARAMETERS."""
     return np.array([
-        math.log(value) if PARAMETERS[name][0] else value / size
-        for name, value, size in zip(PARAMETERS, physical, scale, strict=True)
+        math.log(value) if logarithmic else value / size
+        for logarithmic, value, size in zip(_logarithmic(scale.size), physical, scale, strict=True)
     ])  # fmt: skip
 
 
 def to_physical(values: Floats, scale: Floats) -> Floats:
     """The inverse of `to_coordinates`."""
     return np.array([
-        math.exp(value) if PARAMETERS[name][0] else value * size
-        for name, value, size in zip(PARAMETERS, values, scale, strict=True)
+        math.exp(value) if logarithmic else value * size
+        for logarithmic, value, size in zip(_logarithmic(scale.size), values, scale, strict=True)
     ])  # fmt: skip
 
 
 def physical_slope(values: Floats, scale: Floats) -> Floats:
     """d physical / d coordinate, for standard deviations."""
     return np.array([
-        math.exp(value) if PARAMETERS[name][0] else size
-        for name, value, size in zip(PARAMETERS, values, scale, strict=True)
+        math.exp(value) if logarithmic else size
+        for logarithmic, value, size in zip(_logarithmic(scale.size), values, scale, strict=True)
     ])  # fmt: skip
+
+
+def _logarithmic(size: int) -> list[bool]:
+    """Which of the parameters of a fit are logarithms: of those of effects none is."""
+    own = [logarithmic for logarithmic, _ in PARAMETERS.values()]
+    return own + [False] * (size - len(own))
 
 
 def axis_of(physical: Floats, torque_constant_nm_per_a: float) -> tuple[AxisConfig, Nuisance]:

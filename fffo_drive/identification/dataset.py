@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,16 @@ def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]
             problems.append(str(error))
     if problems:
         raise DataError("\n".join(problems))
-    return records
+    names = distinct_names([record.path for record in records])
+    return [replace(record, name=name) for record, name in zip(records, names, strict=True)]
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """Short names of files, no two alike: the file's own, with its directory where that is not enough, or a number."""
+    names = [path.name.split(".")[0] for path in paths]
+    if len(set(names)) != len(names):
+        names = [f"{path.resolve().parent.name}/{path.name.split('.')[0]}" for path in paths]
+    return [f"{name} ({names[:k].count(name) + 1})" if name in names[:k] else name for k, name in enumerate(names)]
 
 
 def _while_running(run: Run, columns: dict[str, Floats]) -> dict[str, Floats]:
@@ -120,7 +129,8 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> dict[str, Floats]:
     mode = np.asarray(run.column("mode"))
     active = np.flatnonzero(mode)
     if not active.size:
-        raise DataError(f"{run.path}: the loop never applied torque in this run")
+        torn = f" ({run.reason})" if run.reason else ""
+        raise DataError(f"{run.path}: the loop never applied torque in this run{torn}")
     part = slice(int(active[0]), int(active[-1]) + 1)
     kept = {name: np.ascontiguousarray(values[part]) for name, values in columns.items()}
     if not (mode[part] == 1).any():
@@ -149,6 +159,7 @@ def _record(path: Path, columns: dict[str, Any], facts: DriveFacts, warnings: li
             raise DataError(f"{path}: neither position_rev nor velocity_rps is given: one of them is needed")
         warnings.append(f"{path}: no position: the velocity is integrated, and its lag counts as delay")
         position_rev = np.concatenate([[0.0], np.cumsum(0.5 * (velocity_rps[1:] + velocity_rps[:-1]) * period_s)])
+        velocity_rps = None  # the same once more would say that it is not late
     lsb_rev = facts.lsb_rev or _resolution(position_rev)
     record = Record(
         name=path.name.split(".")[0],
@@ -218,7 +229,7 @@ def _velocity_scale_problem(record: Record) -> str | None:
         return f"{record.path}: no stretch between gaps is longer than {4 * span} samples"
     positions = [record.position_rev[part] for part in parts]
     derived = np.concatenate([p[2 * span :] - p[: -2 * span] for p in positions]) / (2 * span * record.period_s)
-    own = np.concatenate([record.velocity_rps[part][span:-span] for part in parts])
+    own = np.concatenate([_moving_mean(record.velocity_rps[part], span) for part in parts])
     power = float(derived @ derived)
     if power == 0.0 or float(own @ own) == 0.0:
         return f"{record.path}: the velocity is zero throughout while the position moves, or the other way round"
@@ -229,8 +240,14 @@ def _velocity_scale_problem(record: Record) -> str | None:
     if abs(factor - 1.0) <= SCALE_TOLERANCE:
         return None
     known = min(KNOWN_FACTORS, key=lambda k: abs(np.log(abs(factor / k))) + (10.0 if factor * k < 0 else 0.0))
-    hint = f": {KNOWN_FACTORS[known]}?" if abs(factor / known - 1.0) < 0.1 else ""
+    hint = f": {KNOWN_FACTORS[known]}?" if abs(factor / known - 1.0) < 0.1 else "."
     return (
         f"{record.path}: the velocity is {factor:.4g} times the derivative of the position{hint} "
         "Give the unit of each column in `columns` of the facts"
     )
+
+
+def _moving_mean(values: Floats, span: int) -> Floats:
+    """Mean over 2 `span` periods around each sample that has them: what positions so far apart differ by, over time."""
+    path = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+    return np.asarray((path[2 * span :] - path[: -2 * span]) / (2 * span))

@@ -11,8 +11,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .coordinates import Coordinates, axis_of, to_physical
+from ..model.axis import AxisConfig
+from ..model.effects import slots
+from ..model.effects.table import EffectTable, Term, effect_table
+from .coordinates import PARAMETERS, Coordinates, axis_of, to_physical
 from .dataset import Record
+from .layout import EffectLayout
 from .shooting import ShootingConfig, innovations
 
 Floats = npt.NDArray[np.float64]
@@ -47,6 +51,7 @@ class Problem(NamedTuple):
     shooting: ShootingConfig
     cluster_blocks: int
     lsb_rev: float
+    layout: EffectLayout | None = None  # of what follows the model's own parameters in a vector; None: nothing does
 
     @property
     def rows(self) -> int:
@@ -107,13 +112,25 @@ def moving_blocks(position_rev: Floats, lsb_rev: float, block: int, period_s: fl
     return np.asarray(span > STILL_LSB * lsb_rev)
 
 
+def table_at(terms: Sequence[Term], axis: AxisConfig, step_s: float, step: int) -> EffectTable | None:
+    """The effects at rest at a step of a record; None where there are none."""
+    if not terms:
+        return None
+    table = effect_table(terms, axis, step_s)
+    table.signals[slots.TIME_S] = step * step_s
+    return table
+
+
 def residual(problem: Problem, physical: Floats) -> Floats:
     """Prediction errors in counts of the sensor, (rows,)."""
     found = []
     for stretch in problem.stretches:
         axis, nuisance = axis_of(physical, stretch.torque_constant_nm_per_a)
         output = np.empty(stretch.kept.size)
-        innovations(axis, problem.shooting, nuisance, stretch.current_a, stretch.position_rev, 0, output)
+        terms = problem.layout.terms(physical[len(PARAMETERS) :], stretch.record) if problem.layout else ()
+        step_s = problem.shooting.period_s / problem.shooting.substeps
+        table = table_at(terms, axis, step_s, stretch.first * problem.shooting.substeps)
+        innovations(axis, table, problem.shooting, nuisance, stretch.current_a, stretch.position_rev, 0, output)
         found.append(output[stretch.kept])
     return np.concatenate(found) / problem.lsb_rev
 

@@ -12,17 +12,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import signal, stats
 
+from ..model.effects.table import Term
 from .coordinates import PARAMETERS, axis_of
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of
-from .prediction import observer
-from .shooting import Kick, follow, shoot
+from .prediction import observer, table_at
+from .shooting import PATH_COLUMNS, Kick, follow, shoot
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -48,6 +50,26 @@ class TorqueResidual(NamedTuple):
     kept: Mask
 
 
+class RunResidual(NamedTuple):
+    """What a model leaves over on one record: in torque along it, and in velocity over free windows."""
+
+    record: Record
+    torque: TorqueResidual
+    velocity_errors_rps: Floats  # (windows, blocks)
+    begins_s: Floats  # (windows,) their starts, on the clock of the log
+    presliding_rev: float  # travel after a reversal up to which it is presliding
+
+    @property
+    def sliding(self) -> Mask:
+        """Samples that count and slide. (n,)"""
+        return np.asarray(self.torque.kept & (self.torque.travel_rev > self.presliding_rev))
+
+    @property
+    def presliding(self) -> Mask:
+        """Samples that count and are in presliding. (n,)"""
+        return np.asarray(self.torque.kept & (self.torque.travel_rev <= self.presliding_rev))
+
+
 class Dependence(NamedTuple):
     """Correlation of the residual with a function of the motion."""
 
@@ -56,25 +78,40 @@ class Dependence(NamedTuple):
     p_value: float  # two-sided, with the effective number of samples
 
 
-def torque_residual(record: Record, physical: Floats, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> TorqueResidual:
-    """Residual in torque along a record."""
+def torque_residual(
+    record: Record, physical: Floats, cutoff_hz: float = DEFAULT_CUTOFF_HZ, terms: Sequence[Term] = ()
+) -> TorqueResidual:
+    """Residual in torque along a record, without what the effects `terms` take away."""
     parts = [
-        _torque_part(record, part, physical, cutoff_hz) for part in record.segments() if part.stop - part.start > 400
+        _torque_part(record, part, physical, cutoff_hz, terms)
+        for part in record.segments()
+        if part.stop - part.start > 400
     ]
     return TorqueResidual(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _torque_part(record: Record, part: slice, physical: Floats, cutoff_hz: float) -> TorqueResidual:
+def _torque_part(
+    record: Record, part: slice, physical: Floats, cutoff_hz: float, terms: Sequence[Term]
+) -> TorqueResidual:
     axis, nuisance = axis_of(physical, record.torque_constant_nm_per_a)
     position = np.ascontiguousarray(record.position_rev[part])
-    path = np.empty((position.size, 4))
+    path = np.empty((position.size, PATH_COLUMNS))
     bandwidth_hz = min(OBSERVER_HZ, 0.04 / record.period_s)
     shooting = observer(record.period_s, bandwidth_hz, 1)
-    follow(axis, shooting, nuisance, np.ascontiguousarray(record.current_a[part]), position, path)
+    table = table_at(terms, axis, record.period_s, part.start)
+    follow(axis, table, shooting, nuisance, np.ascontiguousarray(record.current_a[part]), position, path)
+    if terms:
+        seen_rev = record.position_rev.copy()
+        seen_rev[part] -= path[:, 6]
+        record = replace(record, position_rev=seen_rev)
     motion = motion_of(record, part, cutoff_hz)
     torque = acting_torque_nm(record, part, axis.delay_s, cutoff_hz) - nuisance.offset_nm
     friction = low_pass(path[:, 2], cutoff_hz, record.period_s)
     residual = torque - axis.inertia_nm_s2_per_rev * motion.acceleration_rps2 - friction
+    if terms:
+        # an effect stands for the step that led to its sample
+        load = 0.5 * (path[:, 5] + np.append(path[1:, 5], path[-1, 5]))
+        residual = residual - low_pass(load, cutoff_hz, record.period_s)
     kept = np.abs(motion.velocity_rps) > motion.speed_floor_rps
     edge = min(kept.size // 4, round(SETTLING_S / record.period_s))
     kept[:edge] = False
@@ -85,7 +122,9 @@ def _torque_part(record: Record, part: slice, physical: Floats, cutoff_hz: float
     )
 
 
-def velocity_errors(record: Record, physical: Floats, window_s: float = WINDOW_S) -> tuple[Floats, Floats]:
+def velocity_errors(
+    record: Record, physical: Floats, window_s: float = WINDOW_S, terms: Sequence[Term] = ()
+) -> tuple[Floats, Floats]:
     """Velocity error of free simulation, window after window: (windows, blocks) rps, and the windows' start times.
 
     Windows in which nothing moves are left out. State at the start: of the observer.
@@ -103,9 +142,10 @@ def velocity_errors(record: Record, physical: Floats, window_s: float = WINDOW_S
             continue
         position = np.ascontiguousarray(record.position_rev[part])
         output = np.empty((starts.size, samples // block))
+        table, spare = (table_at(terms, axis, period_s, part.start) for _ in range(2))
         shoot(
-            axis, shooting, Kick(0.0, 0.0), nuisance.offset_nm, np.ascontiguousarray(record.current_a[part]), position,
-            starts, 0, output,
+            axis, table, spare, shooting, Kick(0.0, 0.0), nuisance.offset_nm,
+            np.ascontiguousarray(record.current_a[part]), position, starts, 0, output,
         )  # fmt: skip
         moved = np.array([np.ptp(position[k : k + samples]) > 5.0 * record.lsb_rev for k in starts])
         errors.append(np.diff(output, axis=1)[moved] / (block * period_s))
@@ -169,41 +209,57 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
     return result
 
 
-def residual_summary(records: Sequence[Record], physical: Floats) -> dict[str, dict[str, Any]]:
-    """Everything of this page as plain numbers: series (thinned), histogram, tests, and errors by axis."""
-    names = list(PARAMETERS)
-    per_length = PRESLIDING_LENGTHS / float(physical[names.index("stiffness_per_rev")])
-    runs: dict[str, dict[str, Any]] = {}
-    for record in records:
-        found = torque_residual(record, physical)
-        errors, begins = velocity_errors(record, physical)
-        step = max(1, int(0.25 / (DEFAULT_CUTOFF_HZ * record.period_s)))
-        kept = found.kept
-        r = found.residual_nm[kept]
-        sliding = kept & (found.travel_rev > per_length)
-        presliding = kept & ~sliding
-        runs[record.name] = {
-            "torque_rms_nm": _rms(r),
-            "torque_relative_percent": 100.0 * _rms(r) / max(1e-300, _rms(found.torque_nm[kept])),
-            "friction_relative_percent": 100.0 * _rms(r) / max(1e-300, _rms(found.friction_nm[kept])),
-            "velocity_rms_rps": _rms(errors),
-            "velocity_median_rps": _median_window(errors),
-            "velocity_window_s": WINDOW_S,
-            "histogram": _histogram(r),
-            "skewness": float(stats.skew(r)) if r.size > 10 else 0.0,
-            "whiteness": whiteness(r[::step]) if r.size > 50 * step else {},
-            "dependence": [d._asdict() for d in dependences(found, step)],
-            "by_regime": {
-                "sliding": _rms(found.residual_nm[sliding]),
-                "presliding": _rms(found.residual_nm[presliding]),
-                "forward_mean_nm": _mean(found.residual_nm[sliding & (found.velocity_rps > 0)]),
-                "backward_mean_nm": _mean(found.residual_nm[sliding & (found.velocity_rps < 0)]),
-            },
-            "by_speed": _by_speed(found),
-            "by_frequency": _by_frequency(found, record.period_s),
-            "series": _series(found, begins, errors),
-        }
-    return runs
+def run_residuals(records: Sequence[Record], physical: Floats) -> list[RunResidual]:
+    """Residuals of every record at the same parameters."""
+    presliding_rev = PRESLIDING_LENGTHS / float(physical[list(PARAMETERS).index("stiffness_per_rev")])
+    return [
+        RunResidual(record, torque_residual(record, physical), *velocity_errors(record, physical), presliding_rev)
+        for record in records
+    ]
+
+
+def residual_summary(
+    records: Sequence[Record], physical: Floats, runs: Sequence[RunResidual] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Everything of this page as plain numbers, by the record's name: histogram, tests, errors by axis.
+
+    `runs` are those of `run_residuals` where they are at hand.
+    """
+    return {run.record.name: _summary(run) for run in runs or run_residuals(records, physical)}
+
+
+def sampling_step(period_s: float) -> int:
+    """Every how many samples the filtered residual tells something new: four times its cut-off."""
+    return max(1, int(0.25 / (DEFAULT_CUTOFF_HZ * period_s)))
+
+
+def _summary(run: RunResidual) -> dict[str, Any]:
+    found, errors = run.torque, run.velocity_errors_rps
+    step = sampling_step(run.record.period_s)
+    r = found.residual_nm[found.kept]
+    forward = found.velocity_rps > 0.0
+    return {
+        "torque_rms_nm": _rms(r),
+        "torque_relative_percent": 100.0 * _rms(r) / max(1e-300, _rms(found.torque_nm[found.kept])),
+        "friction_relative_percent": 100.0 * _rms(r) / max(1e-300, _rms(found.friction_nm[found.kept])),
+        "velocity_rms_rps": _rms(errors),
+        "velocity_median_rps": _median_window(errors),
+        "velocity_window_s": WINDOW_S,
+        "windows": int(errors.shape[0]),
+        "histogram": _histogram(r),
+        "skewness": float(stats.skew(r)) if r.size > 10 else 0.0,
+        "excess_kurtosis": float(stats.kurtosis(r)) if r.size > 10 else 0.0,
+        "whiteness": whiteness(r[::step]) if r.size > 50 * step else {},
+        "dependence": [d._asdict() for d in dependences(found, step)],
+        "by_regime": {
+            "sliding": _rms(found.residual_nm[run.sliding]),
+            "presliding": _rms(found.residual_nm[run.presliding]),
+            "forward_mean_nm": _mean(found.residual_nm[run.sliding & forward]),
+            "backward_mean_nm": _mean(found.residual_nm[run.sliding & ~forward]),
+        },
+        "by_speed": _by_speed(run),
+        "by_frequency": _by_frequency(found, run.record.period_s),
+    }
 
 
 def _rms(values: Floats) -> float:
@@ -225,7 +281,8 @@ def _histogram(values: Floats) -> dict[str, list[float]]:
     return {"edges": edges.tolist(), "counts": counts.tolist()}
 
 
-def _by_speed(found: TorqueResidual) -> list[dict[str, float]]:
+def _by_speed(run: RunResidual) -> list[dict[str, float]]:
+    found = run.torque
     speed = np.abs(found.velocity_rps)
     moving = speed[found.kept]
     if moving.size < 100:
@@ -235,6 +292,8 @@ def _by_speed(found: TorqueResidual) -> list[dict[str, float]]:
     for low, high in itertools.pairwise(edges):
         inside = found.kept & (speed >= low) & (speed < high)
         rows.append({"low_rps": float(low), "high_rps": float(high), "rms_nm": _rms(found.residual_nm[inside]),
+                     "sliding_rms_nm": _rms(found.residual_nm[inside & run.sliding]),
+                     "presliding_rms_nm": _rms(found.residual_nm[inside & run.presliding]),
                      "share": float(inside.sum() / max(1, found.kept.sum()))})  # fmt: skip
     return rows
 
@@ -253,19 +312,3 @@ def _by_frequency(found: TorqueResidual, period_s: float) -> list[dict[str, floa
                          "rms_nm": math.sqrt(float(density[inside].sum()) * width),
                          "torque_rms_nm": math.sqrt(float(torque[inside].sum()) * width)})  # fmt: skip
     return rows
-
-
-def _series(found: TorqueResidual, begins: Floats, errors: Floats, points: int = 2000) -> dict[str, list[float]]:
-    """Envelope of the residual for a figure: smallest and largest of each bin, and the windows' velocity errors."""
-    step = max(1, found.time_s.size // points)
-    count = found.time_s.size // step
-    shaped = np.where(found.kept, found.residual_nm, 0.0)[: count * step].reshape(count, step)
-    window_rms = np.sqrt(np.mean(errors * errors, axis=1)) if errors.size else np.zeros(0)
-    thin = max(1, begins.size // points)
-    return {
-        "time_s": found.time_s[: count * step : step].round(4).tolist(),
-        "low_nm": shaped.min(axis=1).tolist(),
-        "high_nm": shaped.max(axis=1).tolist(),
-        "window_time_s": begins[::thin].round(4).tolist(),
-        "window_velocity_rms_rps": window_rms[::thin].tolist(),
-    }

@@ -16,12 +16,13 @@ from ..units import inertia_kg_m2
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
 from .dataset import DataError, Record
 from .facts import DriveFacts
-from .fit import CHECK_RATIO, Fit
+from .fit import OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
-from .residuals import residual_summary
+from .residuals import RunResidual, residual_summary
 
 REPORT_FORMAT = "fffo_drive/identification/1"
 CONFIDENCE = 0.95
+LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
 LINEAR_UNITS = {
     "Nm": "N",
     "rev": "m",
@@ -50,8 +51,9 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
             value=value, sd=sd * factor if sd > 0.0 else None, source="fitted" if sd > 0.0 else "at a bound"
         )
 
-    sensor_s = max(0.0, fit.sensor_delay_s or 0.0)
+    sensor_s, sensor_sd_s = max(0.0, fit.sensor_delay_s or 0.0), fit.sensor_delay_sd_s
     delay = quantity("delay_s")
+    whole_sd_s = None if delay.sd is None else math.hypot(delay.sd, sensor_sd_s or 0.0)
     to_kg_m2 = inertia_kg_m2(1.0)
     friction = FrictionModel(
         stribeck="classical",
@@ -62,8 +64,12 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
         name=name,
         torque_constant_nm_per_a=records[0].torque_constant_nm_per_a,
         inertia_kg_m2=quantity("inertia_nm_s2_per_rev", to_kg_m2),
-        delay_s=Quantity(value=delay.value + sensor_s, sd=delay.sd, source="fitted on the position, and the sensor's"),
-        sensor_delay_s=Quantity(value=sensor_s, source="lag of the drive's velocity behind its position"),
+        delay_s=Quantity(
+            value=delay.value + sensor_s, sd=whole_sd_s, source="fitted on the position, and the sensor's"
+        ),
+        sensor_delay_s=Quantity(
+            value=sensor_s, sd=sensor_sd_s, source="lag of the drive's velocity behind its position"
+        ),
         friction=friction,
         provenance=Provenance(
             date=time.strftime("%Y-%m-%d"), tool=f"fffo-drive {__version__} identify", runs=[r.digest for r in records]
@@ -71,8 +77,13 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
     )
 
 
-def report(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> dict[str, Any]:
-    """Everything of the page, JSON-ready: runs, parameters, doubts, residuals, frequency response, damping."""
+def report(
+    fit: Fit, records: Sequence[Record], facts: DriveFacts, runs: Sequence[RunResidual] | None = None
+) -> dict[str, Any]:
+    """Everything of the page, JSON-ready: runs, parameters, doubts, residuals, frequency response, damping.
+
+    `runs` are the residuals of the records where they are at hand.
+    """
     return {
         "format": REPORT_FORMAT,
         "tool": f"fffo-drive {__version__}",
@@ -82,11 +93,12 @@ def report(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> dict[str, 
         "runs": [_run(record) for record in records],
         "parameters": _parameters(fit, facts),
         "sensor_delay_s": fit.sensor_delay_s,
+        "sensor_delay_sd_s": fit.sensor_delay_sd_s,
         "doubts": [doubt._asdict() | {"symbol": SYMBOLS[doubt.name]} for doubt in fit.uncertainty.doubts],
         "warnings": [*fit.warnings, *(text for record in records for text in record.warnings)],
         "start": fit.start._asdict(),
         "fit": _fit(fit),
-        "residuals": residual_summary(records, fit.physical),
+        "residuals": residual_summary(records, fit.physical, runs),
         "frequency_response": _responses(records),
         "damping": [
             point._asdict()
@@ -103,6 +115,8 @@ def _run(record: Record) -> dict[str, Any]:
         "duration_s": record.duration_s,
         "rate_hz": 1.0 / record.period_s,
         "closed_loop": record.closed_loop,
+        "gaps": len(record.breaks),
+        "travel_rev": float(np.ptp(record.position_rev)),
         "position_lsb_rev": record.lsb_rev,
     }
 
@@ -118,11 +132,19 @@ def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
         rows.append({
             "name": name, "symbol": SYMBOLS[name], "unit": unit_of(name, facts), "value": value, "fitted": bool(fitted),
             "of_the_model": name in MODEL_PARAMETERS, "sd": sd if known else None,
-            "interval_95": [value - reach * sd, value + reach * sd] if known else None,
+            "interval_95": ends_of_interval(name, value, reach * sd) if known else None,
             "statistical_sd": float(u.statistical_sd[k]), "specification_sd": float(u.specification_sd[k]),
             "windows_that_tell": float(u.moments[k]), "variance_inflation": float(u.inflation[k]),
         })  # fmt: skip
     return rows
+
+
+def ends_of_interval(name: str, value: float, reach: float) -> list[float]:
+    """Both ends; of a positive parameter, which is fitted as a logarithm, symmetric in that."""
+    if PARAMETERS[name][0]:
+        factor = math.exp(min(reach / value, LARGEST_LOG_REACH))
+        return [value / factor, value * factor]
+    return [value - reach, value + reach]
 
 
 def _fit(fit: Fit) -> dict[str, Any]:
@@ -133,7 +155,7 @@ def _fit(fit: Fit) -> dict[str, Any]:
         "residuals": fit.problem.rows,
         "block_samples": fit.problem.shooting.block,
         "observer_velocity_gain_per_s": fit.problem.shooting.velocity_gain_per_s,
-        "second_bandwidth_ratio": CHECK_RATIO,
+        "other_bandwidth_ratios": list(OTHER_RATIOS),
         "windows": fit.uncertainty.windows,
         "iterations": fit.solution.iterations,
         "converged": fit.solution.converged,

@@ -19,10 +19,15 @@ import numpy.typing as npt
 
 from ..jit import njit
 from ..model.axis import AxisConfig, AxisState, axis_step, mean_held_command
+from ..model.effects import slots
+from ..model.effects.step import loaded_step
+from ..model.effects.table import EffectTable
 from ..model.friction import FrictionState
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+PATH_COLUMNS = 7  # of `follow`
 
 
 class ShootingConfig(NamedTuple):
@@ -52,25 +57,39 @@ class Kick(NamedTuple):
 
 @njit
 def _advance(
-    config: AxisConfig, state: AxisState, offset_nm: float, current_a: Floats, sample: int, delay: float,
-    period_s: float, substeps: int,
+    config: AxisConfig, table: EffectTable | None, state: AxisState, offset_nm: float, current_a: Floats, sample: int,
+    delay: float, period_s: float, substeps: int,
 ) -> AxisState:  # fmt: skip
     step_s = period_s / substeps
     for j in range(substeps):
         begin = sample + j / substeps - delay
         mean_a = mean_held_command(current_a, begin, begin + 1.0 / substeps)
-        state = axis_step(config, state, config.torque_constant_nm_per_a * mean_a - offset_nm, step_s)
+        if table is not None:
+            state = loaded_step(config, table, state, mean_a, offset_nm)
+        else:
+            state = axis_step(config, state, config.torque_constant_nm_per_a * mean_a - offset_nm, step_s)
     return state
 
 
 @njit
+def _copy_effects(table: EffectTable, spare: EffectTable) -> None:
+    """Memory and signals of a table into another one of the same effects."""
+    for k in range(table.memory.shape[0]):
+        for j in range(table.memory.shape[1]):
+            spare.memory[k, j] = table.memory[k, j]
+    for j in range(table.signals.size):
+        spare.signals[j] = table.signals[j]
+
+
+@njit
 def innovations(
-    config: AxisConfig, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats, position_rev: Floats,
-    first: int, output: Any,
+    config: AxisConfig, table: EffectTable | None, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats,
+    position_rev: Floats, first: int, output: Any,
 ) -> None:  # fmt: skip
     """What the observer did not foresee, measured minus predicted position (rev), from sample `first` on.
 
-    Means over blocks of `shooting.block` samples: `output` (blocks,), all of them inside the record.
+    `table`: effects at rest, with the step of a sub-step, or None (they are not compiled in). `output` (blocks,):
+    means over blocks of `shooting.block` samples, all of them inside the record.
     """
     state = AxisState(0.0, position_rev[first], FrictionState(0.0, 0.0, 0.0, 0.0))
     delay = config.delay_s / shooting.period_s
@@ -81,6 +100,8 @@ def innovations(
         total = 0.0
         for _ in range(shooting.block):
             error_rev = position_rev[sample] - (state.position_rev - short_rev)
+            if table is not None:
+                error_rev -= table.signals[slots.SENSOR_REV]
             total += error_rev
             state = AxisState(
                 state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
@@ -89,8 +110,9 @@ def innovations(
             )
             before_rps = state.velocity_rps
             state = _advance(
-                config, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
-            )
+                config, table, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s,
+                shooting.substeps,
+            )  # fmt: skip
             short_rev = lag_per_rps_rev * (state.velocity_rps - before_rps)
             sample += 1
         output[block] = total / shooting.block
@@ -98,19 +120,26 @@ def innovations(
 
 @njit
 def follow(
-    config: AxisConfig, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats, position_rev: Floats,
-    output: Any,
+    config: AxisConfig, table: EffectTable | None, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats,
+    position_rev: Floats, output: Any,
 ) -> None:  # fmt: skip
-    """The observer along a record. `output` (n, 4): innovation rev, velocity rps, friction Nm, travel rev.
+    """The observer along a record. `output` (n, 7): innovation rev, velocity rps, friction Nm, travel rev, direction,
+    torque of the effects Nm, error of the sensor rev.
 
-    Friction is signed against the motion and is the model's, so a residual in torque can be made from it.
+    Friction is signed against the motion and is the model's, so a residual in torque can be made from it; so are the
+    effects' torque and the sensor's error, which are those of the step that led here.
     """
     state = AxisState(0.0, position_rev[0], FrictionState(0.0, 0.0, 0.0, 0.0))
     delay = config.delay_s / shooting.period_s
     lag_per_rps_rev = nuisance.sensor_lag_s2 / shooting.period_s
     short_rev = 0.0
+    load_nm = 0.0
+    sensor_rev = 0.0
     for sample in range(current_a.size):
-        error_rev = position_rev[sample] - (state.position_rev - short_rev)
+        if table is not None:
+            load_nm = table.signals[slots.LOAD_NM]
+            sensor_rev = table.signals[slots.SENSOR_REV]
+        error_rev = position_rev[sample] - (state.position_rev - short_rev) - sensor_rev
         state = AxisState(
             state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
             state.position_rev + shooting.position_gain * error_rev,
@@ -120,16 +149,19 @@ def follow(
         output[sample, 1] = state.velocity_rps
         output[sample, 2] = state.friction.torque_nm
         output[sample, 3] = state.friction.travel_rev
+        output[sample, 4] = state.friction.direction
+        output[sample, 5] = load_nm
+        output[sample, 6] = sensor_rev
         state = _advance(
-            config, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            config, table, state, nuisance.offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
         )
         short_rev = lag_per_rps_rev * (state.velocity_rps - output[sample, 1])
 
 
 @njit
 def _free_run(
-    config: AxisConfig, shooting: ShootingConfig, state: AxisState, offset_nm: float, current_a: Floats,
-    position_rev: Floats, start: int, output: Any,
+    config: AxisConfig, table: EffectTable | None, shooting: ShootingConfig, state: AxisState, offset_nm: float,
+    current_a: Floats, position_rev: Floats, start: int, output: Any,
 ) -> None:  # fmt: skip
     delay = config.delay_s / shooting.period_s
     sample = start
@@ -137,18 +169,23 @@ def _free_run(
         total = 0.0
         for _ in range(shooting.block):
             total += position_rev[sample] - state.position_rev
-            state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
+            if table is not None:
+                total -= table.signals[slots.SENSOR_REV]
+            state = _advance(
+                config, table, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            )
             sample += 1
         output[block] = total / shooting.block
 
 
 @njit
 def shoot(
-    config: AxisConfig, shooting: ShootingConfig, kick: Kick, offset_nm: float, current_a: Floats,
-    position_rev: Floats, starts: Integers, first: int, output: Any,
+    config: AxisConfig, table: EffectTable | None, spare: EffectTable | None, shooting: ShootingConfig, kick: Kick,
+    offset_nm: float, current_a: Floats, position_rev: Floats, starts: Integers, first: int, output: Any,
 ) -> None:  # fmt: skip
     """Residuals (measured minus simulated position, rev) of all windows of a record, from sample `first` on.
 
+    `table` follows the record, and `spare` (another table of the same effects) goes into the windows.
     `starts` (w,) first samples of the windows, rising; `output` (w, blocks). `offset_nm` opposes the motor's torque.
     """
     state = AxisState(0.0, position_rev[first], FrictionState(0.0, 0.0, 0.0, 0.0))
@@ -157,6 +194,8 @@ def shoot(
     for window in range(starts.size):
         while True:
             error_rev = position_rev[sample] - state.position_rev
+            if table is not None:
+                error_rev -= table.signals[slots.SENSOR_REV]
             state = AxisState(
                 state.velocity_rps + shooting.velocity_gain_per_s * error_rev,
                 state.position_rev + shooting.position_gain * error_rev,
@@ -164,7 +203,9 @@ def shoot(
             )
             if sample >= starts[window]:
                 break
-            state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
+            state = _advance(
+                config, table, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+            )
             sample += 1
         f = state.friction
         kicked = AxisState(
@@ -172,6 +213,10 @@ def shoot(
             state.position_rev,
             FrictionState(f.torque_nm + kick.friction_nm, f.travel_rev, f.omega_nm, f.direction),
         )
-        _free_run(config, shooting, kicked, offset_nm, current_a, position_rev, starts[window], output[window])
-        state = _advance(config, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps)
+        if table is not None and spare is not None:
+            _copy_effects(table, spare)
+        _free_run(config, spare, shooting, kicked, offset_nm, current_a, position_rev, starts[window], output[window])
+        state = _advance(
+            config, table, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
+        )
         sample += 1

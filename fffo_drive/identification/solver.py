@@ -15,6 +15,7 @@ Floats = npt.NDArray[np.float64]
 
 HUBER = 4.0  # residuals beyond so many robust standard deviations lose weight: break-aways that no model meets
 LARGEST_STEP = 0.7  # of a coordinate in one iteration
+REFINING = 1e-6  # damping of a refining step: for directions of which the data say nothing
 CONVERGED = 2e-5  # relative fall of the cost
 SAMPLE = 50_000  # residuals are thinned to about so many for the robust scale
 
@@ -91,6 +92,34 @@ def solve(
             converged = True
             break
     return Solution(values, cost, count, converged, scale)
+
+
+def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int = 2) -> Solution:
+    """Gauss-Newton steps with central differences from a solution, as long as the cost does not rise.
+
+    Where a reversal comes or goes with a parameter, one-sided differences take the jump for a slope, and the solver
+    stops a standard deviation beside the minimum.
+    """
+    values = solution.values.copy()
+    inside = (values > space.low) & (values < space.high)
+    free = np.flatnonzero(inside)
+    if not free.size:
+        return solution
+    cost, scale = solution.cost, solution.scale
+    for _ in range(steps):
+        errors, matrix = jacobian(problem, space, values, free, central=True)
+        scale = robust_scale(errors)
+        cost = huber_cost(errors, scale)
+        weights = huber_weights(errors, scale)
+        gradient = matrix.T @ (weights * errors)
+        step = _step(matrix.T @ (weights[:, None] * matrix), gradient, REFINING, np.ones(free.size, dtype=np.bool_))
+        trial = values.copy()
+        trial[free] = np.clip(trial[free] + step, space.low[free], space.high[free])
+        trial_cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
+        if not trial_cost <= cost * (1.0 + CONVERGED):
+            break
+        values, cost = trial, trial_cost
+    return solution._replace(values=values, cost=cost, scale=scale)
 
 
 def _step(hessian: Floats, gradient: Floats, damping: float, free: npt.NDArray[np.bool_]) -> Floats:

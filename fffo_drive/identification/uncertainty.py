@@ -5,8 +5,9 @@ windows: each window's score counts once, whatever goes on inside it, and near w
 
     C = H^-1 (sum_w sum_l b_l (g_w g_w+l' + g_w+l g_w')) H^-1,   H = J' W J,   g_w = J_w' W e_w,   b_l = 1/2, 2/3, 1/3
 
-A model is also never quite right. The fit is repeated with an observer of another bandwidth, which weighs slow and fast
-errors differently: a right model gives the same parameters; what shifts is added in quadrature as specification error.
+A model is also never quite right. The fit is repeated with observers of other bandwidths, which weigh slow and fast
+errors differently: a right model gives the same parameters; what they disagree about is added in quadrature as
+specification error.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ COLLINEAR_VIF = 200.0
 COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is known all the same
 DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
 SINGULAR = 1e-11
+FEWEST_BLOCKS = 8  # resampled; fewer say nothing about a spread
 FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this speak about is not known, whatever the sandwich says
 UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
 UNFIT_ADVICE = "no other excitation, but a look at the residuals: an effect is missing"
@@ -58,7 +60,7 @@ class Uncertainty(NamedTuple):
 
     sd: Floats  # physical units
     statistical_sd: Floats  # the part from noise
-    specification_sd: Floats  # the part from the second bandwidth
+    specification_sd: Floats  # the part from the other bandwidths
     correlation: Floats  # (p, p)
     inflation: Floats  # variance inflation factors: how much of a parameter's information others take
     windows: int
@@ -67,7 +69,7 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shift: Floats) -> Uncertainty:
-    """Standard deviations of a solution; `shift` are the coordinates at the second bandwidth minus the solution's."""
+    """Standard deviations of a solution; `shift`: what other bandwidths make of its coordinates, either sign."""
     size = len(space.names)
     free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
     errors, matrix = jacobian(problem, space, solution.values, free, central=True)
@@ -99,6 +101,15 @@ def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shi
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
     return Uncertainty(total, sd[0], sd[1], correlation, inflation, windows, moments, doubts)
+
+
+def ratio_sd(numerators: Floats, denominators: Floats, draws: int = 1000, seed: int = 1) -> float | None:
+    """Standard deviation of sum(numerators) / sum(denominators) over resampled blocks (n,); None for too few."""
+    if numerators.size < FEWEST_BLOCKS:
+        return None
+    drawn = np.random.default_rng(seed).integers(0, numerators.size, (draws, numerators.size))
+    below = denominators[drawn].sum(axis=1)
+    return float(np.std(numerators[drawn].sum(axis=1)[below > 0.0] / below[below > 0.0]))
 
 
 def _scaled_inverse(hessian: Floats) -> Floats:

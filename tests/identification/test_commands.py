@@ -37,9 +37,12 @@ def test_identify_writes_a_model_and_a_report(tmp_path, drive, capsys):
     assert model.friction.coulomb_nm.value == pytest.approx(TRUTH[3], rel=0.03)
     assert model.sensor_delay_s.value == 0.0
     assert len(model.provenance.runs[0]) == 64
-    page = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert page["format"] == "fffo_drive/identification/1"
-    assert page["residuals"]["run"]["torque_relative_percent"] < 2.0
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"model.yaml", "report.html", "report.json"}
+    content = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert content["kind"] == "identify"
+    assert content["results"]["residuals"]["run"]["torque_relative_percent"] < 2.0
+    assert content["results"]["parameters"] == printed["parameters"]
 
 
 def test_identify_refuses_what_cannot_be_fitted(tmp_path, drive, capsys):
@@ -61,6 +64,6 @@ def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     assert written.controller.observer.clamp_ratio == read_axis(axis).controller.observer.clamp_ratio
     model = read_model(tmp_path / written.model)
     assert law_problems(written, model, True) == law_problems(written, model, False) == []
-    result = json.loads((tmp_path / "tuning.json").read_text())
+    result = json.loads((tmp_path / "report.json").read_text())["results"]
     assert len(result["root_locus"]) > 50
     assert result["condition_14_nm_per_rev"] >= 0.0

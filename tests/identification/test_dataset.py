@@ -111,6 +111,7 @@ def test_without_a_position_the_velocity_is_integrated(tmp_path, columns):
     path = write_csv(tmp_path / "a.csv.gz", {n: v for n, v in columns.items() if n != "position_rev"})
     record = load_record(path, FACTS)
     assert any("integrated" in text for text in record.warnings)
+    assert record.velocity_rps is None  # it would say of itself that it is not late
     assert np.ptp(record.position_rev - columns["position_rev"]) < 0.05 * np.ptp(columns["position_rev"])
 
 
@@ -118,6 +119,25 @@ def test_a_record_without_its_own_finite_numbers_is_a_problem():
     record = record_of(np.full(8000, np.nan))
     problems, _ = check_record(record)
     assert any("not a finite number" in text for text in problems)
+
+
+def test_a_fast_small_motion_is_not_taken_for_a_wrong_unit(tmp_path, columns):
+    """10 Hz: a difference over 20 ms alone would be 7 % short."""
+    position = 0.05 * np.sin(2 * np.pi * 10.0 * columns["time_s"])
+    velocity = 0.05 * 2 * np.pi * 10.0 * np.cos(2 * np.pi * 10.0 * columns["time_s"])
+    fast = columns | {"position_rev": position, "velocity_rps": velocity}
+    assert load_record(write_csv(tmp_path / "a.csv.gz", fast), FACTS).warnings == ()
+    with pytest.raises(DataError, match=r"1\.1 times the derivative of the position\. Give the unit"):
+        load_record(write_csv(tmp_path / "b.csv.gz", fast | {"velocity_rps": 1.1 * velocity}), FACTS)
+
+
+def test_logs_of_one_name_stay_apart(tmp_path, columns):
+    paths = []
+    for directory in ("monday", "tuesday"):
+        (tmp_path / directory).mkdir()
+        paths.append(write_csv(tmp_path / directory / "run.csv.gz", columns))
+    assert [record.name for record in load_records(paths, FACTS)] == ["monday/run", "tuesday/run"]
+    assert [record.name for record in load_records([paths[0], paths[0]], FACTS)] == ["monday/run", "monday/run (2)"]
 
 
 def test_facts_are_checked(tmp_path):

@@ -9,7 +9,7 @@ from interpreted import hex_results
 from fffo_drive.identification.coordinates import axis_of, coordinates, to_coordinates, to_physical
 from fffo_drive.identification.prediction import jacobian, make_problem, moving_blocks, observer, residual
 from fffo_drive.identification.residuals import velocity_errors
-from fffo_drive.identification.shooting import Kick, Nuisance, follow, innovations, shoot
+from fffo_drive.identification.shooting import PATH_COLUMNS, Kick, Nuisance, follow, innovations, shoot
 
 SHOOTING = observer(PERIOD_S, 40.0, 4)
 
@@ -21,13 +21,13 @@ def short():
 def kernel_results():
     record = short()
     errors = np.empty(60)
-    innovations(AXIS, SHOOTING, Nuisance(1e-3, 2e-7), record.current_a, record.position_rev, 0, errors)
-    path = np.empty((200, 4))
-    follow(AXIS, SHOOTING, Nuisance(0.0, 0.0), record.current_a[:200], record.position_rev[:200], path)
+    innovations(AXIS, None, SHOOTING, Nuisance(1e-3, 2e-7), record.current_a, record.position_rev, 0, errors)
+    path = np.empty((200, PATH_COLUMNS))
+    follow(AXIS, None, SHOOTING, Nuisance(0.0, 0.0), record.current_a[:200], record.position_rev[:200], path)
     windows = np.empty((2, 10))
     shoot(
-        AXIS, SHOOTING._replace(samples=40), Kick(0.01, 1e-3), 0.0, record.current_a, record.position_rev,
-        np.array([100, 160]), 0, windows,
+        AXIS, None, None, SHOOTING._replace(samples=40), Kick(0.01, 1e-3), 0.0, record.current_a,
+        record.position_rev, np.array([100, 160]), 0, windows,
     )  # fmt: skip
     return [float(x).hex() for x in (*errors, *path.ravel(), *windows.ravel())]
 
@@ -48,8 +48,8 @@ def test_at_the_truth_nothing_is_left_over():
 
 def test_the_observer_carries_the_friction_of_the_motion():
     record = chirp_record(4.0)
-    path = np.empty((record.samples, 4))
-    follow(AXIS, SHOOTING, Nuisance(0.0, 0.0), record.current_a, record.position_rev, path)
+    path = np.empty((record.samples, PATH_COLUMNS))
+    follow(AXIS, None, SHOOTING, Nuisance(0.0, 0.0), record.current_a, record.position_rev, path)
     velocity = np.gradient(record.position_rev, PERIOD_S)
     assert np.abs(path[1:-1, 1] - velocity[1:-1]).max() < 0.1  # half a sample of acceleration
     assert np.abs(path[:, 2]).max() > 0.02
@@ -65,7 +65,7 @@ def test_a_torque_that_the_model_lacks_shows_as_a_steady_innovation():
         delay_s=0.0, friction=AXIS.friction._replace(coulomb_nm=1e-9, static_nm=1e-9, viscous_nm_per_rps=0.0)
     )
     errors = np.empty(1000)
-    innovations(free, SHOOTING, Nuisance(offset_nm, 0.0), current, position, 0, errors)
+    innovations(free, None, SHOOTING, Nuisance(offset_nm, 0.0), current, position, 0, errors)
     expected = offset_nm / (AXIS.inertia_nm_s2_per_rev * omega * omega)
     assert np.allclose(errors[500:], expected, rtol=1e-3)
 
