@@ -1,16 +1,19 @@
 """Run the simulated drive as a CANopen node on a bus, until SIGTERM or Ctrl-C.
 
 FILE describes plant, effects, device and node (configs/simulated_drive.yaml). Prints one line when it is ready.
+With --eds it writes the electronic data sheet (CiA 306) of that drive and ends.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+from pathlib import Path
 
 from ..can.link import open_link
 from ..config.simulated import read_simulated
 from ..documents import DocumentError
+from ..drive.simulated.node.eds import eds_text
 from ..drive.simulated.node.process import run_node, stop_on_signals
 from ..drive.simulated.parameters import PlantConfigError
 
@@ -20,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="simulated drive (YAML)")
     parser.add_argument("--bus", default="loopback:29500", help="socketcan:vcan0, loopback:PORT (default: %(default)s)")
     parser.add_argument("--node", type=int, metavar="ID", help="node id instead of the file's")
+    parser.add_argument("--eds", type=Path, metavar="PATH", help="write the drive's EDS there; do not run")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -30,6 +34,10 @@ def execute(options: argparse.Namespace) -> int:
             config = dataclasses.replace(config, node_id=options.node).validate()
         except PlantConfigError as error:
             raise DocumentError(f"--node: {error}") from None
+    if options.eds is not None:
+        options.eds.write_text(eds_text(config, options.eds.name), encoding="ascii")
+        print(f"wrote {options.eds}")
+        return 0
     stop = stop_on_signals()
     with open_link(options.bus) as link:
         run_node(config, link, stop)

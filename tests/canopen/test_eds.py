@@ -85,11 +85,11 @@ def test_a_missing_file(config):
         ("", "no section [DeviceInfo]"),
         ("this is not an EDS\n", "no section [DeviceInfo]"),
         ("[DeviceInfo]\n", "no object 0x1000"),
-        ("stray\n[DeviceInfo]\n", "line: 1"),
-        ("[DeviceInfo]\n[1000]\nParameterName\n", "line  3"),
-        ("[DeviceInfo]\n[1000]\n[1000]\n", "line  3"),
-        ("[DeviceInfo]\n[1000]\nObjectType=0x7\n", "ParameterName"),
-        ("[DeviceInfo]\n[1000]\nParameterName=x\nDataType=\n", "cannot be understood"),
+        ("stray\n[DeviceInfo]\n", "line 1: 'stray'"),
+        ("[DeviceInfo]\n[1000]\nParameterName\n", "line 3: 'ParameterName'"),
+        ("[DeviceInfo]\n[1000]\n[1000]\n", "line 3: section [1000] begins again (first in line 2)"),
+        ("[DeviceInfo]\n[1000]\nObjectType=0x7\n", "line 2: [1000] has no ParameterName"),
+        ("[DeviceInfo]\n[1000]\nParameterName=x\nDataType=\n", "line 4: [1000] has no DataType"),
     ],
 )
 def test_broken_files(config, text, said):
@@ -97,14 +97,15 @@ def test_broken_files(config, text, said):
     assert " ".join(said.split()) in refused(config)
 
 
-def test_numbers_that_are_none(config):
+def test_numbers_that_are_none(config, caplog):
     write(config, text_of(VARIABLES).replace("VendorNumber=17", "VendorNumber=eleven"))
-    assert "eleven" in refused(config)
+    CanopenDrive(config)
+    assert "line 4: VendorNumber of [DeviceInfo] is 'eleven', which is no number; left out" in caplog.text
 
 
 def test_a_drive_without_the_mode(config):
     write(config, text_of(VARIABLES | {0x6502: (U32, 0x7F, 0)}))
-    assert "0x6502 is 0x0000007F: no cyclic synchronous torque (bit 9)" in refused(config)
+    assert "drive: 0x6502 is 0x0000007F: no cyclic synchronous torque (bit 9)" in refused(config)
 
 
 def test_all_that_is_missing_comes_at_once(config):

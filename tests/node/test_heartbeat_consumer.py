@@ -10,6 +10,12 @@ CONFIGURED = "581#6016100100000000"
 INVALID_VALUE, INCOMPATIBLE = 0x06090030, 0x06040043
 
 
+@pytest.mark.conformance(
+    "CiA 301",
+    "heartbeat consumer 0x1016 begins with the first heartbeat",
+    "heartbeat consumer times out to EMCY 0x8130 and bit 4 of 0x1001",
+    "once an error, and once its end (0x0000)",
+)
 def test_supervision_begins_with_the_first_heartbeat_and_a_loss_is_told_once() -> None:
     rig = Rig()
     rig.script(f"""
@@ -29,6 +35,7 @@ def test_supervision_begins_with_the_first_heartbeat_and_a_loss_is_told_once() -
     assert rig.read(0x1003, 1) == 0x007F8130
 
 
+@pytest.mark.conformance("CiA 301", "boot-up of a monitored node is a loss")
 def test_boot_up_of_a_supervised_node_is_a_loss() -> None:
     Rig().script(f"""
         > {CONFIGURE}
@@ -41,6 +48,7 @@ def test_boot_up_of_a_supervised_node_is_a_loss() -> None:
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 127), (1, 5), (2, 4)])
+@pytest.mark.conformance("CiA 301", "error behaviour 0x1029:1 decides the NMT state (0, 1, 2)")
 def test_error_behaviour_0x1029_decides_the_state(behaviour: int, state: int) -> None:
     rig = Rig()
     rig.write(0x1016, 1, 127 << 16 | 100, 4)
@@ -59,6 +67,7 @@ def test_pre_operational_stays_by_error_behaviour_0() -> None:
     assert rig.node.nmt.state == 127
 
 
+@pytest.mark.conformance("CiA 301", "a node-ID twice in 0x1016 is refused (06040043)")
 def test_entries_are_checked() -> None:
     rig = Rig()
     assert rig.write(0x1016, 1, 127 << 16 | 100, 4) == 0

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import pytest
 from node.node_rig import Rig
 
 
+@pytest.mark.conformance(
+    "CiA 301", "boot-up message after power-on, reset node and reset communication, then PRE-OPERATIONAL"
+)
 def test_power_on_is_announced_by_boot_up_and_ends_in_pre_operational() -> None:
     rig = Rig()
     assert rig.boot == ["701#00"]
     assert rig.node.nmt.state == 127
 
 
+@pytest.mark.conformance(
+    "CiA 301", "boot-up message after power-on, reset node and reset communication, then PRE-OPERATIONAL"
+)
 def test_both_resets_boot_up_again() -> None:
     Rig().script("""
         > 000#8101      ; reset node
@@ -23,6 +30,9 @@ def test_both_resets_boot_up_again() -> None:
     """)
 
 
+@pytest.mark.conformance(
+    "CiA 301", "heartbeat producer 0x1017 changes at run time, 0 is off", "OPERATIONAL: all services"
+)
 def test_heartbeat_shows_each_state() -> None:
     Rig().script("""
         > 601#2B171000.0A000000
@@ -42,6 +52,7 @@ def test_heartbeat_shows_each_state() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "a reset gives the communication objects their defaults")
 def test_a_reset_restores_the_heartbeat_time_of_power_on() -> None:
     Rig().script("""
         > 601#2B171000.0A000000
@@ -56,6 +67,7 @@ def test_a_reset_restores_the_heartbeat_time_of_power_on() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "PRE-OPERATIONAL: SDO, SYNC, heartbeat and EMCY, no PDO")
 def test_pre_operational_has_sdo_and_no_pdo() -> None:
     Rig().script("""
         > 201#0600
@@ -66,6 +78,7 @@ def test_pre_operational_has_sdo_and_no_pdo() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "STOPPED: NMT and heartbeat alone; no SDO, no PDO, no EMCY")
 def test_stopped_has_neither_sdo_nor_pdo_nor_emcy() -> None:
     rig = Rig()
     rig.script("""
@@ -82,8 +95,38 @@ def test_stopped_has_neither_sdo_nor_pdo_nor_emcy() -> None:
     assert rig.send("000#8001") == ["081#01FF810000000000"]  # what happened in STOPPED follows
 
 
+@pytest.mark.conformance("CiA 301", "NMT commands for others, unknown and ill-formed ones are ignored")
 def test_unknown_and_ill_formed_commands_are_ignored() -> None:
     rig = Rig()
     for frame in ("000#", "000#01", "000#010100", "000#0001", "000#FF01", "000#0301", "000#0180"):
         assert rig.send(frame) == []
     assert rig.node.nmt.state == 127
+
+
+@pytest.mark.conformance("CiA 301", "heartbeat producer 0x1017 changes at run time, 0 is off")
+def test_heartbeat_time_changes_at_run_time_and_zero_ends_it() -> None:
+    rig = Rig()
+    assert rig.write(0x1017, 0, 100, 2) == 0
+    assert rig.wait(350) == ["701#7F"] * 4
+    assert rig.write(0x1017, 0, 10, 2) == 0
+    assert rig.wait(35) == ["701#7F"] * 4
+    assert rig.write(0x1017, 0, 0, 2) == 0
+    assert rig.wait(5000) == []
+
+
+@pytest.mark.conformance(
+    "CiA 301", "PRE-OPERATIONAL: SDO, SYNC, heartbeat and EMCY, no PDO", "OPERATIONAL: all services"
+)
+def test_what_passes_in_the_states_with_communication() -> None:
+    rig = Rig()
+    rig.write(0x1017, 0, 10, 2)
+    for started in (False, True):
+        if started:
+            rig.operational()
+        before = rig.read(0x2020, 1)
+        pdos = rig.send("080#")
+        assert rig.read(0x2020, 1) == before + 1  # SYNC is heard
+        assert any(frame.startswith("281#") for frame in pdos) is started
+        rig.node.emergency.bus.now_ns = rig.now_ns
+        rig.node.emergency.announce(0xFF02)
+        assert "081#02FF000000000000" in rig.wait(10)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from node.node_rig import OPERATION_ENABLED, Rig
 
 CANNOT_MAP = 0x06040041
@@ -126,39 +123,3 @@ def test_feedback_objects_are_read_only() -> None:
     rig = Rig()
     for index, size in ((0x6041, 2), (0x6064, 4), (0x606C, 4), (0x6077, 2), (0x6061, 1), (0x6502, 4)):
         assert rig.write(index, 0, 0, size) in READ_ONLY
-
-
-class AnyCommands(RuleBasedStateMachine):
-    """Whatever is sent: torque flows only in Operation Enabled, or while the drive itself brakes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.rig = Rig()
-        self.rig.map_cyclic()
-        self.rig.operational()
-        self.rig.write(0x6060, 0, 10, 1)
-
-    @rule(word=st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F, 0xFFFF]), torque=st.integers(-3000, 3000))
-    def cycle(self, word: int, torque: int) -> None:
-        self.rig.cycle(word, torque)
-
-    @rule(command=st.sampled_from(["000#0101", "000#0201", "000#8001", "000#8101", "000#8201"]))
-    def network(self, command: str) -> None:
-        self.rig.send(command)
-
-    @rule(milliseconds=st.floats(0.1, 50))
-    def wait(self, milliseconds: float) -> None:
-        self.rig.wait(milliseconds)
-
-    @invariant()
-    def no_torque_outside_operation_enabled(self) -> None:
-        if self.rig.state not in (OPERATION_ENABLED, 0x07, 0x0F):
-            self.rig.plant.torque_seen.clear()
-            self.rig.wait(12)
-            assert all(amperes == 0.0 for amperes in self.rig.plant.torque_seen)
-
-
-TestAnyCommands = AnyCommands.TestCase
-TestAnyCommands.settings = settings(
-    max_examples=40, stateful_step_count=25, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)

@@ -6,6 +6,7 @@ import pytest
 from node.node_rig import Rig
 
 
+@pytest.mark.conformance("CiA 301", "expedited transfer")
 def test_expedited_upload_and_download() -> None:
     Rig().script("""
         > 601#4000100000000000
@@ -27,6 +28,7 @@ def test_expedited_upload_and_download() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "segmented transfer", "names and versions 0x1008 to 0x100A")
 def test_segmented_upload_of_the_software_version_and_of_a_long_name() -> None:
     Rig().script("""
         > 601#4008100000000000
@@ -44,6 +46,7 @@ def test_segmented_upload_of_the_software_version_and_of_a_long_name() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "segmented transfer")
 def test_segmented_download_of_a_text() -> None:
     rig = Rig()
     rig.script("""
@@ -76,8 +79,7 @@ def test_segmented_download_of_a_number_without_a_size() -> None:
         ("4018100900000000", "8018100911000906"),  # no such sub-index: 06090011
         ("4034120000000000", "8034120000000206"),  # no such object: 06020000
         ("E000100000000000", "8000100001000405"),  # unknown command: 05040001
-        ("A000100000000000", "8000100001000405"),  # block upload: 05040001
-        ("C200100000000000", "8000100001000405"),  # block download: 05040001
+        ("A100100000000000", "8000100001000405"),  # the end of no block transfer
         ("2317100000000000", "8017100012000706"),  # too long: 06070012
         ("2F17100000000000", "8017100013000706"),  # too short: 06070013
         ("2F191000F1000000", "8019100031000906"),  # above the range: 06090031
@@ -92,10 +94,25 @@ def test_segmented_download_of_a_number_without_a_size() -> None:
         ("6000000000000000", "8000000001000405"),
     ],
 )
+@pytest.mark.conformance(
+    "CiA 301",
+    "unknown command specifier (05040001)",
+    "read of a write-only object (06010001)",
+    "write to a read-only object (06010002)",
+    "no such object (06020000)",
+    "no such sub-index (06090011)",
+    "data too long (06070012)",
+    "data too short (06070013)",
+    "value not allowed (06090030)",
+    "value too high (06090031)",
+    "value too low (06090032)",
+    "no data (08000024)",
+)
 def test_abort_codes(request_frame: str, answer: str) -> None:
     assert Rig().send(f"601#{request_frame}") == [f"581#{answer}"]
 
 
+@pytest.mark.conformance("CiA 301", "toggle bit (05030000)")
 def test_toggle_bit_is_checked_in_both_directions() -> None:
     Rig().script("""
         > 601#4008100000000000
@@ -126,6 +143,7 @@ def test_more_or_less_data_than_announced() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "time-out (05040000)")
 def test_silence_in_the_middle_of_a_transfer_times_out() -> None:
     Rig().script("""
         > 601#4008100000000000

@@ -8,6 +8,9 @@ from node.node_rig import Rig
 INVALID_VALUE, DEVICE_STATE, UNSUPPORTED = 0x06090030, 0x08000022, 0x06010000
 
 
+@pytest.mark.conformance(
+    "CiA 301", "wrong length: EMCY 0x8240, not followed", "once an error, and once its end (0x0000)"
+)
 def test_a_sync_of_wrong_length_is_an_error_once_and_is_not_followed() -> None:
     rig = Rig()
     rig.operational()
@@ -16,6 +19,7 @@ def test_a_sync_of_wrong_length_is_an_error_once_and_is_not_followed() -> None:
     assert rig.send("080#") == ["081#0000000000000000", "281#0000000000000000"]
 
 
+@pytest.mark.conformance("CiA 301", "counter 0x1019")
 def test_a_counter_is_expected_where_0x1019_says_so() -> None:
     rig = Rig()
     assert rig.write(0x1019, 0, 4, 1) == 0
@@ -24,6 +28,7 @@ def test_a_counter_is_expected_where_0x1019_says_so() -> None:
     assert rig.send("080#") == ["081#4082110000000000"]
 
 
+@pytest.mark.conformance("CiA 301", "0x1019 is settled before 0x1006 (08000022)", "device state (08000022)")
 def test_counter_overflow_is_settled_before_the_cycle_period() -> None:
     rig = Rig()
     assert rig.write(0x1019, 0, 1, 1) == INVALID_VALUE
@@ -33,6 +38,7 @@ def test_counter_overflow_is_settled_before_the_cycle_period() -> None:
     assert rig.write(0x1019, 0, 4, 1) == 0
 
 
+@pytest.mark.conformance("CiA 301", "another COB-ID 0x1005")
 def test_sync_identifier_can_be_another_but_not_a_restricted_or_produced_one() -> None:
     rig = Rig()
     for refused in (0x40000080, 0x20000080, 0x601, 0x701, 0x000, 0x581):
@@ -43,6 +49,7 @@ def test_sync_identifier_can_be_another_but_not_a_restricted_or_produced_one() -
     assert rig.send("090#") == ["281#0000000000000000"]
 
 
+@pytest.mark.conformance("CiA 301", "loss after 1.5 x 0x1006 at least: EMCY 0x8700")
 def test_loss_of_sync_is_told_after_the_tolerance_and_ends_with_the_next() -> None:
     rig = Rig()
     rig.write(0x1006, 0, 1000, 4)
@@ -68,6 +75,7 @@ def test_every_missing_sync_is_counted() -> None:
     assert rig.read(0x2020, 2) == 1 + 3
 
 
+@pytest.mark.conformance("CiA 301", "history 0x1003")
 def test_history_is_newest_first_bounded_and_cleared_by_zero() -> None:
     rig = Rig()
     for detail in range(10):
@@ -86,6 +94,7 @@ def test_history_is_newest_first_bounded_and_cleared_by_zero() -> None:
     [(0x2310, 0x03), (0x3220, 0x05), (0x4310, 0x09), (0x7303, 0x21), (0x8130, 0x11), (0x8210, 0x11),
      (0x8700, 0x21), (0xFF00, 0x81), (0x6100, 0x01)],
 )  # fmt: skip
+@pytest.mark.conformance("CiA 301", "error register 0x1001")
 def test_error_register_bits(code: int, register: int) -> None:
     rig = Rig()
     rig.node.emergency.raise_error(code)
@@ -94,6 +103,7 @@ def test_error_register_bits(code: int, register: int) -> None:
     assert rig.read(0x1001) == 0
 
 
+@pytest.mark.conformance("CiA 301", "inhibit time 0x1015")
 def test_inhibit_time_spaces_emergencies() -> None:
     rig = Rig()
     rig.write(0x1015, 0, 100, 2)  # 10 ms
@@ -107,6 +117,7 @@ def test_inhibit_time_spaces_emergencies() -> None:
     assert rig.wait(10) == ["081#01FF810300000000"]
 
 
+@pytest.mark.conformance("CiA 301", "COB-ID 0x1014")
 def test_emcy_identifier_changes_only_while_it_is_invalid() -> None:
     rig = Rig()
     assert rig.read(0x1014) == 0x81
@@ -117,3 +128,27 @@ def test_emcy_identifier_changes_only_while_it_is_invalid() -> None:
     assert rig.write(0x1014, 0, 0x85, 4) == 0
     rig.node.emergency.clear(0xFF01)
     assert rig.wait(0) == ["085#0000000000000000"]
+
+
+@pytest.mark.conformance("CiA 301", "loss after 1.5 x 0x1006 at least: EMCY 0x8700")
+def test_without_a_tolerance_one_and_a_half_periods_are_a_loss() -> None:
+    rig = Rig()
+    rig.write(0x1006, 0, 1000, 4)
+    rig.write(0x2010, 0, 0, 2)
+    rig.operational()
+    rig.send("080#")
+    assert rig.wait(1.499) == []
+    assert rig.wait(0.002)[0] == "081#0087210000000000"
+
+
+@pytest.mark.conformance("CiA 301", "once an error, and once its end (0x0000)")
+def test_an_error_that_is_raised_again_is_told_once() -> None:
+    rig = Rig()
+    emergency = rig.node.emergency
+    emergency.bus.now_ns = rig.now_ns
+    for _ in range(5):
+        emergency.raise_error(0xFF01, 3)
+    assert rig.wait(0) == ["081#01FF810300000000"]
+    emergency.clear(0xFF01)
+    emergency.clear(0xFF01)
+    assert rig.wait(0) == ["081#0000000000000000"]

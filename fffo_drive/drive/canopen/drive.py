@@ -21,7 +21,7 @@ from .config import CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
 from .object_map import CONTROLWORD, TARGET_TORQUE, command_payload
-from .port_memory import SEND_ATTEMPTS, make_port
+from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
 from .service_queue import ServiceQueue
 
@@ -99,6 +99,10 @@ class CanopenDrive:
                 feedback["dropped_frames"] = self._link.dropped_frames(self._sent_by_loop)
         result: np.ndarray[Any, np.dtype[np.void]] = feedback
         return result
+
+    def rehearsal_port(self) -> CanopenPort:
+        """A port on no link, of the type that `port` will have: to compile the loop before the drive is woken."""
+        return make_port(self.config, NO_LINK, ServiceQueue(0).memory)
 
     def _sent_by_loop(self) -> int:
         port = self.port

@@ -1,15 +1,17 @@
 """A vendor's EDS (CiA 306): what it says about the objects that the service needs, before the drive is asked.
 
-The parser is `canopen`'s. Files in the wild are often cp1252, whatever the standard says; that is accepted.
+The parser is `canopen`'s, behind the repairs of `eds_tidy`: files in the wild are untidy. What was repaired is told,
+with its line; a file that cannot be used ends in one sentence.
 """
 
 from __future__ import annotations
 
 import configparser
 import io
+import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 
@@ -17,13 +19,41 @@ from ...can.frame import NODE_IDS
 from ..cia402 import SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE
 from ..port import DriveIdentity, DriveRefusedError
 from .config import CanopenDriveConfig
+from .eds_tidy import Remark, decode, tidy
 from .object_map import MODE, MODE_DISPLAY, MappingError, PdoMap
 
-NEEDED = (0x1005, 0x1016, 0x1017, 0x6007, MODE, MODE_DISPLAY, 0x6502)
+# objects without which bring-up refuses a drive, and what each is for
+NEEDED = {
+    0x1005: "SYNC",
+    0x1016: "the drive notices that the PC is silent",
+    0x1017: "the PC notices that the drive is silent",
+    0x6007: "what the drive does when the PC is silent",
+    MODE: "choosing the mode",
+    MODE_DISPLAY: "the mode that is in force",
+    0x6502: "the modes that the drive has",
+}
+SHOWN_REMARKS = 10
+
+_log = logging.getLogger(__name__)
 
 
-def load_eds(path: str, node_id: int) -> Any:
-    """The object dictionary of an EDS or DCF file.
+class Eds(NamedTuple):
+    """An EDS file that could be read."""
+
+    path: str
+    dictionary: Any  # canopen's ObjectDictionary
+    remarks: tuple[Remark, ...]  # what is not as CiA 306 has it
+
+    @property
+    def drive_name(self) -> str:
+        """Vendor and product, as the file has them."""
+        device = self.dictionary.device_information
+        vendor, product = device.vendor_name or "", device.product_name or ""
+        return product if vendor and product.startswith(vendor) else f"{vendor} {product}".strip() or "an unnamed drive"
+
+
+def read_eds(path: str, node_id: int) -> Eds:
+    """An EDS or DCF file, repaired where it is untidy.
 
     Raises MappingError naming the file and what is wrong in it.
     """
@@ -33,30 +63,47 @@ def load_eds(path: str, node_id: int) -> Any:
         raw = Path(path).read_bytes()
     except OSError as error:
         raise MappingError(f"EDS file {path}: {error.strerror}") from error
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")
+    text, remarks = decode(raw)
     if "[deviceinfo]" not in text.lower():  # mandatory (CiA 306); and it says whose EDS it is
         raise MappingError(f"EDS file {path}: has no section [DeviceInfo]; is it an EDS?")
-    source = io.StringIO(text)
-    source.name = path if path.lower().endswith((".eds", ".dcf")) else path + ".eds"
+    clean, repairs = tidy(text)
+    remarks += repairs
+    source = io.StringIO(clean)
+    source.name = "tidy.eds"
     try:
         dictionary: ObjectDictionary = import_od(source, node_id)
-    except configparser.Error as error:
-        raise MappingError(f"EDS file {path}: {' '.join(str(error).split())}") from error
-    except (KeyError, ValueError, ArithmeticError, ObjectDictionaryError) as error:
-        raise MappingError(f"EDS file {path}: cannot be understood: {error!r}") from error
+    except (configparser.Error, KeyError, ValueError, ArithmeticError, ObjectDictionaryError) as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise MappingError(f"EDS file {path}: cannot be understood: {reason}{_beginning(remarks)}") from error
     if 0x1000 not in dictionary:
-        raise MappingError(f"EDS file {path}: has no object 0x1000; is it an EDS of a CANopen device?")
-    return dictionary
+        raise MappingError(
+            f"EDS file {path}: has no object 0x1000; is it an EDS of a CANopen device?{_beginning(remarks)}"
+        )
+    return Eds(path, dictionary, tuple(remarks))
+
+
+def load_eds(path: str, node_id: int) -> Any:
+    """The object dictionary of an EDS or DCF file; what is untidy in it goes to the log. Raises as `read_eds`."""
+    eds = read_eds(path, node_id)
+    for remark in eds.remarks[:SHOWN_REMARKS]:
+        _log.warning("EDS file %s: %s", path, remark)
+    if len(eds.remarks) > SHOWN_REMARKS:
+        more = len(eds.remarks) - SHOWN_REMARKS
+        _log.warning("EDS file %s: and %d more; `fffo-drive drive-info %s` lists all", path, more, path)
+    return eds.dictionary
+
+
+def _beginning(remarks: list[Remark]) -> str:
+    """What was found before it failed, for the message."""
+    return "".join(f"; {remark}" for remark in remarks[:3])
 
 
 def check_eds(dictionary: Any, config: CanopenDriveConfig) -> None:
     """Refuse a drive that its EDS shows to be unfit. Raises MappingError with all that is missing."""
     problems = list(_missing(dictionary, config))
     if problems:
-        raise MappingError(f"EDS file {config.eds}: {'; '.join(problems)}")
+        eds = Eds(str(config.eds), dictionary, ())
+        raise MappingError(f"EDS file {config.eds}: {eds.drive_name}: {'; '.join(problems)}")
 
 
 def check_identity(dictionary: Any, identity: DriveIdentity, path: str) -> None:
@@ -73,19 +120,36 @@ def check_identity(dictionary: Any, identity: DriveIdentity, path: str) -> None:
             )
 
 
-def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
+def missing_objects(dictionary: Any) -> Iterator[str]:
+    """What a drive lacks whatever its PDOs are: objects, and the mode."""
     for index in NEEDED:
         if index not in dictionary:
-            yield f"object 0x{index:04X} is missing"
-    if 0x6502 in dictionary:
-        modes = dictionary[0x6502].default
-        if modes is not None and not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
-            yield f"0x6502 is 0x{modes:08X}: no cyclic synchronous torque (bit 9)"
+            yield f"object 0x{index:04X} is missing ({NEEDED[index]})"
+    modes = supported_modes(dictionary)
+    if modes is not None and not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
+        yield f"0x6502 is 0x{modes:08X}: no cyclic synchronous torque (bit 9)"
+
+
+def supported_modes(dictionary: Any) -> int | None:
+    """0x6502 as far as the file tells it; 0 and empty are what files say that leave it to the drive."""
+    return default_of(dictionary, 0x6502) or None
+
+
+def default_of(dictionary: Any, index: int, sub: int = 0) -> int | None:
+    """The default of a number; None where the file has none."""
+    variable = dictionary.get_variable(index, sub)
+    value = getattr(variable, "default", None)
+    return value if isinstance(value, int) else None
+
+
+def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
+    yield from missing_objects(dictionary)
     for first, pdo in [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]:
-        yield from _missing_in_pdo(dictionary, first + pdo.number - 1, pdo)
+        yield from missing_in_pdo(dictionary, first + pdo.number - 1, pdo)
 
 
-def _missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
+def missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
+    """Why a PDO with these communication parameters cannot carry what we want of it."""
     if index not in dictionary:
         yield f"PDO 0x{index:04X} is missing"
     for item in pdo.objects:

@@ -58,7 +58,17 @@ class CanopenPort(NamedTuple):
     queue: QueueMemory
 
 
-def make_port(config: CanopenDriveConfig, link: Link, queue: QueueMemory) -> CanopenPort:
+class Descriptors(NamedTuple):
+    """What a port takes of a link."""
+
+    rx_fd: int
+    tx_fd: int
+
+
+NO_LINK = Descriptors(-1, -1)
+
+
+def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: QueueMemory) -> CanopenPort:
     """A port on an open link, with nothing received and nothing sent."""
     pdos = pdo_table(config.answers)
     received = np.zeros(can.FRAME_SIZE, np.uint8)

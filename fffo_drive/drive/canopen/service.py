@@ -32,6 +32,7 @@ STATE_BOOT_UP, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x05, 0x7F
 SDO_ABORT = 0x80  # command byte; the only request that is not answered
 ABSENT = (0x06020000, 0x06090011)  # abort codes: no such object, no such sub-index
 KEPT_EMERGENCIES = 64
+KEPT_ANSWERS = 128  # that nobody waits for; the client throws them away before its next request
 RECEIVE_SLICE_S = 0.05
 
 T = TypeVar("T")
@@ -220,7 +221,8 @@ class Service:
         with self._changed:
             if kind == can.SDO_RESPONSE and len(data) == can.MAX_DATA:
                 self._responses += 1
-                self._client.on_response(frame.can_id, data, 0.0)
+                if self._client.responses.qsize() < KEPT_ANSWERS:
+                    self._client.on_response(frame.can_id, data, 0.0)
             elif kind == can.HEARTBEAT and len(data) == 1:
                 self.nmt_state = data[0] & 0x7F
                 self.boot_ups += self.nmt_state == STATE_BOOT_UP

@@ -24,10 +24,11 @@ Handler = Callable[[bytes], None]
 class Bus:
     """Outbox, listeners and time of one node."""
 
-    __slots__ = ("listeners", "now_ns", "outbox")
+    __slots__ = ("deadlines", "listeners", "now_ns", "outbox")
 
     def __init__(self) -> None:
         self.now_ns = 0
+        self.deadlines: list[int] = []  # of all services, one place each: the least is the node's
         self.outbox: list[bytes] = []
         self.listeners: dict[int, Handler] = {}
 
@@ -47,6 +48,24 @@ class Bus:
             handler(frame)
 
         self.listeners[can_id] = both
+
+
+class Timed:
+    """A service that has something to do at a time: `deadline_ns`, NEVER while there is nothing."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self._place = len(bus.deadlines)
+        bus.deadlines.append(NEVER)
+
+    @property
+    def deadline_ns(self) -> int:
+        """When it must be polled."""
+        return self.bus.deadlines[self._place]
+
+    @deadline_ns.setter
+    def deadline_ns(self, value: int) -> None:
+        self.bus.deadlines[self._place] = value
 
 
 def payload(frame: bytes) -> bytes:

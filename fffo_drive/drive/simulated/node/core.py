@@ -20,7 +20,7 @@ from ....can.frame import (
     NMT,
 )
 from . import emcy
-from .bus import NS_PER_MS, Bus, Handler, identifier
+from .bus import NS_PER_MS, Bus, Handler, Timed, identifier
 from .config import NodeConfig, device_defaults
 from .dictionary import ObjectDictionary
 from .drive_profile import DriveProfile
@@ -45,10 +45,7 @@ INTERPOLATION_PERIOD = 0x60C2
 class Service(Protocol):
     """A part of the node that has something to do at a time."""
 
-    @property
-    def deadline_ns(self) -> int:
-        """When `poll` is due."""
-        ...
+    deadline_ns: int
 
     def poll(self) -> None:
         """Do it."""
@@ -61,6 +58,7 @@ class Node:
     def __init__(self, config: NodeConfig, plant: PlantPort) -> None:
         self.config = config
         self.bus = bus = Bus()
+        self._plant_due = Timed(bus)
         self.od = od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
         self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset)
         self.emergency = Emergency(bus, od, self.nmt)
@@ -93,7 +91,7 @@ class Node:
             )
             for n in range(PDO_COUNT)
         ]
-        target = FaultTarget(bus, self.nmt, self.emergency, self.drive, self.rpdos, self.tpdos)
+        target = FaultTarget(bus, self.nmt, self.emergency, self.drive, self.rpdos, self.tpdos, self._on_bus_off)
         self.faults = FaultInjector(bus, od, self.emergency, target, config.faults, config.plant.seed)
         self._services: tuple[Service, ...] = (
             self.producer,
@@ -107,14 +105,13 @@ class Node:
         self._pdos: tuple[Rpdo | Tpdo, ...] = (*self.rpdos, *self.tpdos)
         self._start_ns = 0
         self._plant_ns = 0
-        self._plant_due_ns = 0
 
     # the three entrances
 
     def start(self, now_ns: int) -> list[bytes]:
         """Power on: boot-up."""
         self.bus.now_ns = self._start_ns = now_ns
-        self._plant_due_ns = now_ns + PLANT_PERIOD_NS
+        self._plant_due.deadline_ns = now_ns + PLANT_PERIOD_NS
         self.faults.start()
         self.nmt.reset(whole_node=True)
         return self._collect()
@@ -138,7 +135,8 @@ class Node:
         self._advance()
         self.faults.poll()
         for frame in self.faults.received.due(now_ns):
-            self._dispatch(frame)
+            if not self.faults.dark:
+                self._dispatch(frame)
         for service in self._services:
             if service.deadline_ns <= now_ns:
                 service.poll()
@@ -154,7 +152,7 @@ class Node:
     @property
     def deadline_ns(self) -> int:
         """When `poll` must be called at the latest."""
-        return min(self._plant_due_ns, self.faults.deadline_ns, *[s.deadline_ns for s in self._services])
+        return min(self.bus.deadlines)
 
     # frames
 
@@ -203,6 +201,7 @@ class Node:
         self._sync_rpdos = [rpdo for rpdo in self.rpdos if rpdo.exists and rpdo.synchronous]
         self._sync_tpdos = [tpdo for tpdo in self.tpdos if tpdo.synchronous or tpdo.acyclic]
         self._event_tpdos = [tpdo for tpdo in self.tpdos if tpdo.event_driven]
+        self.faults.renew()
 
     def _acting(self, handler: Handler) -> Handler:
         """What may change the drive meets it as it is now."""
@@ -219,11 +218,14 @@ class Node:
 
     def _on_error_frame(self, word: int) -> None:
         if word & ERROR_BUS_OFF:
-            self._advance()
-            self._communication_error(emcy.COMMUNICATION)
-            self.drive.update()
+            self._on_bus_off()
         if word & ERROR_RESTARTED:
             self.emergency.announce(emcy.BUS_OFF_RECOVERED)
+
+    def _on_bus_off(self) -> None:
+        self._advance()
+        self._communication_error(emcy.COMMUNICATION, announce=True)
+        self.drive.update()
 
     # time
 
@@ -231,7 +233,7 @@ class Node:
         """Let the plant run up to now, unless time is made of SYNCs."""
         if not self.config.step_by_sync:
             self._plant_ns = self.bus.now_ns - self._start_ns
-        self._plant_due_ns = self.bus.now_ns + PLANT_PERIOD_NS
+        self._plant_due.deadline_ns = self.bus.now_ns + PLANT_PERIOD_NS
         self.drive.advance_to(self._plant_ns)
 
     def _sync_period_ns(self) -> int:
@@ -260,6 +262,7 @@ class Node:
             self._drive_lost(emcy.COMMUNICATION, announce=True)
         for pdo in self._pdos:
             pdo.restart()
+        self.sync.watch()
         if new is NmtState.STOPPED:
             self.sdo.reset()
         self.emergency.flush()
@@ -288,9 +291,9 @@ class Node:
     def _on_heartbeat_recovery(self, node_id: int) -> None:
         self.emergency.clear(emcy.HEARTBEAT_LOSS, node_id)
 
-    def _communication_error(self, code: int) -> None:
-        """0x6007 for the drive and 0x1029 for the node."""
-        self._drive_lost(code)
+    def _communication_error(self, code: int, announce: bool = False) -> None:
+        """0x6007 for the drive and 0x1029 for the node. `announce`: no EMCY told of it yet."""
+        self._drive_lost(code, announce)
         behaviour = self.od.number(ERROR_BEHAVIOUR, 1)
         if behaviour == 2:
             self.nmt.enter(NmtState.STOPPED)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ....units import S_PER_MIN
 from .. import cia402_device as cia402
 from ..braking import COAST, SLOW_RAMP, BrakeSettings, brake_kind
 from .abort import Abort, SdoAbortError
@@ -22,6 +23,7 @@ from .emcy import (
     OVERSPEED,
     OVERTEMPERATURE,
     RESOLVER,
+    SYNC_LOSS,
     Emergency,
 )
 from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
@@ -29,12 +31,15 @@ from .plant_port import PlantPort, Ratings
 from .setpoint import Setpoint
 
 ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD = 0x6007, 0x603F, 0x6040, 0x6041
-QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
+QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, HALT_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605D, 0x605E
 MODE, MODE_DISPLAY = 0x6060, 0x6061
 MAX_TORQUE, MAX_SPEED, SLOW_DOWN, QUICK_STOP = 0x6072, 0x6080, 0x6084, 0x6085
+CYCLE_PERIOD, INTERPOLATION_PERIOD = 0x1006, 0x60C2
+WRONG_PERIOD = 1  # detail of EMCY 0x8700: SYNC and interpolation period differ
 
 MALFUNCTION, DISABLE_VOLTAGE, STOP_QUICKLY = 1, 2, 3  # 0x6007
 MODES = (MODE_NONE, MODE_TORQUE_PROFILE, MODE_CYCLIC_TORQUE)
+CW_HALT = 0x0100
 OVERSPEED_FACTOR = 1.2  # of 0x6080
 OVERCURRENT_FACTOR = 1.5  # of the peak
 NO_COMMAND = cia402.CW_ENABLE_VOLTAGE | cia402.CW_QUICK_STOP | cia402.CW_FAULT_RESET
@@ -60,12 +65,17 @@ class DriveProfile:
         self._settled_word = -1  # a word that changes nothing any more
         self._deferred_word: int | None = None  # carried out when the slow-down ramp has ended
         self._brake: Brake | None = None
+        self._halting = False  # the brake is that of a halt, in OPERATION ENABLED
         self._current_a = 0.0
         self._updated_ns = 0
         self._fault_code = 0
         self._own_error = 0  # the EMCY that a fault reset ends; 0 where another service announced it
         self._status_slot = od.slots[multiplexer(STATUSWORD, 0)]
         self._mode_slot = od.slots[multiplexer(MODE_DISPLAY, 0)]
+        self._register_slot = od.slots[multiplexer(0x1001, 0)]
+        self._max_speed_slot = od.slots[multiplexer(MAX_SPEED, 0)]
+        self._a_per_permille = ratings.a_per_permille
+        self._overcurrent_a = OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille
         self._feedback_slots = tuple(od.slots[multiplexer(i, 0)] for i in (0x6064, 0x606C, 0x6077, 0x6078, 0x6079))
         self._listen()
         self.restart()
@@ -87,7 +97,7 @@ class DriveProfile:
         """Power-on, or reset of the whole node: the machine starts at the beginning, the shaft turns on."""
         self.state = cia402.START
         self._word, self._settled_word, self._deferred_word = 0, -1, None
-        self._brake = None
+        self._release_brake()
         self._current_a = 0.0
         self._fault_code = self._own_error = 0
         self.setpoint.clear()
@@ -115,12 +125,12 @@ class DriveProfile:
         self.time_ns = until_ns
 
     def _latch(self) -> None:
-        plant, values, ratings = self.plant, self.od.values, self.ratings
+        plant, values = self.plant, self.od.values
         position, velocity, torque, current, voltage = self._feedback_slots
         values[position] = (plant.counts + _INT32) % (2 * _INT32) - _INT32
-        speed = round(plant.velocity_rps * ratings.velocity_counts_per_rps)
+        speed = round(plant.velocity_rps * self.ratings.velocity_counts_per_rps)
         values[velocity] = min(max(speed, -_INT32), _INT32 - 1)
-        permille = min(max(round(plant.current_a / ratings.a_per_permille), -32768), 32767)
+        permille = min(max(round(plant.current_a / self._a_per_permille), -32768), 32767)
         values[torque] = permille
         values[current] = permille  # of the rated current, which makes the rated torque
         values[voltage] = max(0, round(plant.dc_link_v * 1000.0))
@@ -128,12 +138,10 @@ class DriveProfile:
     def update(self) -> None:
         """Supervise, and compute the current command and the statusword from what is known now."""
         self._supervise()
+        self._halt()
         if self.state == cia402.OPERATION_ENABLED and self._brake is None:
             self._current_a = self.setpoint.current_a(
-                self.od.values[self._mode_slot],
-                self._word,
-                self.plant.velocity_rps,
-                self.time_ns - self._updated_ns,
+                self.od.values[self._mode_slot], self.plant.velocity_rps, self.time_ns - self._updated_ns
             )
         elif self._brake is None:
             self._current_a = 0.0
@@ -160,7 +168,8 @@ class DriveProfile:
         previous, self._word = self._word, word
         if self.state != cia402.OPERATION_ENABLED or not self._defers(word):
             if self._deferred_word is not None:  # the ramp is given up for another command
-                self._deferred_word = self._brake = None
+                self._deferred_word = None
+                self._release_brake()
             self._step(word, previous)
         self._settled_word = word
 
@@ -174,21 +183,34 @@ class DriveProfile:
         brake = self._new_brake(SLOW_RAMP)
         if brake.stopped:
             return False
-        self._deferred_word, self._brake = word, brake
+        self._deferred_word, self._brake, self._halting = word, brake, False
         return True
+
+    def _halt(self) -> None:
+        """Bit 8 of the controlword in the torque profile mode (the cyclic mode has no halt): 0x605D."""
+        mode = self.od.values[self._mode_slot]
+        wanted = self.state == cia402.OPERATION_ENABLED and mode == MODE_TORQUE_PROFILE and bool(self._word & CW_HALT)
+        if wanted and self._brake is None:
+            self.setpoint.pause()
+            self._brake, self._halting = self._new_brake(self.od.number(HALT_OPTION)), True
+        elif self._halting and not wanted:
+            self._release_brake()
+
+    def _release_brake(self) -> None:
+        self._brake, self._halting = None, False
 
     def _step(self, word: int = NO_COMMAND, previous: int = NO_COMMAND, fault: bool = False) -> None:
         """Make every transition that is due: those of the command `word`, and those of the drive itself."""
-        fault = fault or bool(self.injected)
         option = self.od.number(QUICK_STOP_OPTION)
         for _ in range(len(cia402.STATE_NAMES)):
             source = self.state
             done = self._brake is None
-            self.state, number = cia402.device_step(source, word, previous, fault, done, option)
+            present = fault or (source == cia402.FAULT and self._fault_remains())
+            self.state, number = cia402.device_step(source, word, previous, present, done, option)
             if number == cia402.NO_TRANSITION:
                 return
             previous = word
-            fault = bool(self.injected)
+            fault = False
             self._settled_word = -1
             self._act_out(number, powered=source in _POWERED_STATES)
 
@@ -196,19 +218,21 @@ class DriveProfile:
         """What a transition does beside changing the state. `powered`: from a state with torque."""
         if cia402.clears_target(number):
             self.setpoint.clear()
+        self._halting = False
+        if number == 4:
+            self._check_period()
         if number == 11:
             self._begin_braking(brake_kind(self.od.number(QUICK_STOP_OPTION)))
         elif number == 13:
             able = powered and self._fault_code not in UNABLE_TO_BRAKE
             self._begin_braking(self.od.number(FAULT_OPTION) if able else COAST)
         else:
-            self._brake = None
+            self._release_brake()
         if number == 15:
             self.emergency.clear(self._own_error, 0)
             self._fault_code = self._own_error = 0
             self.od.put(ERROR_CODE, 0, 0)
-        if self._brake is None:
-            self._current_a = 0.0
+        self._current_a = 0.0  # until the target, or the brake's first step, says otherwise
         for listener in self.on_transition:
             listener(number)
 
@@ -227,9 +251,9 @@ class DriveProfile:
         return Brake(settings, kind, self.plant.velocity_rps)
 
     def _end_braking(self) -> None:
-        if self.state == cia402.QUICK_STOP_ACTIVE and self._holds_standstill():
+        if self._halting or (self.state == cia402.QUICK_STOP_ACTIVE and self._holds_standstill()):
             return
-        self._brake = None
+        self._release_brake()
         self._current_a = 0.0
         if self._deferred_word is not None:
             word, self._deferred_word = self._deferred_word, None
@@ -267,21 +291,39 @@ class DriveProfile:
             self.command(cia402.CW_ENABLE_VOLTAGE)
 
     def _supervise(self) -> None:
-        plant, ratings = self.plant, self.ratings
-        powered = self.state in _POWERED_STATES
-        if powered and plant.dc_link_v < ratings.undervoltage_v:
-            self.trip(DC_LINK_UNDERVOLTAGE)
-        elif powered and plant.dc_link_v > ratings.overvoltage_v:
-            self.trip(DC_LINK_OVERVOLTAGE)
-        limit_rps = OVERSPEED_FACTOR * self.od.number(MAX_SPEED) / 60.0
-        if powered and abs(plant.velocity_rps) > limit_rps:
-            self.trip(OVERSPEED)
-        if powered and abs(plant.current_a) > OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille:
-            self.trip(OVERCURRENT)
-        if powered and plant.temperature_k > ratings.highest_temperature_k:
-            self.trip(OVERTEMPERATURE)
+        if self.state in _POWERED_STATES:
+            self._supervise_power()
         if self.injected and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
             self.trip(next(iter(self.injected)))
+
+    def _supervise_power(self) -> None:
+        plant, ratings = self.plant, self.ratings
+        if plant.dc_link_v < ratings.undervoltage_v:
+            self.trip(DC_LINK_UNDERVOLTAGE)
+        elif plant.dc_link_v > ratings.overvoltage_v:
+            self.trip(DC_LINK_OVERVOLTAGE)
+        elif abs(plant.velocity_rps) > OVERSPEED_FACTOR * self.od.values[self._max_speed_slot] / S_PER_MIN:
+            self.trip(OVERSPEED)
+        elif abs(plant.current_a) > self._overcurrent_a:
+            self.trip(OVERCURRENT)
+        elif plant.temperature_k > ratings.highest_temperature_k:
+            self.trip(OVERTEMPERATURE)
+
+    def _fault_remains(self) -> bool:
+        """A condition that a fault reset does not pass by: measured also without torque."""
+        plant, ratings = self.plant, self.ratings
+        hot = plant.temperature_k > ratings.highest_temperature_k
+        return bool(self.injected) or hot or plant.dc_link_v > ratings.overvoltage_v
+
+    def _check_period(self) -> None:
+        """A cyclic mode needs an interpolation period that is the SYNC's (0x1006, where it is told)."""
+        number = self.od.number
+        period_us = number(CYCLE_PERIOD)
+        interpolated_us = number(INTERPOLATION_PERIOD, 1) * 10 ** (6 + number(INTERPOLATION_PERIOD, 2))
+        if self.od.values[self._mode_slot] == MODE_CYCLIC_TORQUE and period_us not in (0, interpolated_us):
+            self.emergency.raise_error(SYNC_LOSS, WRONG_PERIOD)
+        else:
+            self.emergency.clear(SYNC_LOSS, WRONG_PERIOD)
 
     # modes and statusword
 
@@ -289,22 +331,32 @@ class DriveProfile:
         if mode in MODES and mode != self.od.values[self._mode_slot]:
             self.od.values[self._mode_slot] = mode
             self.setpoint.clear()
+            if self.state == cia402.OPERATION_ENABLED:
+                self._check_period()
 
     def _statusword(self) -> int:
         bits = cia402.SW_REMOTE
         if self.plant.dc_link_v >= self.ratings.undervoltage_v:
             bits |= cia402.SW_VOLTAGE_ENABLED
-        if self.od.number(0x1001) and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
+        if self.od.values[self._register_slot] and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
             bits |= cia402.SW_WARNING
         if self.state == cia402.OPERATION_ENABLED:
             mode = self.od.values[self._mode_slot]
-            if self.setpoint.limited or self.plant.limited:
+            limited = self.setpoint.limited or self.plant.limited
+            if limited:
                 bits |= cia402.SW_INTERNAL_LIMIT
-            if mode == MODE_CYCLIC_TORQUE and self._brake is None and not self.setpoint.limited:
+            if mode == MODE_CYCLIC_TORQUE and self._brake is None and not limited:
                 bits |= cia402.SW_FOLLOWS_COMMAND
-            if mode == MODE_TORQUE_PROFILE and self._brake is None and self.setpoint.reached:
+            if mode == MODE_TORQUE_PROFILE and self._reached:
                 bits |= cia402.SW_TARGET_REACHED
         return cia402.statusword_of(self.state, bits)
+
+    @property
+    def _reached(self) -> bool:
+        """Bit 10 in the torque profile mode: the ramp has arrived; in a halt: the motor stands."""
+        if self._brake is not None:
+            return self._halting and self._brake.stopped
+        return self.setpoint.reached
 
 
 def _one_of(*allowed: int) -> Callable[[int, int], None]:

@@ -15,14 +15,17 @@ DUMMY_TYPES = range(1, 8)
 _CREATED = "01-01-2026"  # a date of the format, not of the run: the same device gives the same file
 
 
-def eds_text(config: NodeConfig) -> str:
-    """The EDS of the drive that `config` describes, line by line as CiA 306 wants it."""
+def eds_text(config: NodeConfig, file_name: str = "simulated_drive.eds") -> str:
+    """The EDS of the drive that `config` describes, line by line as CiA 306 wants it; for any node-ID.
+
+    What the drive measures (access ro) has no default.
+    """
     od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
     indices = sorted({entry.index for entry in od.entries})
     optional = [i for i in indices if i not in MANDATORY and not 0x2000 <= i < 0x6000]
     manufacturer = [i for i in indices if 0x2000 <= i < 0x6000]
     lines = [
-        *_file_info(config),
+        *_file_info(config, file_name),
         *_device_info(config),
         *_section("DummyUsage", [(f"Dummy{t:04d}", int(t in DUMMIES)) for t in DUMMY_TYPES]),
         *_section("Comments", [("Lines", 1), ("Line1", "Generated from the simulated drive's own table.")]),
@@ -45,9 +48,9 @@ def _section(title: str, pairs: Iterable[tuple[str, object]]) -> Iterator[str]:
     yield ""
 
 
-def _file_info(config: NodeConfig) -> Iterator[str]:
+def _file_info(config: NodeConfig, file_name: str) -> Iterator[str]:
     pairs = [
-        ("FileName", "simulated_drive.eds"),
+        ("FileName", file_name),
         ("FileVersion", 1),
         ("FileRevision", 0),
         ("EDSVersion", "4.0"),
@@ -106,7 +109,8 @@ def _description(entry: Entry) -> Iterator[tuple[str, object]]:
     yield "ObjectType", f"0x{ObjectKind.VARIABLE:X}"
     yield "DataType", f"0x{entry.data_type:04X}"
     yield "AccessType", entry.access
-    yield "DefaultValue", _default(entry)
+    if entry.access != "ro":
+        yield "DefaultValue", _default(entry)
     if entry.data_type in STRUCT_CODES:
         for name, limit in (("LowLimit", entry.low), ("HighLimit", entry.high)):
             if limit is not None:

@@ -12,7 +12,7 @@ from collections import deque
 
 from ....can.frame import STANDARD_MASK
 from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_100_US, Bus
+from .bus import NEVER, NS_PER_100_US, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
 from .objects import HISTORY_LENGTH, PDO_INVALID
@@ -56,11 +56,12 @@ def register_bit(code: int) -> int:
     return _REGISTER_BITS.get(code >> 12, 0x01)
 
 
-class Emergency:
+class Emergency(Timed):
     """Errors of the device. Bounded: the history holds 8, the queue to the bus 16; the oldest go."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
-        self.bus, self.od, self.nmt = bus, od, nmt
+        super().__init__(bus)
+        self.od, self.nmt = od, nmt
         self._active: dict[tuple[int, int], None] = {}
         self._queue: deque[bytes] = deque(maxlen=QUEUE_LENGTH)
         self._history: deque[int] = deque(maxlen=HISTORY_LENGTH)
@@ -74,6 +75,7 @@ class Emergency:
         """After an NMT reset: nothing waits. Errors of the drive survive a reset of the communication."""
         self._queue.clear()
         self._allowed_ns = 0
+        self.deadline_ns = NEVER
         if whole_node:
             self._active.clear()
             self._history.clear()
@@ -112,17 +114,13 @@ class Emergency:
             register |= register_bit(code)
         self.od.put(ERROR_REGISTER, 0, register)
 
-    @property
-    def deadline_ns(self) -> int:
-        """When the next waiting message may go."""
-        return self._allowed_ns if self._queue and self.nmt.communicates else NEVER
-
     def poll(self) -> None:
         """Send what waited for the inhibit time."""
         self.flush()
 
     def flush(self) -> None:
-        """Send what may be sent now."""
+        """Send what may be sent now; the rest after the inhibit time."""
+        self.deadline_ns = NEVER
         cob_id = self.od.number(COB_ID_EMCY)
         if cob_id & PDO_INVALID:
             self._queue.clear()
@@ -132,6 +130,8 @@ class Emergency:
         while self._queue and self.bus.now_ns >= self._allowed_ns:
             self.bus.send(cob_id & STANDARD_MASK, self._queue.popleft())
             self._allowed_ns = self.bus.now_ns + inhibit_ns
+        if self._queue:
+            self.deadline_ns = self._allowed_ns
 
     def _read_history(self, sub: int) -> int:
         if sub == 0:

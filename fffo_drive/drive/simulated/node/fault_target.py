@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ....can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, HEARTBEAT, MAX_DATA, pack_frame
 from .bus import Bus
 from .drive_profile import DriveProfile
-from .emcy import BUS_OFF_RECOVERED, COMMUNICATION, Emergency
+from .emcy import BUS_OFF_RECOVERED, Emergency
 from .faults import FaultKind
 from .nmt import NmtSlave
 from .rpdo import Rpdo
@@ -23,19 +25,21 @@ class FaultTarget:
         drive: DriveProfile,
         rpdos: list[Rpdo],
         tpdos: list[Tpdo],
+        on_bus_off: Callable[[], None],
     ) -> None:
         self.bus, self.nmt, self.emergency, self.drive = bus, nmt, emergency, drive
         self.rpdos, self.tpdos = rpdos, tpdos
+        self._on_bus_off = on_bus_off
 
-    def can_ids_of(self, kind: FaultKind) -> frozenset[int]:
-        """Identifiers that a fault without one of its own concerns; empty: all."""
+    def can_ids_of(self, kind: FaultKind) -> frozenset[int] | None:
+        """Identifiers that a fault without one of its own concerns; None: all."""
         if kind is FaultKind.NO_SYNC_ANSWER:
             return frozenset(t.parameters.can_id for t in self.tpdos if t.synchronous or t.acyclic)
         if kind is FaultKind.NO_RPDO:
-            return frozenset(rpdo.parameters.can_id for rpdo in self.rpdos)
+            return frozenset(rpdo.parameters.can_id for rpdo in self.rpdos if rpdo.exists)
         if kind is FaultKind.NO_HEARTBEAT:
             return frozenset({HEARTBEAT + self.nmt.node_id})
-        return frozenset()
+        return None
 
     def hold_condition(self, code: int, present: bool) -> None:
         """The drive finds the condition by itself at its next supervision."""
@@ -65,10 +69,10 @@ class FaultTarget:
         self.nmt.reset(whole_node=True)
 
     def bus_off(self, present: bool) -> None:
-        """Tell it on the bus as a CAN controller tells its own host, and act as 0x6007 says."""
+        """Tell it on the bus as a CAN controller tells its own host; the node then acts as on a bus-off of its own."""
         error_class = ERROR_BUS_OFF if present else ERROR_RESTARTED
         self.bus.outbox.append(pack_frame(error_class, bytes(MAX_DATA), error=True))
         if present:
-            self.drive.connection_lost(COMMUNICATION, announce=True)
+            self._on_bus_off()
         else:
             self.emergency.announce(BUS_OFF_RECOVERED)

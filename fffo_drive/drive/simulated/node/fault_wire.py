@@ -25,12 +25,13 @@ class WireEffect(IntEnum):
 
 
 class WireRule(NamedTuple):
-    """Which frames are concerned. `can_ids` empty: all."""
+    """Which frames are concerned. `can_ids` None: all. A delay is `delay_ns` and up to `jitter_ns` more."""
 
     effect: WireEffect
-    can_ids: frozenset[int] = frozenset()
+    can_ids: frozenset[int] | None = None
     probability: float = 1.0
     delay_ns: int = 0
+    jitter_ns: int = 0
 
 
 class FaultyWire:
@@ -63,7 +64,7 @@ class FaultyWire:
         """Frames that arrive because this one was sent."""
         arriving = [frame]
         for rule in self.rules:
-            concerned = not rule.can_ids or identifier(frame) & EXTENDED_MASK in rule.can_ids
+            concerned = rule.can_ids is None or identifier(frame) & EXTENDED_MASK in rule.can_ids
             if concerned and arriving and self._chance.random() < rule.probability:
                 arriving = self._apply(rule, arriving, now_ns)
         if arriving and self._held:
@@ -77,7 +78,8 @@ class FaultyWire:
         if rule.effect is WireEffect.DELAY:
             for frame in frames:
                 self._sequence += 1
-                heapq.heappush(self._delayed, (now_ns + rule.delay_ns, self._sequence, frame))
+                at_ns = now_ns + rule.delay_ns + round(self._chance.random() * rule.jitter_ns)
+                heapq.heappush(self._delayed, (at_ns, self._sequence, frame))
         elif rule.effect is WireEffect.REORDER:
             if self._held:
                 return frames

@@ -1,9 +1,9 @@
 """Fault injection: a schedule from the configuration, and object 0x2100 at run time.
 
 0x2100: sub 1 the kind, 2 the CAN-ID concerned (0: all), 3 the probability in thousandths, 4 the value, 5 the
-duration in ms (0: until cleared), then 6 the trigger: 1 injects, 2 clears everything; 7 counts the faults in
-effect. The value is milliseconds for a delay, thousandths of a revolution for a lost resolver, hertz for an
-EMCY storm.
+duration in ms (0: until cleared), then 6 the trigger: 1 injects (right after the answer), 2 clears everything; 7
+counts the faults in effect. The value is microseconds for a delay (8: and up to so many more, by chance),
+thousandths of a revolution for a resolver, hertz for an EMCY storm.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from typing import Protocol
 from ....units import NS_PER_S
 from ..ranges import key
 from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_MS, Bus
+from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
 from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, Emergency
 from .fault_wire import FaultyWire, WireEffect, WireRule
 
 INJECTION = 0x2100
 TRIGGER_INJECT, TRIGGER_CLEAR = 1, 2
+LONGEST_DELAY_US = 10_000_000
 
 
 class FaultKind(IntEnum):
@@ -49,6 +50,7 @@ class FaultKind(IntEnum):
     EMCY_STORM = 25
     REBOOT = 26
     BUS_OFF = 27
+    RESOLVER_SLIP = 28  # the tracking loop takes up another angle, and nothing tells of it
 
 
 _WIRE_EFFECTS = {
@@ -82,15 +84,16 @@ class Fault:
     can_id: int = key(0, "-", 0, 0x7FF, "frames that drop, duplicate, delay, reorder concern; 0: every one")
     probability: float = key(1.0, "-", 0.0, 1.0, "share of these frames that is hit")
     delay_s: float = key(0.0, "s", 0.0, 10.0, "of delayed frames")
-    jump_rev: float = key(0.0, "rev", -1e4, 1e4, "the angle jumps by this when the resolver is lost")
+    jitter_s: float = key(0.0, "s", 0.0, 10.0, "of delayed frames: up to so much more, by chance")
+    jump_rev: float = key(0.0, "rev", -1e4, 1e4, "the angle jumps by this when the resolver is lost or slips")
     rate_hz: float = key(100.0, "Hz", 0.1, 10_000.0, "of an EMCY storm")
 
 
 class Device(Protocol):
     """What the injector does to the node around it."""
 
-    def can_ids_of(self, kind: FaultKind) -> frozenset[int]:
-        """Identifiers that NO_SYNC_ANSWER, NO_HEARTBEAT and NO_RPDO concern at present."""
+    def can_ids_of(self, kind: FaultKind) -> frozenset[int] | None:
+        """Identifiers that NO_SYNC_ANSWER, NO_HEARTBEAT and NO_RPDO concern at present; None of other kinds: all."""
         ...
 
     def hold_condition(self, code: int, present: bool) -> None:
@@ -122,7 +125,7 @@ class Device(Protocol):
         ...
 
 
-class FaultInjector:
+class FaultInjector(Timed):
     """Starts and ends faults at their times. While `dark`, no frame passes."""
 
     def __init__(
@@ -134,7 +137,8 @@ class FaultInjector:
         schedule: tuple[Fault, ...],
         seed: int,
     ) -> None:
-        self.bus, self.od, self.emergency, self.device = bus, od, emergency, device
+        super().__init__(bus)
+        self.od, self.emergency, self.device = od, emergency, device
         chance = random.Random(seed)
         self.sent, self.received = FaultyWire(chance), FaultyWire(chance)
         self._schedule = list(schedule)
@@ -155,12 +159,6 @@ class FaultInjector:
         for fault in self._schedule:
             self._plan(self.bus.now_ns + round(fault.at_s * NS_PER_S), True, fault)
 
-    @property
-    def deadline_ns(self) -> int:
-        """The next thing to do."""
-        begin_or_end = self._events[0][0] if self._events else NEVER
-        return min(begin_or_end, self._storm_ns, self.sent.deadline_ns, self.received.deadline_ns)
-
     def poll(self) -> None:
         """Begin and end what is due."""
         while self._events and self._events[0][0] <= self.bus.now_ns:
@@ -174,9 +172,11 @@ class FaultInjector:
         self.take_stock()
 
     def take_stock(self) -> None:
-        """Note whether frames pass: after any change."""
+        """Note whether frames pass, and what is next to do: after any change."""
         self.dark = any(fault.kind in DARK_KINDS for fault in self._active)
         self.quiet = self.sent.idle and self.received.idle and not self.dark
+        begin_or_end = self._events[0][0] if self._events else NEVER
+        self.deadline_ns = min(begin_or_end, self._storm_ns, self.sent.deadline_ns, self.received.deadline_ns)
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now."""
@@ -184,10 +184,16 @@ class FaultInjector:
         if fault.duration_s > 0.0:
             self._plan(self.bus.now_ns + round(fault.duration_s * NS_PER_S), False, fault)
         self._switch(fault, True)
-        if fault.kind in _WIRE_EFFECTS:
-            effect, outgoing = _WIRE_EFFECTS[fault.kind]
-            wire = self.sent if outgoing else self.received
-            wire.rules.append(self._rule(effect, fault))
+        self.renew()
+
+    def renew(self) -> None:
+        """Take the rules of the wire anew: from the faults in effect, and the identifiers in use."""
+        self.sent.rules.clear()
+        self.received.rules.clear()
+        for fault in self._active:
+            if fault.kind in _WIRE_EFFECTS:
+                effect, outgoing = _WIRE_EFFECTS[fault.kind]
+                (self.sent if outgoing else self.received).rules.append(self._rule(effect, fault))
         self.take_stock()
 
     def clear(self) -> None:
@@ -202,17 +208,16 @@ class FaultInjector:
     def _plan(self, at_ns: int, begins: bool, fault: Fault) -> None:
         self._order += 1
         heapq.heappush(self._events, (at_ns, self._order, begins, fault))
+        self.take_stock()
 
     def _rule(self, effect: WireEffect, fault: Fault) -> WireRule:
         can_ids = frozenset({fault.can_id}) if fault.can_id else self.device.can_ids_of(fault.kind)
-        return WireRule(effect, can_ids, fault.probability, round(fault.delay_s * NS_PER_S))
+        delay_ns, jitter_ns = round(fault.delay_s * NS_PER_S), round(fault.jitter_s * NS_PER_S)
+        return WireRule(effect, can_ids, fault.probability, delay_ns, jitter_ns)
 
     def _end(self, fault: Fault) -> None:
         self._active.remove(fault)
-        if fault.kind in _WIRE_EFFECTS:
-            effect, outgoing = _WIRE_EFFECTS[fault.kind]
-            rules = (self.sent if outgoing else self.received).rules
-            rules[:] = [rule for rule in rules if rule != self._rule(effect, fault)]
+        self.renew()
         if not any(other.kind is fault.kind for other in self._active):
             self._switch(fault, False)
 
@@ -223,6 +228,9 @@ class FaultInjector:
             device.hold_condition(_CONDITIONS[kind], present)
         if kind is FaultKind.RESOLVER_LOSS:
             device.lose_resolver(present, fault.jump_rev)
+        elif kind is FaultKind.RESOLVER_SLIP and present:
+            device.lose_resolver(True, fault.jump_rev)
+            device.lose_resolver(False, 0.0)
         elif kind is FaultKind.DC_LINK_LOSS:
             device.lose_dc_link(present)
         elif kind is FaultKind.STUCK_STATUSWORD:
@@ -257,17 +265,17 @@ class FaultInjector:
         elif value == TRIGGER_INJECT:
             number = self.od.number
             amount = number(INJECTION, 4)
-            self.inject(
-                Fault(
-                    kind=FaultKind(number(INJECTION, 1)),
-                    duration_s=number(INJECTION, 5) * NS_PER_MS / NS_PER_S,
-                    can_id=number(INJECTION, 2),
-                    probability=number(INJECTION, 3) / 1000.0,
-                    delay_s=max(0, amount) / 1000.0,
-                    jump_rev=amount / 1000.0,
-                    rate_hz=min(max(float(amount), 0.1), 10_000.0),
-                )
+            fault = Fault(
+                kind=FaultKind(number(INJECTION, 1)),
+                duration_s=number(INJECTION, 5) * NS_PER_MS / NS_PER_S,
+                can_id=number(INJECTION, 2),
+                probability=number(INJECTION, 3) / 1000.0,
+                delay_s=min(max(0, amount), LONGEST_DELAY_US) / 1e6,
+                jitter_s=min(number(INJECTION, 8), LONGEST_DELAY_US) / 1e6,
+                jump_rev=amount / 1000.0,
+                rate_hz=min(max(float(amount), 0.1), 10_000.0),
             )
+            self._plan(self.bus.now_ns, True, fault)  # after the answer: whoever injects a silence hears of it
 
     def _read(self, sub: int) -> int:
         return len(self._active) if sub == 7 else self.od.number(INJECTION, sub)

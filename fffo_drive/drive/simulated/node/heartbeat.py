@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from ....can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
 from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_MS, Bus, identifier
+from .bus import NEVER, NS_PER_MS, Bus, Timed, identifier
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
 from .objects import MONITORED_NODES
@@ -19,12 +19,12 @@ PRODUCER_TIME = 0x1017
 CONSUMER_TIME = 0x1016
 
 
-class HeartbeatProducer:
+class HeartbeatProducer(Timed):
     """Sends the NMT state every 0x1017 ms; the first one as soon as the time is written."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
-        self.bus, self.od, self.nmt = bus, od, nmt
-        self.deadline_ns = NEVER
+        super().__init__(bus)
+        self.od, self.nmt = od, nmt
         od.on_write(PRODUCER_TIME, lambda sub, value: self._start(self.bus.now_ns))
 
     def reset(self) -> None:
@@ -42,7 +42,7 @@ class HeartbeatProducer:
         self.bus.send(HEARTBEAT + self.nmt.node_id, bytes([self.nmt.state]))
 
 
-class HeartbeatConsumer:
+class HeartbeatConsumer(Timed):
     """Supervises up to four nodes. `on_loss(node_id)` and `on_recovery(node_id)` tell of heartbeat events.
 
     `on_change()` follows a change of `node_ids`.
@@ -56,7 +56,8 @@ class HeartbeatConsumer:
         on_recovery: Callable[[int], None],
         on_change: Callable[[], None],
     ) -> None:
-        self.bus, self.od = bus, od
+        super().__init__(bus)
+        self.od = od
         self._on_loss, self._on_recovery, self._announce_change = on_loss, on_recovery, on_change
         self._period_ns: dict[int, int] = {}  # configured
         self._due_ns: dict[int, int] = {}  # supervised: heard since configured
@@ -68,11 +69,6 @@ class HeartbeatConsumer:
     def node_ids(self) -> list[int]:
         """Nodes to listen to."""
         return list(self._period_ns)
-
-    @property
-    def deadline_ns(self) -> int:
-        """When the next supervised node is overdue."""
-        return min(self._due_ns.values(), default=NEVER)
 
     def reset(self) -> None:
         """Forget what was heard and take 0x1016 as it is."""
@@ -104,7 +100,12 @@ class HeartbeatConsumer:
                 self._lost.discard(node_id)
                 self._on_recovery(node_id)
         self._period_ns = wanted
+        self._watch()
         self._announce_change()
+
+    def _watch(self) -> None:
+        """The next supervised node is overdue then."""
+        self.deadline_ns = min(self._due_ns.values(), default=NEVER)
 
     def receive(self, frame: bytes) -> None:
         node_id = identifier(frame) - HEARTBEAT
@@ -116,12 +117,14 @@ class HeartbeatConsumer:
                 self._lose(node_id)
             return
         self._due_ns[node_id] = self.bus.now_ns + period_ns
+        self._watch()
         if node_id in self._lost:
             self._lost.discard(node_id)
             self._on_recovery(node_id)
 
     def _lose(self, node_id: int) -> None:
         del self._due_ns[node_id]
+        self._watch()
         self._lost.add(node_id)
         self._on_loss(node_id)
 

@@ -127,7 +127,7 @@ _MANUFACTURER = [
     Entry(0x2020, 4, "RPDOs outside the synchronous window", U32, "ro"),
     Entry(0x2020, 5, "Frames dropped by the receive queue", U32, "ro"),
     Entry(0x2020, 6, "Malformed frames", U32, "ro"),
-    Entry(0x2100, 0, "Highest sub-index supported", U8, "const", 7),
+    Entry(0x2100, 0, "Highest sub-index supported", U8, "const", 8),
     Entry(0x2100, 1, "Injected fault", U8, "rw"),
     Entry(0x2100, 2, "CAN-ID concerned", U32, "rw", 0, 0, 0x7FF),
     Entry(0x2100, 3, "Probability", U16, "rw", 1000, 0, 1000),
@@ -135,6 +135,7 @@ _MANUFACTURER = [
     Entry(0x2100, 5, "Duration", U32, "rw"),
     Entry(0x2100, 6, "Trigger", U8, "wo", 0, 0, 2),
     Entry(0x2100, 7, "Faults in effect", U8, "ro"),
+    Entry(0x2100, 8, "Jitter", U32, "rw"),
 ]
 
 _DRIVE = [

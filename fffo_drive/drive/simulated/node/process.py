@@ -127,31 +127,27 @@ class _Shell:
         node = self.node
         while not stop.is_set():
             deadline_ns = node.deadline_ns
-            wait_ms = (deadline_ns - time.monotonic_ns()) / NS_PER_MS
-            if wait_ms > 0.0:
-                self._poller.poll(wait_ms)
-            self._receive(deadline_ns)
+            wait_ms = max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_MS)
+            if self._poller.poll(wait_ms) or not self._bus_present:
+                self._receive()
             now_ns = time.monotonic_ns()
-            if now_ns >= node.deadline_ns:
+            if now_ns >= deadline_ns:  # what a frame has brought forward is seen in the next turn
                 self._send(node.poll(now_ns))
             if now_ns - self._drops_ns > DROPS_EVERY_NS:
                 self._count_drops(now_ns)
 
-    def _receive(self, deadline_ns: int) -> None:
-        """Take what is there, but not beyond the deadline: a full bus must not stop the node's own time."""
-        link, node = self.link, self.node
+    def _receive(self) -> None:
+        """Take one frame. Between two the deadline is looked at: a full bus must not stop the node's own time."""
         try:
-            while (frame := link.receive(0.0)) is not None:
-                now_ns = time.monotonic_ns()
-                frames = node.handle(frame, now_ns)
-                if frames:
-                    self._send(frames)
-                if now_ns >= deadline_ns:
-                    break
-            self._note_bus(True)
+            frame = self.link.receive(0.0)
         except LinkError:
             self._note_bus(False)
             time.sleep(RETRY_S)
+            return
+        if not self._bus_present:
+            self._note_bus(True)
+        if frame is not None:
+            self._send(self.node.handle(frame, time.monotonic_ns()))
 
     def _send(self, frames: list[bytes]) -> None:
         for frame in frames:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET
-from .bus import NEVER, Bus
+from .bus import NEVER, Bus, Timed
 from .dictionary import Effect, ObjectDictionary, multiplexer
 from .emcy import PDO_LENGTH, PDO_LENGTH_EXCEEDED, RPDO_TIMEOUT, Emergency
 from .nmt import NmtSlave
@@ -18,7 +18,7 @@ from .pdo_parameters import EMPTY, HIGHEST_SYNC_TYPE, PdoParameters
 from .sync import STATISTICS, SyncConsumer
 
 
-class Rpdo:
+class Rpdo(Timed):
     """One receive PDO. `on_timeout()` is called when its deadline passes."""
 
     def __init__(
@@ -32,13 +32,13 @@ class Rpdo:
         on_change: Callable[[], None],
         on_timeout: Callable[[], None],
     ) -> None:
-        self.bus, self.od, self.nmt, self.emergency, self.sync = bus, od, nmt, emergency, sync
+        super().__init__(bus)
+        self.od, self.nmt, self.emergency, self.sync = od, nmt, emergency, sync
         self.number = number + 1
         self._announce_change = on_change
         self._on_timeout = on_timeout
         self._applied_slot = od.slots[multiplexer(STATISTICS, 3)]
         self.parameters = PdoParameters(od, number, True, self._changed)
-        self.deadline_ns = NEVER
         self.configure()
         self.restart()
 

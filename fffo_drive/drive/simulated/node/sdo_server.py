@@ -1,7 +1,8 @@
-"""SDO server (CiA 301, 7.2.4): expedited and segmented transfer in both directions.
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfer in both directions.
 
-Block transfer, which is optional, is refused with 0x05040001. A new request to begin ends the transfer under
-way, as a client that gave up would expect. Requests shorter than 8 bytes are no SDO and are not answered.
+A new request to begin ends a segmented transfer under way, as a client that gave up would expect; the segments of
+a block look like anything, so that a block transfer ends by itself, by an abort or by the time-out. Requests
+shorter than 8 bytes are no SDO and are not answered.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from dataclasses import dataclass
 
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, SDO_REQUEST, SDO_RESPONSE
 from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_MS, Bus
+from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
+from .sdo_block import LONGEST_BLOCK, WITH_CRC, BlockDownload, BlockUpload, checked_block
 
 TIMEOUT_NS = 1000 * NS_PER_MS  # between two segments
 SEGMENT = 7  # data bytes of a segment
@@ -21,13 +23,16 @@ EXPEDITED = 4  # data bytes of an expedited transfer
 
 # command specifiers: bits 7 to 5 of the first byte
 DOWNLOAD_SEGMENT, INITIATE_DOWNLOAD, INITIATE_UPLOAD, UPLOAD_SEGMENT, ABORT_TRANSFER = 0, 1, 2, 3, 4
+BLOCK_UPLOAD, BLOCK_DOWNLOAD = 5, 6
+ABORT_COMMAND = 0x80  # the whole byte
+_SIZE_GIVEN = 0x02  # of a block download
 _MULTIPLEXER = struct.Struct("<HB")
 _SIZE = struct.Struct("<I")
 
 
 @dataclass(slots=True)
 class Transfer:
-    """A segmented transfer under way. Upload: `data` is what is left. Download: what came so far."""
+    """A transfer under way. Segmented upload: `data` is what is left. Download: what came so far."""
 
     index: int
     sub: int
@@ -36,17 +41,18 @@ class Transfer:
     announced: int | None = None  # length that the client promised
     limit: int = 0  # the longest that the object takes
     toggle: int = 0
+    block: BlockDownload | BlockUpload | None = None
 
 
-class SdoServer:
+class SdoServer(Timed):
     """Answers on 0x580 + node-ID what it is asked on 0x600 + node-ID."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
-        self.bus, self.od, self.nmt = bus, od, nmt
+        super().__init__(bus)
+        self.od, self.nmt = od, nmt
         self.request_id = SDO_REQUEST + nmt.node_id
         self._response_id = SDO_RESPONSE + nmt.node_id
         self._transfer: Transfer | None = None
-        self.deadline_ns = NEVER
 
     def reset(self) -> None:
         """Drop the transfer under way: NMT reset, or STOPPED."""
@@ -62,23 +68,34 @@ class SdoServer:
         if not self.nmt.communicates or frame[LENGTH_OFFSET] < MAX_DATA:
             return
         data = frame[DATA_OFFSET:]
-        specifier = data[0] >> 5
+        transfer = self._transfer
         try:
-            if specifier == INITIATE_DOWNLOAD:
-                self._initiate_download(data)
-            elif specifier == INITIATE_UPLOAD:
-                self._initiate_upload(data)
-            elif specifier == DOWNLOAD_SEGMENT:
-                self._download_segment(data)
-            elif specifier == UPLOAD_SEGMENT:
-                self._upload_segment(data)
-            elif specifier == ABORT_TRANSFER:
-                self.reset()
+            if transfer is not None and transfer.block is not None and data[0] != ABORT_COMMAND:
+                self._continue_block(transfer.block, data)
             else:
-                self._begin(data)
-                raise SdoAbortError(Abort.INVALID_COMMAND)
+                self._serve(data)
         except SdoAbortError as error:
             self._abort(error.code)
+
+    def _serve(self, data: bytes) -> None:
+        specifier = data[0] >> 5
+        if specifier == INITIATE_DOWNLOAD:
+            self._initiate_download(data)
+        elif specifier == INITIATE_UPLOAD:
+            self._initiate_upload(data)
+        elif specifier == DOWNLOAD_SEGMENT:
+            self._download_segment(data)
+        elif specifier == UPLOAD_SEGMENT:
+            self._upload_segment(data)
+        elif specifier == ABORT_TRANSFER:
+            self.reset()
+        elif specifier == BLOCK_DOWNLOAD and not data[0] & 0x01:
+            self._initiate_block_download(data)
+        elif specifier == BLOCK_UPLOAD and not data[0] & 0x03:
+            self._initiate_block_upload(data)
+        else:
+            self._begin(data)
+            raise SdoAbortError(Abort.INVALID_COMMAND)
 
     def _begin(self, data: bytes) -> Transfer:
         index, sub = _MULTIPLEXER.unpack_from(data, 1)
@@ -138,7 +155,9 @@ class SdoServer:
 
     def _initiate_upload(self, data: bytes) -> None:
         transfer = self._begin(data)
-        content = self.od.upload(transfer.index, transfer.sub)
+        self._begin_upload(transfer, self.od.upload(transfer.index, transfer.sub))
+
+    def _begin_upload(self, transfer: Transfer, content: bytes) -> None:
         if 0 < len(content) <= EXPEDITED:
             self._finish()
             self._answer(0x43 | (EXPEDITED - len(content)) << 2, transfer.index, transfer.sub, content)
@@ -158,3 +177,39 @@ class SdoServer:
             self._response_id,
             bytes([toggle << 4 | (SEGMENT - len(part)) << 1 | last]) + part.ljust(SEGMENT, b"\x00"),
         )
+
+    # block transfer
+
+    def _initiate_block_download(self, data: bytes) -> None:
+        transfer = self._begin(data)
+        index, sub = transfer.index, transfer.sub
+        announced = _SIZE.unpack_from(data, 4)[0] if data[0] & _SIZE_GIVEN else None
+        entry = self.od.check_download(index, sub, announced)
+        transfer.block = BlockDownload(
+            bool(data[0] & WITH_CRC),
+            announced,
+            entry.size or entry.high or 0,
+            lambda content: self.od.download(index, sub, content),
+        )
+        self.deadline_ns = self.bus.now_ns + TIMEOUT_NS
+        self._answer(0xA0 | WITH_CRC, index, sub, bytes([LONGEST_BLOCK]))
+
+    def _initiate_block_upload(self, data: bytes) -> None:
+        transfer = self._begin(data)
+        block, switch_below = data[4], data[5]
+        content = self.od.upload(transfer.index, transfer.sub)
+        checked_block(block)
+        if len(content) <= switch_below:  # the client would rather have so little in segments
+            transfer.upload = True
+            self._begin_upload(transfer, content)
+            return
+        transfer.block = BlockUpload(content, block, bool(data[0] & WITH_CRC))
+        self.deadline_ns = self.bus.now_ns + TIMEOUT_NS
+        self._answer(0xC2 | WITH_CRC, transfer.index, transfer.sub, _SIZE.pack(len(content)))
+
+    def _continue_block(self, block: BlockDownload | BlockUpload, data: bytes) -> None:
+        self.deadline_ns = self.bus.now_ns + TIMEOUT_NS
+        for answer in block.receive(data):
+            self.bus.send(self._response_id, answer)
+        if block.done:
+            self._finish()

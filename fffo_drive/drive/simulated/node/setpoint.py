@@ -7,13 +7,14 @@ CiA 402-2: cyclic synchronous torque (10) takes 0x6071 + 0x60B2 as they come wit
 
 from __future__ import annotations
 
+from operator import itemgetter
+
 from ....units import NS_PER_S, rps_from_rpm
 from .dictionary import ObjectDictionary, multiplexer
 from .objects import MODE_CYCLIC_TORQUE, MODE_TORQUE_PROFILE
 from .plant_port import Ratings
 
 SPEED_TAPER = 0.02  # below the speed limit by this share, torque that drives on begins to fall
-CW_HALT = 0x0100
 
 _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
 
@@ -23,7 +24,8 @@ class Setpoint:
 
     def __init__(self, od: ObjectDictionary, ratings: Ratings) -> None:
         self.od, self.ratings = od, ratings
-        self._slots = tuple(od.slots[multiplexer(index, 0)] for index in _ADJUSTABLE)
+        self._pick = itemgetter(*(od.slots[multiplexer(index, 0)] for index in _ADJUSTABLE))
+        self._a_per_permille = ratings.a_per_permille
         self._demand_slot = od.slots[multiplexer(0x6074, 0)]
         self.ramped = 0.0
         self.limited = False
@@ -42,14 +44,18 @@ class Setpoint:
         self.limited = False
         self.reached = False
 
-    def current_a(self, mode: int, controlword: int, velocity_rps: float, elapsed_ns: int) -> float:
+    def pause(self) -> None:
+        """A halt: the target stays, its ramp begins again at zero."""
+        self.ramped = 0.0
+        self.idle()
+
+    def current_a(self, mode: int, velocity_rps: float, elapsed_ns: int) -> float:
         """Current command in OPERATION ENABLED; `elapsed_ns` since the last call (for the slope)."""
-        pick = self.od.values
-        target, most, most_current, speed_rpm, slope, offset, forward, backward = [pick[slot] for slot in self._slots]
+        target, most, most_current, speed_rpm, slope, offset, forward, backward = self._pick(self.od.values)
         if mode == MODE_CYCLIC_TORQUE:
             wanted: float = target + offset
         elif mode == MODE_TORQUE_PROFILE:
-            wanted = self._ramp(0 if controlword & CW_HALT else target, slope, elapsed_ns) + offset
+            wanted = self._ramp(target, slope, elapsed_ns) + offset
         else:
             self.idle()
             return 0.0
@@ -57,7 +63,7 @@ class Setpoint:
         demand = self._within_speed(demand, velocity_rps, rps_from_rpm(speed_rpm))
         self.limited = demand != wanted
         self.od.values[self._demand_slot] = round(demand)
-        return demand * self.ratings.a_per_permille
+        return demand * self._a_per_permille
 
     def _ramp(self, target: int, slope: int, elapsed_ns: int) -> float:
         step = slope * elapsed_ns / NS_PER_S

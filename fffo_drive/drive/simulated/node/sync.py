@@ -1,8 +1,8 @@
 """SYNC consumer (CiA 301, 7.2.5): counter, synchronous window, loss.
 
 A SYNC that is missing is counted at the next one (0x2020:2); no SYNC for 0x1006 plus the tolerance 0x2010
-(ms) is a loss: EMCY 0x8700, and the drive's abort connection option. Without 0x1006 the drive does not know
-what to expect.
+(ms), and for 1.5 times 0x1006 at least, is a loss: EMCY 0x8700, and the drive's abort connection option. Without
+0x1006 the drive does not know what to expect.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
 from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus
+from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus, Timed
 from .dictionary import ObjectDictionary, multiplexer
 from .emcy import SYNC_LENGTH, SYNC_LOSS, Emergency, check_can_id
 from .nmt import NmtSlave
@@ -24,7 +24,7 @@ LOSS_TOLERANCE = 0x2010
 STATISTICS = 0x2020
 
 
-class SyncConsumer:
+class SyncConsumer(Timed):
     """Follows the SYNC. `on_sync(counter)` is called for each valid one; the counter is 0 where none is sent.
 
     `on_change()` follows a change of the identifier.
@@ -40,7 +40,8 @@ class SyncConsumer:
         on_loss: Callable[[], None],
         on_change: Callable[[], None],
     ) -> None:
-        self.bus, self.od, self.nmt, self.emergency = bus, od, nmt, emergency
+        super().__init__(bus)
+        self.od, self.nmt, self.emergency = od, nmt, emergency
         self._on_sync, self._on_loss = on_sync, on_loss
         self.supervised = True  # False where time is made of SYNCs
         self._received_slot = od.slots[multiplexer(STATISTICS, 1)]
@@ -59,7 +60,9 @@ class SyncConsumer:
         self.period_ns = number(CYCLE_PERIOD) * NS_PER_US
         self.window_ns = number(WINDOW_LENGTH) * NS_PER_US or NEVER
         self.counted = number(COUNTER_OVERFLOW) != 0
-        self._patience_ns = self.period_ns + number(LOSS_TOLERANCE) * NS_PER_MS
+        tolerance_ns = max(number(LOSS_TOLERANCE) * NS_PER_MS, self.period_ns // 2)
+        self._patience_ns = self.period_ns + tolerance_ns
+        self.watch()
 
     def reset(self) -> None:
         """After an NMT reset: no SYNC was seen."""
@@ -73,16 +76,15 @@ class SyncConsumer:
         """The identifier to listen to."""
         return self.od.number(COB_ID_SYNC) & STANDARD_MASK
 
-    @property
-    def deadline_ns(self) -> int:
-        """When the SYNC counts as lost."""
-        if not self.period_ns or self.lost or not self.supervised or self.last_ns < 0 or not self.nmt.exchanges:
-            return NEVER
-        return self.last_ns + self._patience_ns
+    def watch(self) -> None:
+        """When the SYNC counts as lost: after each of them, and with each change of the NMT state."""
+        watched = self.period_ns and self.supervised and not self.lost and self.last_ns >= 0 and self.nmt.exchanges
+        self.deadline_ns = self.last_ns + self._patience_ns if watched else NEVER
 
     def poll(self) -> None:
         """The SYNC is lost."""
         self.lost = True
+        self.watch()
         self.emergency.raise_error(SYNC_LOSS)
         self._on_loss()
 
@@ -99,19 +101,20 @@ class SyncConsumer:
             self.emergency.clear(SYNC_LENGTH)
         if self.lost:
             self.lost = False
-            self.emergency.clear(SYNC_LOSS)
+            self.emergency.clear(SYNC_LOSS, 0)
         now_ns = self.bus.now_ns
         if self.period_ns and now_ns - self.last_ns > 1.5 * self.period_ns and self.last_ns >= 0:
             missed = round((now_ns - self.last_ns) / self.period_ns) - 1
             self.od.put(STATISTICS, 2, self.od.number(STATISTICS, 2) + missed & 0xFFFFFFFF)
         self.last_ns = now_ns
+        self.watch()
         values = self.od.values
         values[self._received_slot] = values[self._received_slot] + 1 & 0xFFFFFFFF
         self._on_sync(frame[DATA_OFFSET] if self.counted else 0)
 
     def in_window(self) -> bool:
-        """Whether synchronous PDOs may be exchanged now."""
-        return self.bus.now_ns - self.last_ns <= self.window_ns
+        """Whether synchronous PDOs may be exchanged now: always without a window, before the first SYNC too."""
+        return self.window_ns == NEVER or self.bus.now_ns - self.last_ns <= self.window_ns
 
     def _check_cob_id(self, sub: int, value: int) -> None:
         if value & ~STANDARD_MASK:  # 29-bit identifiers, or this device as the producer

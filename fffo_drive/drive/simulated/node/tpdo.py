@@ -12,7 +12,7 @@ from operator import itemgetter
 from typing import Any
 
 from ....can.frame import DATA_OFFSET, pack_frame
-from .bus import NEVER, Bus
+from .bus import NEVER, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
 from .pdo_parameters import EMPTY, EVENT_TYPES, HIGHEST_SYNC_TYPE, PdoParameters
@@ -20,16 +20,16 @@ from .pdo_parameters import EMPTY, EVENT_TYPES, HIGHEST_SYNC_TYPE, PdoParameters
 EVENT_OBJECTS = frozenset({0x6041, 0x6061, 0x603F, 0x1001})
 
 
-class Tpdo:
+class Tpdo(Timed):
     """One transmit PDO. `on_sync`, `check_event` and `poll` queue its frame when it is due."""
 
     def __init__(
         self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave, number: int, on_change: Callable[[], None]
     ) -> None:
-        self.bus, self.od, self.nmt = bus, od, nmt
+        super().__init__(bus)
+        self.od, self.nmt = od, nmt
         self._announce_change = on_change
         self.parameters = PdoParameters(od, number, False, self._changed)
-        self.deadline_ns = NEVER
         self.configure()
 
     def _changed(self) -> None:

@@ -1,0 +1,351 @@
+"""Vendors' EDS files as they are found, made into one that a strict parser reads; with a remark for each repair.
+
+CiA 306 is an INI file in ASCII with numbers in C notation. Files in the wild are cp1252 or have a byte order mark,
+leave numbers empty, write them in other ways, count comment lines under another key, say things twice or spell keys
+in other cases. What can be meant in one way only is repaired; what cannot is left out. An empty default or limit is
+legal and brings no remark. Sections that no service of ours reads ([1003Name], [Tools], vendors' own) are read over.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+VARIABLE, ARRAY, RECORD = 7, 8, 9
+DOMAIN, HIGHEST_TYPE = 0x0F, 0x1B
+SIGNED_BITS = {0x02: 8, 0x03: 16, 0x04: 32, 0x10: 24, 0x12: 40, 0x13: 48, 0x14: 56, 0x15: 64}
+UNSIGNED_BITS = {0x01: 1, 0x05: 8, 0x06: 16, 0x07: 32, 0x16: 24, 0x18: 40, 0x19: 48, 0x1A: 56, 0x1B: 64}
+ACCESSES = {"ro", "wo", "rw", "rwr", "rww", "const"}
+ACCESS_WORDS = {"read only": "ro", "readonly": "ro", "write only": "wo", "writeonly": "wo", "r": "ro", "w": "wo",
+                "read/write": "rw", "readwrite": "rw", "wr": "rw", "r/w": "rw", "constant": "const"}  # fmt: skip
+TRUTH = {"yes": 1, "true": 1, "on": 1, "no": 0, "false": 0, "off": 0}
+
+_KEYS = {
+    key.lower(): key
+    for key in (
+        "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit", "PDOMapping",
+        "SubNumber", "CompactSubObj", "ParameterValue", "VendorName", "VendorNumber", "ProductName",
+        "ProductNumber", "RevisionNumber", "OrderCode", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity",
+        "DynamicChannelsSupported", "GroupMessaging", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported", "SupportedObjects",
+        *(f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
+    )
+}  # fmt: skip
+_OBJECT_KEYS = {
+    "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit", "PDOMapping",
+    "SubNumber", "CompactSubObj", "ParameterValue",
+}  # fmt: skip
+_DEVICE_TEXTS = {"VendorName", "ProductName", "OrderCode"}
+_DEVICE_NUMBERS = {
+    key for key in _KEYS.values() if key.startswith(("VendorNum", "ProductNum", "Revision", "BaudRate", "Simple"))
+} | {"Granularity", "DynamicChannelsSupported", "GroupMessaging", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"}
+_PLAIN_SECTIONS = {
+    name.lower(): name
+    for name in (
+        "FileInfo", "DeviceInfo", "DummyUsage", "Comments", "MandatoryObjects", "OptionalObjects",
+        "ManufacturerObjects",
+    )
+}  # fmt: skip
+_OBJECT = re.compile(r"^([0-9a-f]{4})$", re.IGNORECASE)
+_SUB = re.compile(r"^([0-9a-f]{4})\s*sub\s*([0-9a-f]{1,2})$", re.IGNORECASE)
+_NODE_ID = re.compile(r"\$?node_?id", re.IGNORECASE)
+
+
+class Remark(NamedTuple):
+    """Something in the file that is not as it should be. Line 0: the file as a whole."""
+
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"line {self.line}: {self.text}" if self.line else self.text
+
+
+@dataclass
+class Section:
+    """One section: where it began, and its keys with value and line."""
+
+    name: str
+    line: int
+    values: dict[str, tuple[str, int]] = field(default_factory=dict)
+
+    def text(self, key: str) -> str:
+        """A value, empty where there is none."""
+        return self.values[key][0] if key in self.values else ""
+
+    def line_of(self, key: str) -> int:
+        """Where a key stands; the section where it is missing."""
+        return self.values[key][1] if key in self.values else self.line
+
+
+def decode(raw: bytes) -> tuple[str, list[Remark]]:
+    """The text of a file in whatever encoding it is."""
+    for mark, name in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
+        if raw.startswith(mark):
+            return raw.decode(name, errors="replace"), [Remark(0, "is UTF-16, not ASCII")]
+    try:
+        return raw.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        return raw.decode("cp1252", errors="replace"), [
+            Remark(line, f"byte 0x{raw[error.start]:02X} is not UTF-8; the file is read as cp1252")
+        ]
+
+
+def tidy(text: str) -> tuple[str, list[Remark]]:
+    """The file as CiA 306 has it, and what was repaired or left out, by line."""
+    remarks: list[Remark] = []
+    sections = _read(text, remarks)
+    objects = {name: section for name, section in sections.items() if name not in _PLAIN_SECTIONS.values()}
+    for name in [name for name in objects if _SUB.match(name)]:
+        _give_parent(objects, name[:4], name, remarks)
+    kept = {name: section for name, section in objects.items() if _repair(section, remarks)}
+    lines = ["[FileInfo]", *_comments(sections, remarks), *_device_info(sections, remarks)]
+    if "DummyUsage" in sections:
+        lines += ["[DummyUsage]", *_dummies(sections["DummyUsage"], remarks)]
+    for name in sorted(kept, key=lambda name: (len(name) > 4, name)):  # an object before its sub-indices
+        lines.append(f"[{name}]")
+        lines += [f"{key}={value}" for key, (value, _) in kept[name].values.items() if key in _OBJECT_KEYS]
+    _check_lists(sections, kept, remarks)
+    return "\n".join(lines) + "\n", sorted(remarks)
+
+
+def number(text: str) -> int | None:
+    """A number in C notation and in the other ways in which it is found; None where it is none."""
+    compact = re.sub(r"[\s_]", "", text).lower().rstrip("ul")
+    if re.fullmatch(r"[+-]?0x[0-9a-f]+|[+-]?[1-9][0-9]*|[+-]?0", compact):
+        return int(compact, 0)
+    if re.fullmatch(r"[0-9][0-9a-f]*h", compact):
+        return int(compact[:-1], 16)
+    if re.fullmatch(r"0[0-7]+", compact):
+        return int(compact, 8)
+    if re.fullmatch(r"[+-]?[0-9]+(\.0*)?", compact):
+        return int(float(compact))
+    return TRUTH.get(compact)
+
+
+# --- reading
+
+
+def _read(text: str, remarks: list[Remark]) -> dict[str, Section]:
+    sections: dict[str, Section] = {}
+    current: Section | None = None
+    for line, raw in enumerate(text.splitlines(), 1):
+        content = raw.strip().strip("\0\ufeff\x1a")
+        if not content or content[0] in ";#":
+            continue
+        if content[0] == "[":
+            current = _open(sections, content, line, remarks)
+            continue
+        key, equals, value = content.partition("=")
+        if not equals:
+            remarks.append(Remark(line, f"{content[:40]!r} is neither a section nor a key; left out"))
+        elif current is None:
+            remarks.append(Remark(line, f"key {key.strip()!r} stands before the first section; left out"))
+        else:
+            _take(current, key.strip(), value.partition(";")[0].strip(), line, remarks)
+    return sections
+
+
+def _open(sections: dict[str, Section], content: str, line: int, remarks: list[Remark]) -> Section:
+    if "]" not in content:
+        remarks.append(Remark(line, f"section {content!r} lacks its closing bracket"))
+    name = _canonical(content[1:].partition("]")[0].strip())
+    if name in sections:
+        remarks.append(Remark(line, f"section [{name}] begins again (first in line {sections[name].line}): joined"))
+        return sections[name]
+    section = Section(name, line)
+    if name in _PLAIN_SECTIONS.values() or _OBJECT.match(name) or _SUB.match(name):
+        sections[name] = section
+    return section
+
+
+def _canonical(name: str) -> str:
+    if name.lower() in _PLAIN_SECTIONS:
+        return _PLAIN_SECTIONS[name.lower()]
+    if match := _SUB.match(name):
+        return f"{match[1].upper()}sub{int(match[2], 16):X}"
+    return name.upper() if _OBJECT.match(name) else name
+
+
+def _take(section: Section, key: str, value: str, line: int, remarks: list[Remark]) -> None:
+    name = _KEYS.get(key.lower(), key)
+    if name in section.values:
+        if section.values[name][0] != value:
+            first = section.values[name][1]
+            remarks.append(Remark(line, f"{name} of [{section.name}] is given twice; line {first} counts"))
+        return
+    section.values[name] = (value, line)
+
+
+# --- sections that are no objects
+
+
+def _comments(sections: dict[str, Section], remarks: list[Remark]) -> Iterator[str]:
+    section = sections.get("Comments")
+    if section is None:
+        return
+    numbered = [(k, value) for k, (value, _) in section.values.items() if re.fullmatch(r"(?i)lines?\d+", k)]
+    odd = next((k for k, _ in numbered if k.lower().startswith("lines")), None)
+    if odd is not None:
+        remarks.append(Remark(section.line_of(odd), f"[Comments] has {odd}=, where Line{odd[5:]}= is meant"))
+    counted = number(section.text("Lines"))
+    if counted != len(numbered):
+        told = section.text("Lines") or "nothing"
+        remarks.append(Remark(section.line_of("Lines"), f"[Comments] says Lines={told}, there are {len(numbered)}"))
+    yield "[Comments]"
+    yield f"Lines={len(numbered)}"
+    yield from (f"Line{place}={value}" for place, (_, value) in enumerate(numbered, 1))
+
+
+def _device_info(sections: dict[str, Section], remarks: list[Remark]) -> Iterator[str]:
+    section = sections.get("DeviceInfo")
+    if section is None:
+        return
+    yield "[DeviceInfo]"
+    for key, (text, line) in section.values.items():
+        if key in _DEVICE_TEXTS:
+            yield f"{key}={text}"
+        if key not in _DEVICE_NUMBERS:
+            continue
+        value = number(text)
+        if value is None:
+            remarks.append(Remark(line, f"{key} of [DeviceInfo] {_no_number(text)}; left out"))
+            continue
+        if not _plain(text):
+            remarks.append(Remark(line, f"{key}={text} of [DeviceInfo] is read as {value}"))
+        yield f"{key}={value}"
+
+
+def _dummies(section: Section, remarks: list[Remark]) -> Iterator[str]:
+    for data_type in range(1, 8):
+        key = next((k for k in section.values if k.lower() == f"dummy{data_type:04d}"), "")
+        value = number(section.text(key)) if key else 0
+        if value is None:
+            remarks.append(Remark(section.line_of(key), f"{key} {_no_number(section.text(key))}"))
+        yield f"Dummy{data_type:04d}={value or 0}"
+
+
+def _check_lists(sections: dict[str, Section], kept: dict[str, Section], remarks: list[Remark]) -> None:
+    for title in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
+        section = sections.get(title)
+        for key, (text, line) in section.values.items() if section else ():
+            index = number(text)
+            if key.isdecimal() and index and f"{index:04X}" not in kept:
+                remarks.append(Remark(line, f"[{title}] lists 0x{index:04X}, which is not described"))
+
+
+# --- objects
+
+
+def _give_parent(objects: dict[str, Section], parent: str, child: str, remarks: list[Remark]) -> None:
+    """A sub-index needs an object that can have some."""
+    line = objects[child].line
+    if parent not in objects:
+        remarks.append(Remark(line, f"[{child}] has no section [{parent}] above it; taken for a record"))
+        objects[parent] = Section(parent, line, {"ParameterName": (f"object 0x{parent}", line)})
+    section = objects[parent]
+    if number(section.text("ObjectType")) not in (ARRAY, RECORD):
+        if section.text("ObjectType"):
+            told = section.text("ObjectType")
+            remarks.append(Remark(section.line_of("ObjectType"), f"0x{parent} has sub-indices, but ObjectType={told}"))
+        section.values["ObjectType"] = (f"0x{RECORD:X}", section.line_of("ObjectType"))
+
+
+def _repair(section: Section, remarks: list[Remark]) -> bool:
+    """Make an object's section readable. False: it is left out."""
+    if not section.text("ParameterName"):
+        remarks.append(Remark(section.line_of("ParameterName"), f"[{section.name}] has no ParameterName"))
+        section.values["ParameterName"] = (f"object 0x{section.name}", section.line)
+    for key in ("ObjectType", "SubNumber", "CompactSubObj", "PDOMapping", "DataType"):
+        _repair_number(section, key, remarks)
+    if number(section.text("CompactSubObj") or "0") == 0:
+        section.values.pop("CompactSubObj", None)
+    kind = number(section.text("ObjectType") or str(VARIABLE))
+    if kind in (ARRAY, RECORD) and not section.text("CompactSubObj") and not _SUB.match(section.name):
+        return True
+    if not section.text("DataType"):
+        remarks.append(Remark(section.line_of("DataType"), f"[{section.name}] has no DataType; left out"))
+        return False
+    _repair_access(section, remarks)
+    data_type = number(section.text("DataType")) or 0
+    if data_type > HIGHEST_TYPE:
+        remarks.append(
+            Remark(section.line_of("DataType"), f"[{section.name}] has the unknown DataType 0x{data_type:04X}")
+        )
+        section.values["DataType"] = (str(DOMAIN), section.line_of("DataType"))
+    for key in ("DefaultValue", "ParameterValue", "LowLimit", "HighLimit"):
+        _repair_value(section, key, data_type, remarks)
+    return True
+
+
+def _repair_number(section: Section, key: str, remarks: list[Remark]) -> None:
+    if key not in section.values:
+        return
+    text, line = section.values[key]
+    value = number(text)
+    if value is None:
+        section.values[key] = ("", line)
+        if key != "DataType":
+            del section.values[key]
+        if text or key == "PDOMapping":
+            remarks.append(Remark(line, f"{key} of [{section.name}] {_no_number(text)}"))
+    elif not _plain(text):
+        section.values[key] = (str(value), line)
+        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as {value}"))
+
+
+def _repair_access(section: Section, remarks: list[Remark]) -> None:
+    text, line = section.text("AccessType"), section.line_of("AccessType")
+    access = text.lower()
+    if access not in ACCESSES:
+        access = ACCESS_WORDS.get(access, "rw")
+        remarks.append(
+            Remark(line, f"AccessType of [{section.name}] is {repr(text) if text else 'empty'}; read as {access}")
+        )
+    section.values["AccessType"] = (access, line)
+
+
+def _repair_value(section: Section, key: str, data_type: int, remarks: list[Remark]) -> None:
+    """A default or limit: what does not fit its type is left out; empty means that there is none."""
+    if key not in section.values:
+        return
+    text, line = section.values[key]
+    bits = SIGNED_BITS.get(data_type) or UNSIGNED_BITS.get(data_type)
+    if not text:
+        del section.values[key]
+        return
+    if bits is None:
+        return
+    relative = bool(_NODE_ID.search(text))
+    rest = _NODE_ID.sub("", text).replace(" ", "").strip("+") if relative else text
+    value = number(rest) if rest else 0
+    if value is not None and data_type in SIGNED_BITS and 1 << bits - 1 <= value < 1 << bits:
+        value -= 1 << bits  # in hexadecimal
+    elif value is not None and data_type in UNSIGNED_BITS and -(1 << bits - 1) <= value < 0:
+        value += 1 << bits
+        remarks.append(
+            Remark(line, f"{key}={text} of [{section.name}] is negative in an unsigned type; read as {value}")
+        )
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if data_type in SIGNED_BITS else (0, (1 << bits) - 1)
+    if value is None or not low <= value <= high:
+        del section.values[key]
+        why = "is no number" if value is None else f"does not fit {bits} bits"
+        remarks.append(Remark(line, f"{key}={text} of [{section.name}] {why}; left out"))
+        return
+    if relative and "$" not in text:
+        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as $NODEID+{value}"))
+    elif not relative and not _plain(text):
+        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as {value}"))
+    section.values[key] = (f"$NODEID+{value}" if relative else str(value), line)
+
+
+def _plain(text: str) -> bool:
+    """As CiA 306 writes numbers; leading zeros (octal there, decimal for most who write them) are not plain."""
+    return bool(re.fullmatch(r"[+-]?(0[xX][0-9a-fA-F]+|0|[1-9][0-9]*)", text))
+
+
+def _no_number(text: str) -> str:
+    return f"is {text!r}, which is no number" if text else "is empty"
