@@ -1,8 +1,8 @@
 """Fit a model to logs of one axis: parameters with honest uncertainties, residuals, frequency response.
 
 LOG is a recording (MCAP) or a table (CSV, CSV.GZ, MAT); several are fitted together. --drive is a YAML file of declared
-facts (torque constant, resolver, columns of foreign logs). Writes DIR/model.yaml, which a controller can run, and
-DIR/report.json.
+facts (torque constant, resolver, columns of foreign logs). Writes DIR/model.yaml, which a controller can run, and the
+page DIR/report.html with DIR/report.json; --svg also draws every figure of the page.
 """
 
 from __future__ import annotations
@@ -16,18 +16,26 @@ from typing import Any
 from ..identification.dataset import load_records
 from ..identification.facts import read_facts
 from ..identification.fit import FitSettings, fit_records
+from ..identification.residuals import run_residuals
 from ..identification.results import model_file, report
 from ..model.parameters import write_model
+from ..report.identify import IdentifySource, identify_report
+from ..report.page import refuse_other_report, write_report
 from .progress import progress_bar
+
+FIGURES = "figures"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("logs", metavar="LOG", nargs="+", help="recordings or tables of one axis")
     parser.add_argument("--drive", required=True, metavar="FILE", help="declared facts about the drive (YAML)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="directory for model.yaml and report.json")
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="directory for model.yaml, report.html and report.json"
+    )
     parser.add_argument("--name", help="name of the model (default: the directory's)")
     parser.add_argument("--offset", action="store_true", help="fit a constant torque beside the model")
+    parser.add_argument("--svg", action="store_true", help=f"draw each figure as DIR/{FIGURES}/NAME.svg too")
     parser.add_argument("--json", action="store_true", help="print the parameters as JSON")
 
 
@@ -35,34 +43,50 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     facts = read_facts(options.drive)
     out = Path(options.out)
+    refuse_other_report(out, "identify")
     records = load_records(options.logs, facts)
     for record in records:
         for warning in record.warnings:
             print(f"warning: {warning}", file=sys.stderr)
     with progress_bar("identify", options.json) as bar:
-        progress = None if bar is None else lambda share, _: bar(0.9 * share)
+        progress = None if bar is None else lambda share, _: bar(0.85 * share)
         fit = fit_records(records, FitSettings(with_offset=options.offset), facts.rated_current_a, progress)
-        result = report(fit, records, facts)
-    out.mkdir(parents=True, exist_ok=True)
-    write_model(out / "model.yaml", model_file(fit, records, options.name or out.resolve().name))
-    (out / "report.json").write_text(json.dumps(result), encoding="utf-8")
+        runs = run_residuals(records, fit.physical)
+        result = report(fit, records, facts, runs)
+        if bar is not None:
+            bar(0.95)
+        out.mkdir(parents=True, exist_ok=True)
+        name = options.name or out.resolve().name
+        write_model(out / "model.yaml", model_file(fit, records, name))
+        source = IdentifySource(name, facts, Path(options.drive), out / "model.yaml")
+        page = identify_report(source, fit, records, runs, result)
+        paths = write_report(page, out)
+    if options.svg:
+        from ..report.static import write_figures  # loads slowly
+
+        write_figures(page.figures, out / FIGURES)
     if options.json:
-        print(
-            json.dumps({key: result[key] for key in ("parameters", "doubts", "warnings", "sensor_delay_s")}, indent=2)
-        )
+        keys = ("parameters", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
+        print(json.dumps({key: result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
     else:
-        _print(result, out)
+        _print(result)
+        print(out / "model.yaml")
+        print(paths.page)
     return 0
 
 
-def _print(result: dict[str, Any], out: Path) -> None:
+def _print(result: dict[str, Any]) -> None:
     for row in result["parameters"]:
         if not row["fitted"]:
             continue
         sd = "at a bound" if row["sd"] is None else f"{row['sd']:.2g}"
         print(f"{row['symbol']:>10} {row['value']:>12.5g} +- {sd:<10} {row['unit']}")
     if result["sensor_delay_s"] is not None:
-        print(f"velocity is {1e3 * result['sensor_delay_s']:.3g} ms behind the position; Td above is without it")
+        sd_s = result["sensor_delay_sd_s"]
+        spread = "" if sd_s is None else f" +- {1e3 * sd_s:.2g}"
+        print(
+            f"velocity is {1e3 * result['sensor_delay_s']:.4g}{spread} ms behind the position; Td above is without it"
+        )
     for name, run in result["residuals"].items():
         print(
             f"{name}: torque residual {run['torque_rms_nm']:.3g} ({run['torque_relative_percent']:.2f} %), velocity "
@@ -72,5 +96,3 @@ def _print(result: dict[str, Any], out: Path) -> None:
         print(f"not known: {doubt['symbol']}: {doubt['reason']}; what would tell it: {doubt['excitation']}")
     for warning in result["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
-    print(out / "model.yaml")
-    print(out / "report.json")

@@ -1,7 +1,8 @@
 """Choose gains for a fitted model: PI, observer gain, margins with the delay, and how much friction may vary.
 
-Writes DIR/controller.yaml, the `controller:` section of an axis file, and DIR/tuning.json; with --axis also a whole
-axis file, DIR/AXIS, that runs the model with these gains.
+Writes DIR/controller.yaml, the `controller:` section of an axis file, and the page DIR/report.html with its
+report.json; with --axis also a whole axis file, DIR/AXIS, that runs the model with these gains; --svg draws every
+figure of the page.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,11 @@ from ..control.stability import LinearAxis
 from ..documents import parse, read_text
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
 from ..model.parameters import ModelFile, read_model
+from ..report.page import refuse_other_report, write_report
+from ..report.tune import TuneSource, tune_report
+from ..report.tune_figures import Tuning
 
+FIGURES = "figures"
 LOCUS_POINTS = 61
 STEP_S = 0.4
 
@@ -43,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--current-limit-a", type=float, help="of the controller section (default: the axis file's, or 10)"
     )
+    parser.add_argument("--svg", action="store_true", help=f"draw each figure as DIR/{FIGURES}/NAME.svg too")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -56,18 +63,47 @@ def execute(options: argparse.Namespace) -> int:
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish)
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
+    refuse_other_report(out, "tune")
     out.mkdir(parents=True, exist_ok=True)
     section = controller_section(found, limit_a)
-    (out / "controller.yaml").write_text(yaml.safe_dump({"controller": section}, sort_keys=False), encoding="utf-8")
+    text = yaml.safe_dump({"controller": section}, sort_keys=False)
+    written = [out / "controller.yaml"]
+    written[0].write_text(text, encoding="utf-8")
     result = summarise(found, axis)
-    (out / "tuning.json").write_text(json.dumps(result), encoding="utf-8")
     if options.axis:
-        _write_axis(Path(options.axis), out, section, Path(options.model))
+        written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
+    commands = _commands(written[-1] if options.axis else None, Path(options.model))
+    source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands)
+    page = tune_report(source, Tuning(axis, found, wish, model.friction_config()), result)
+    paths = write_report(page, out)
+    if options.svg:
+        from ..report.static import write_figures  # loads slowly
+
+        write_figures(page.figures, out / FIGURES)
     if options.json:
-        print(json.dumps({key: result[key] for key in result if key not in ("root_locus", "step")}, indent=2))
+        shown = {key: result[key] for key in result if key not in ("root_locus", "step")}
+        print(json.dumps(shown | {"report": str(paths.page)}, indent=2))
     else:
-        _print(found, out)
+        _print(found)
+        for path in (*written, paths.page):
+            print(path)
     return 0
+
+
+def _commands(axis: Path | None, model: Path) -> list[str]:
+    """What to type next."""
+    if axis is None:
+        return [
+            f"# into an axis file: `model: {model}` and the section above; then",
+            "fffo-drive config check AXIS.yaml",
+            "fffo-drive run AXIS.yaml",
+        ]
+    place = shlex.quote(str(axis))
+    return [
+        f"fffo-drive config check {place}   # every error at once, margins, the sum for the bus",
+        f"fffo-drive run {place} --toggle ff   # one profile, recorded",
+        f"fffo-drive run {place} --toggle off  # the same under PI alone",
+    ]
 
 
 def linear_axis(model: ModelFile, period_s: float) -> LinearAxis:
@@ -125,7 +161,7 @@ def _rounded(value: float) -> float:
     return float(f"{value * (1.0 + 5e-5):.4g}")
 
 
-def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> None:
+def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:
     """A copy of an axis file with other gains and another model; keys of the section that are not tuned are kept."""
     data, _ = parse(read_text(source), str(source))
     kept = data["controller"]
@@ -137,9 +173,10 @@ def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -
     target = out / source.name
     target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     read_axis(target)
+    return target
 
 
-def _print(found: Design, out: Path) -> None:
+def _print(found: Design) -> None:
     g = found.gains
     print(
         f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "
@@ -159,4 +196,3 @@ def _print(found: Design, out: Path) -> None:
           f"{found.within_margins.ratio:.3g}:1 within the margins")  # fmt: skip
     for warning in found.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    print(out / "controller.yaml")

@@ -42,6 +42,7 @@ class Column(Record):
     label: str
     unit: str = ""
     group: str = ""
+    words: Annotated[bool, Field(description="texts, not numbers")] = False
 
 
 class Cell(Record):
@@ -71,6 +72,15 @@ class Table(Record):
     corner: Annotated[str, Field(description="heading of the column of labels")] = ""
     columns: list[Column]
     rows: list[Row]
+
+
+class Listing(Record):
+    """A text that is to be copied: a file that was written, or commands."""
+
+    name: str
+    title: str
+    note: str
+    text: str
 
 
 class SourceFile(Record):
@@ -111,6 +121,7 @@ class ReportFile(Record):
     title: str
     verdict: Verdict
     tables: list[Table]
+    listings: list[Listing] = Field(default_factory=list)
     figures: list[FigureEntry]
     provenance: Provenance
     results: Annotated[dict[str, Any], Field(description="what the kind of report adds for programs")] = Field(
@@ -139,6 +150,7 @@ class Report:
     sections: tuple[Section, ...]
     provenance: Provenance
     results: dict[str, Any] = field(default_factory=dict)
+    listings: tuple[Listing, ...] = ()
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -159,8 +171,8 @@ class Report:
             for f in self.figures
         ]  # fmt: skip
         return ReportFile(
-            kind=self.kind, title=self.title, verdict=self.verdict, tables=list(self.tables), figures=entries,
-            provenance=self.provenance, results=self.results,
+            kind=self.kind, title=self.title, verdict=self.verdict, tables=list(self.tables),
+            listings=list(self.listings), figures=entries, provenance=self.provenance, results=self.results,
         )  # fmt: skip
 
 
@@ -186,6 +198,13 @@ def significant(value: float, digits: int = 3) -> str:
     if -5 < exponent < 6:
         return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "\u2212")
     return f"{value:.{digits - 1}e}".replace("-", "\u2212")
+
+
+def interval_text(low: float, high: float) -> str:
+    """Ends of an interval with so many digits that they differ by about ten in the last place, at least three."""
+    width, size = abs(high - low), max(abs(low), abs(high))
+    digits = 3 if width == 0.0 or size == 0.0 else max(3, math.ceil(math.log10(size / width)) + 1)
+    return f"{low:.{digits}g} to {high:.{digits}g}".replace("-", "\u2212")
 
 
 def source_file(name: str, data: bytes, text: bool = False) -> SourceFile:

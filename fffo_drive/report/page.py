@@ -12,8 +12,9 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from ..documents import DocumentError
 from . import palette
-from .document import Column, Report
+from .document import Column, Report, interval_text
 from .encoding import encode_figures
 
 PAGE_NAME = "report.html"
@@ -38,6 +39,19 @@ def write_report(report: Report, directory: Path) -> ReportPaths:
     content = report.file().model_dump(mode="json", exclude_none=True)
     paths.json.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return paths
+
+
+def refuse_other_report(directory: Path, kind: str) -> None:
+    """Raises DocumentError where a directory already holds a report of another kind, which would be overwritten."""
+    path = directory / JSON_NAME
+    try:
+        found = json.loads(path.read_text(encoding="utf-8")).get("kind")
+    except (FileNotFoundError, ValueError, AttributeError):
+        return
+    if found not in (None, kind):
+        raise DocumentError(
+            f"{directory}: holds the report of `{found}`, which would be overwritten; give `{kind}` another --out"
+        )
 
 
 def render_page(report: Report) -> str:
@@ -80,6 +94,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["column_groups"] = column_groups
+    environment.globals["interval_text"] = interval_text
     return environment
 
 

@@ -34,6 +34,15 @@ def write_figure(figure: Figure, path: Path, dark: bool = False) -> None:
     write_overview([[figure]], [path], dark)
 
 
+def write_figures(figures: Sequence[Figure], directory: Path) -> list[Path]:
+    """Each figure as an SVG file of its name, in a directory that is made."""
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = [directory / f"{figure.name}.svg" for figure in figures]
+    for figure, path in zip(figures, paths, strict=True):
+        write_figure(figure, path)
+    return paths
+
+
 def write_overview(rows: Sequence[Sequence[Figure]], paths: Sequence[Path], dark: bool = False) -> None:
     """Rows of figures on one sheet, of the same look as the page, in each format that a path asks for."""
     with _look(dark):

@@ -1,0 +1,379 @@
+"""The report of a diagnosis: what the model lacks, how sure that is, what it was confused with, and the error removed.
+
+The page comes from a `Diagnosis`; report.json beside it is the stable schema of `diagnosis.results.report`, with `kind`
+added, so that programs read one file and people the other.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
+from ..model.parameters import ModelFile
+from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
+from .document import (
+    Cell,
+    Column,
+    Listing,
+    Provenance,
+    Report,
+    Row,
+    Section,
+    Standing,
+    Table,
+    Verdict,
+    number,
+    significant,
+)
+from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
+
+KIND = "diagnose"
+NORMAL_95 = 1.96
+SHOWN_RIVALS = 4
+SHOWN_REJECTED = 15
+LISTING_WIDTH = 110
+DASH = Cell(text="–")
+LINEAR_UNITS = {
+    "Nm": "N", "Nm/rps": "N s/m", "rps": "m/s", "1/rev": "1/m", "Nm/rev": "N/m", "Nm s²/rev²": "N s²/m²", "rev": "m",
+}  # fmt: skip
+MODEL_ROWS = {
+    "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
+    "coulomb_nm": ("Fc, Coulomb level", "Nm"),
+    "static_nm": ("Fs, level at the lowest speed", "Nm"),
+    "stribeck_velocity_rps": ("Vs, Stribeck velocity", "rps"),
+    "stribeck_exponent": ("δ, Stribeck exponent", ""),
+    "stiffness_per_rev": ("K, presliding", "1/rev"),
+    "attraction_nm_per_rev": ("B, frictional lag", "Nm/rev"),
+}
+
+
+class DiagnosisSource(NamedTuple):
+    """What is diagnosed, and where it comes from."""
+
+    name: str
+    provenance: Provenance
+    model_path: str = ""  # of the updated model file; empty where none was written
+
+
+def write_diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis, directory: Path) -> ReportPaths:
+    """Write report.html and report.json into a directory that exists."""
+    paths = ReportPaths(directory / PAGE_NAME, directory / JSON_NAME)
+    paths.page.write_text(render_page(diagnosis_report(source, diagnosis)), encoding="utf-8")
+    content = {"kind": KIND, **report(diagnosis), "provenance": source.provenance.model_dump(mode="json")}
+    paths.json.write_text(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+    return paths
+
+
+def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
+    """The report of a diagnosis."""
+    words = words_of(diagnosis)
+    accepted = [finding for finding in diagnosis.findings if finding.accepted]
+    rejected = [finding for finding in diagnosis.findings if not finding.accepted]
+    tables = [_found(accepted)] if accepted else []
+    tables += [_before_after(diagnosis, accepted, words)]
+    tables += [_parameters(accepted)] if any(finding.parameters for finding in accepted) else []
+    tables += [_rivals(accepted)] if any(finding.rivals for finding in accepted) else []
+    tables += [_channels(diagnosis)] if diagnosis.channels else []
+    tables += [_rejected(rejected)] if rejected else []
+    tables += [_base(diagnosis)]
+    channels = channel_figure(diagnosis.channels)
+    sections = (
+        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted)),
+        Section(
+            "Before and after",
+            f"Residual {words.torque} of each run: of the base model, and with everything that was accepted.",
+            run_figures(diagnosis.runs, words),
+        ),
+        Section("Where the residual lives", "Before and after, axis by axis.", (channels,) if channels else ()),
+    )
+    runs = f"fitted on {_names(diagnosis.fit_names)}" + (
+        f", held out {_names(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", nothing held out"
+    )
+    return Report(
+        kind=KIND,
+        title=f"Diagnosis of {source.name}",
+        subtitle=f"{runs}; {diagnosis.seconds:.0f} s of computing.",
+        verdict=_verdict(diagnosis, accepted, source),
+        tables=tuple(tables),
+        sections=tuple(section for section in sections if section.figures),
+        provenance=source.provenance,
+        listings=(*_reasons(accepted), *_experiments(accepted)),
+    )
+
+
+def _verdict(diagnosis: Diagnosis, accepted: Sequence[Finding], source: DiagnosisSource) -> Verdict:
+    cautions = list(diagnosis.cautions)
+    if diagnosis.before is None:
+        cautions.append("Nothing was held out: the errors are those of the runs that were fitted.")
+    standing: Standing = "caution" if cautions or diagnosis.verdict == "unexplained" else "good"
+    reasons = [_reason(finding) for finding in accepted]
+    rate = 100.0 * diagnosis.false_alarm_rate
+    reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
+    if diagnosis.ceiling.explained_of_explainable is not None:
+        share = 100.0 * diagnosis.ceiling.explained_of_explainable
+        reasons.append(f"{share:.0f} % of what any model could explain is explained ({diagnosis.ceiling.note}).")
+    if source.model_path and accepted:
+        reasons.append(f"The model with it is in {source.model_path}; `fffo-drive adopt` puts it in service.")
+    return Verdict(standing=standing, headline=diagnosis.headline, reasons=reasons, cautions=cautions)
+
+
+def _reason(finding: Finding) -> str:
+    family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
+    share = 100.0 * finding.explained_fraction
+    return (
+        f"{finding.name}{family}. It explains {share:.0f} % of the squared residual that was left; chance "
+        f"would do so with p = {significant(finding.false_alarm_probability, 2)}. Acts in: {finding.regime}."
+    )
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def _found(accepted: Sequence[Finding]) -> Table:
+    columns = [
+        Column(label="explains", unit="%"),
+        Column(label="size", unit="% of friction"),
+        Column(label="false alarm", unit="p"),
+        Column(label="not told from", words=True),
+        Column(label="axis", words=True),
+        Column(label="acts in", words=True),
+        Column(label="feed-forward", words=True),
+    ]
+    rows = [
+        Row(
+            label=finding.name,
+            cells=[
+                number(100.0 * finding.explained_fraction),
+                number(finding.strength_percent),
+                number(finding.false_alarm_probability, 2),
+                Cell(text=", ".join(finding.alternatives) or "–"),
+                Cell(text=finding.axis.replace("_", " ")),
+                Cell(text=finding.regime),
+                Cell(text="compensates it" if finding.compensable else "cannot"),
+            ],
+        )
+        for finding in accepted
+    ]
+    note = (
+        "In the order of what they explain: share of the squared residual of the fit runs that those above have left. "
+        "The probability of a false alarm is over the whole search."
+    )
+    return Table(name="found", title="What the model lacks", note=note, corner="Effect", columns=columns, rows=rows)
+
+
+def _interval(found: Interval | None) -> Cell:
+    if found is None:
+        return DASH
+    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+        return number(found.value)
+    return number(found.value, low=found.low, high=found.high)
+
+
+def _scaled(found: Interval, factor: float) -> Interval:
+    return Interval(found.value * factor, found.low * factor, found.high * factor)
+
+
+def _errors(figures: ErrorFigures | None, words: Words) -> list[Cell]:
+    if figures is None:
+        return [DASH] * 3
+    torque = _scaled(figures.torque_rms_nm, words.torque_scale)
+    velocity = _scaled(figures.velocity_rms_rps, words.speed_scale)
+    return [_interval(figures.torque_relative_percent), _interval(torque), _interval(velocity)]
+
+
+def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Words) -> Table:
+    labels = [(words.torque, "%"), (words.torque, words.small_torque), ("velocity", words.small_speed)]
+    columns = [Column(label=a, unit=b, group=group) for group in ("before", "after") for a, b in labels]
+    names = {finding.name for finding in accepted}
+    pairs = [("held out", diagnosis.before, diagnosis.after)]
+    pairs += [(f.name, f.regime_before, f.regime_after) for f in accepted]
+    pairs.append(("fitted runs", diagnosis.fit_before, diagnosis.fit_after))
+    rows = [
+        Row(
+            label=label,
+            unit=f"{before.seconds:.3g} s" if before else "hardly acts there",
+            cells=_errors(before, words) + _errors(after, words),
+        )
+        for label, before, after in pairs
+        if before is not None or label in names
+    ]
+    ceiling = diagnosis.ceiling
+    floor = ""
+    if ceiling.noise_rms_nm is not None:
+        rms = significant(ceiling.noise_rms_nm * words.torque_scale)
+        floor = f" What does not repeat: {rms} {words.small_torque} rms."
+    note = (
+        f"Residual {words.torque}, of the motor's and as rms; velocity of a free simulation over short windows. "
+        "95 % intervals from whole windows that are drawn again. Below the held-out runs: where each effect acts in "
+        "them. "
+        f"{ceiling.note.capitalize()}.{floor}"
+    )
+    return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
+
+
+def _parameters(accepted: Sequence[Finding]) -> Table:
+    rows = []
+    for finding in accepted:
+        for one in finding.parameters:
+            reach = None if one.sd is None else NORMAL_95 * one.sd
+            low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
+            name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")
+            rows.append(Row(label=name, unit=one.unit, cells=[number(one.value, 4, low, high)]))
+    return Table(
+        name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
+        columns=[Column(label="value")],
+        note="Refitted together with everything else; 95 % intervals where a parameter was fitted and not searched.",
+    )  # fmt: skip
+
+
+def _rivals(accepted: Sequence[Finding]) -> Table:
+    columns = [Column(label="loss in its place"), Column(label="collinearity"), Column(label="told apart", words=True)]
+    rows = [
+        Row(
+            label=f"{rival.name} for {finding.name}",
+            cells=[
+                number(rival.loss_ratio, 4),
+                number(rival.collinearity, 2),
+                Cell(text="no: one family" if rival.same_family else "yes"),
+            ],
+        )
+        for finding in accepted
+        for rival in finding.rivals[:SHOWN_RIVALS]
+    ]
+    note = (
+        "Each was refitted in the place of the finding, all parameters free. A loss above 1 is worse than its; "
+        "collinearity is between the torques of the two once what the base model can take in is taken out."
+    )
+    return Table(
+        name="rivals", title="What it was confused with", note=note, corner="Rival", columns=columns, rows=rows
+    )
+
+
+def _channels(diagnosis: Diagnosis) -> Table:
+    columns = [
+        Column(label="explained", unit="%", group="before"), Column(label="beyond chance", words=True, group="before"),
+        Column(label="explained", unit="%", group="after"), Column(label="beyond chance", words=True, group="after"),
+        Column(label="samples"),
+    ]  # fmt: skip
+    rows = [
+        Row(
+            label=channel.name.replace("_", " "),
+            cells=[
+                number(100.0 * channel.explained_before),
+                Cell(text="yes" if channel.significant_before else "no"),
+                number(100.0 * channel.explained_after),
+                Cell(text="yes" if channel.significant_after else "no"),
+                number(float(channel.samples), 6),
+            ],
+        )
+        for channel in diagnosis.channels
+    ]
+    note = "What a free curve over one axis, or the mean after an event, explains of the squared residual."
+    return Table(
+        name="channels", title="Where the residual lives", note=note, corner="Axis", columns=columns, rows=rows
+    )
+
+
+def _rejected(rejected: Sequence[Finding]) -> Table:
+    columns = [
+        Column(label="would explain", unit="%"),
+        Column(label="false alarm", unit="p"),
+        Column(label="why not", words=True),
+    ]
+    rows = [
+        Row(
+            label=finding.name,
+            cells=[
+                number(100.0 * finding.explained_fraction, 2),
+                number(finding.false_alarm_probability, 2),
+                Cell(text=finding.reason),
+            ],
+        )
+        for finding in rejected[:SHOWN_REJECTED]
+    ]
+    return Table(
+        name="rejected",
+        title="Looked at and not accepted",
+        note="Nearest first.",
+        corner="Effect",
+        columns=columns,
+        rows=rows,
+    )
+
+
+def _base(diagnosis: Diagnosis) -> Table:
+    def unit(text: str) -> str:
+        return LINEAR_UNITS.get(text, text) if diagnosis.units == "linear" else text
+
+    rows = [Row(label="J, inertia", unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))]
+    if diagnosis.units == "linear":  # the file keeps kg m² at 2 pi; the mass is what people know
+        rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
+    rows.append(Row(label="Td, delay", unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
+    for name, (label, text) in MODEL_ROWS.items():
+        rows.append(Row(label=label, unit=unit(text), cells=_model_cells(diagnosis, name)))
+    return Table(
+        name="base", title="Base model", corner="Parameter", rows=rows,
+        columns=[Column(label="before"), Column(label="with the effects")],
+        note="All are refitted with each effect; 95 % intervals where a parameter was fitted.",
+    )  # fmt: skip
+
+
+def _model_cells(diagnosis: Diagnosis, name: str, factor: float = 1.0) -> list[Cell]:
+    return [_quantity(model, name, factor) for model in (diagnosis.model_before, diagnosis.model_after)]
+
+
+def _quantity(model: ModelFile, name: str, factor: float) -> Cell:
+    quantity = getattr(model, name) if hasattr(model, name) else getattr(model.friction, name)
+    value = quantity.value * factor
+    if quantity.sd is None:
+        return number(value, 4)
+    reach = NORMAL_95 * quantity.sd * factor
+    return number(value, 4, low=value - reach, high=value + reach)
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, LISTING_WIDTH, subsequent_indent="    ")
+
+
+def _reasons(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
+    if not accepted:
+        return ()
+    text = "\n".join(_wrapped(f"{finding.name}: {finding.reason}") for finding in accepted)
+    note = "On the fitted runs alone; the held-out runs decide nothing."
+    return (Listing(name="reasons", title="Why each was accepted", note=note, text=text),)
+
+
+def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
+    open_ = [finding for finding in accepted if finding.alternatives]
+    if not open_:
+        return ()
+    text = "\n".join(_wrapped(f"{_names([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
+    note = "What tells the members of a family apart; `fffo-drive run` can run it."
+    return (Listing(name="experiments", title="What would decide", note=note, text=text),)
+
+
+def _plain(content: Any) -> Any:
+    """Records, arrays and numpy numbers as JSON has them; None for a number that is not finite."""
+    if isinstance(content, dict):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple, np.ndarray)):
+        return [_plain(value) for value in _items(content)]
+    if isinstance(content, (bool, np.bool_)):
+        return bool(content)
+    if isinstance(content, (int, np.integer)):
+        return int(content)
+    if isinstance(content, (float, np.floating)):
+        return float(content) if math.isfinite(content) else None
+    return content if content is None else str(content)
+
+
+def _items(content: Any) -> Iterator[Any]:
+    yield from content

@@ -1,0 +1,137 @@
+"""Figures of a diagnosis: each effect over the axis on which it lives, the residual of each run, where it lives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, RunFigure
+from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
+
+SHOWN_CHANNELS = 12
+SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angle": "output", "acceleration": "accel."}
+BEFORE, AFTER, LAW = "grey", "blue", "orange"
+POINTS = (BEFORE, AFTER, "green", "purple")
+LINES = (LAW, "ink", "purple", "green")
+
+
+class Words(NamedTuple):
+    """What quantities are called on this kind of axis."""
+
+    torque: str = "torque"
+    torque_unit: str = "Nm"
+    small_torque: str = "mNm"  # of errors
+    torque_scale: float = 1e3
+    small_speed: str = "mrps"
+    speed_scale: float = 1e3
+
+
+ROTARY = Words()
+LINEAR = Words("force", "N", "N", 1.0, "mm/s")
+
+
+def words_of(diagnosis: Diagnosis) -> Words:
+    """The words of the axis that was diagnosed."""
+    return LINEAR if diagnosis.units == "linear" else ROTARY
+
+
+def effect_figures(findings: Sequence[Finding]) -> tuple[Figure, ...]:
+    """The picture of each finding that has one."""
+    pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
+    return tuple(
+        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half")
+        for number, finding in enumerate(pictured, 1)
+        if finding.picture is not None
+    )
+
+
+def _effect(name: str, effect: str, picture: Picture, width: str) -> Figure:
+    clouds = [curve for curve in picture.curves if curve.kind == "points"]
+    lines = [curve for curve in picture.curves if curve.kind == "line"]
+    series = [_series(curve, POINTS[k % len(POINTS)]) for k, curve in enumerate(clouds)]
+    series += [_series(curve, LINES[k % len(LINES)]) for k, curve in enumerate(lines)]
+    note = f" {picture.note}" if picture.note else ""
+    return Figure(
+        name=name,
+        kind="xy",
+        title=picture.title,
+        caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
+        x=Axis(picture.x_label, picture.x_unit or "-"),
+        y=Axis(picture.y_label, picture.y_unit or "-"),
+        series=tuple(_distinct(series)),
+        width="full" if width == "full" else "half",
+    )
+
+
+def _series(curve: Curve, colour: str) -> Series:
+    order = np.argsort(curve.x, kind="stable")
+    low, high = (None if end is None else np.asarray(end)[order] for end in (curve.low, curve.high))
+    x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
+    draw = "points" if curve.kind == "points" else "line"
+    return Series(curve.label, x, y, colour, "points" if draw == "points" else "line", weight=2.2, low=low, high=high)
+
+
+def _distinct(series: Sequence[Series]) -> list[Series]:
+    """Series with names of their own: a second one of a name gets a number."""
+    seen: dict[str, int] = {}
+    found = []
+    for one in series:
+        seen[one.name] = seen.get(one.name, 0) + 1
+        if seen[one.name] > 1:
+            one = Series(f"{one.name} ({seen[one.name]})", one.x, one.y, one.colour, one.draw, one.dash, one.weight,
+                         one.low, one.high)  # fmt: skip
+        found.append(one)
+    return found
+
+
+def run_figures(runs: Sequence[RunFigure], words: Words) -> tuple[Figure, ...]:
+    """The residual of each run over time: its envelope before and after."""
+    roles = {"fit": "chosen and fitted on it", "held_out": "held out: never seen by the fit"}
+    ordered = sorted(runs, key=lambda run: run.role != "held_out")
+    return tuple(
+        Figure(
+            name=f"run-{number}",
+            kind="time",
+            title=f"{run.name} ({roles[run.role]})",
+            caption="Smallest and largest residual in each piece of time.",
+            x=Axis("time", "s"),
+            y=Axis(f"{words.torque} that is left", words.torque_unit),
+            series=(
+                _envelope("before", run.time_s, run.before_low_nm, run.before_high_nm, BEFORE),
+                _envelope("after", run.time_s, run.after_low_nm, run.after_high_nm, AFTER),
+            ),
+            width="full" if len(runs) == 1 else "half",
+            group="runs",
+            share_y=True,
+        )
+        for number, run in enumerate(ordered, 1)
+        if run.time_s.size > 1
+    )
+
+
+def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str) -> Series:
+    step = float(time_s[1] - time_s[0])
+    both = np.stack([low, high], axis=1).reshape(-1)
+    return Series(name, Uniform(float(time_s[0]), 0.5 * step), np.asarray(both, dtype=np.float64), colour, weight=1.0)
+
+
+def channel_figure(channels: Sequence[Channel]) -> Figure | None:
+    """Share of the residual that a free curve over each axis explains, before and after."""
+    shown = sorted(channels, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
+    if not shown:
+        return None
+    groups = {
+        "before": Group([100.0 * c.explained_before for c in shown], BEFORE),
+        "after": Group([100.0 * c.explained_after for c in shown], AFTER),
+    }
+    return Figure(
+        name="channels",
+        kind="bars",
+        title="Where the residual lives",
+        caption="Share of the squared residual that a free curve over this axis alone explains.",
+        x=Axis("axis", "-", categories=tuple(SHORT.get(c.name, c.name.replace("_", " ")) for c in shown)),
+        y=Axis("explained", "%"),
+        series=tuple(grouped_bars(groups, {}, "")),
+    )

@@ -1,0 +1,376 @@
+"""The report of an identification: what is known of an axis, how well, what is not, and what the model leaves over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..identification.coordinates import SYMBOLS
+from ..identification.dataset import Record
+from ..identification.facts import DriveFacts
+from ..identification.fit import Fit
+from ..identification.residuals import RunResidual
+from ..identification.results import CONFIDENCE
+from ..units import inertia_kg_m2
+from . import identify_figures as draw
+from . import response_figures
+from .document import (
+    Cell,
+    Column,
+    Listing,
+    Provenance,
+    Report,
+    Row,
+    Section,
+    SourceFile,
+    Standing,
+    Table,
+    Verdict,
+    count,
+    number,
+    provenance,
+    significant,
+    source_file,
+)
+from .figures import Figure
+from .identify_figures import Words
+
+LARGE_RESIDUAL_PERCENT = 10.0  # of the torque: the model misses something that matters
+USELESS_RESIDUAL_PERCENT = 50.0
+TOLD_SHARE = 0.02  # of the residual's power that a function of the motion explains
+SURE = 1e-3
+ROTARY = Words()
+LINEAR = Words("force", "N", "m", "m/s", "N s/m", "command", "A")
+
+
+class IdentifySource(NamedTuple):
+    """What was fitted, and what was written."""
+
+    name: str
+    facts: DriveFacts
+    facts_file: Path
+    model_file: Path
+
+
+def words_of(facts: DriveFacts) -> Words:
+    """What quantities are called on this axis; the command's unit as declared for its column."""
+    words = LINEAR if facts.units == "linear" else ROTARY
+    column = (facts.columns or {}).get("current_command_a")
+    unit = None if column is None or isinstance(column, str) else column.unit
+    return words if unit is None else words._replace(command_unit=unit)
+
+
+def identify_report(
+    source: IdentifySource, fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any]
+) -> Report:
+    """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
+    words = words_of(source.facts)
+    tables = [_parameters(results, records)]
+    tables += [_doubts(results)] if results["doubts"] else []
+    tables += [_runs(results, words), _dependence(results, words)]
+    seconds = sum(record.duration_s for record in records)
+    return Report(
+        kind="identify",
+        title=f"Identification of {source.name}",
+        subtitle=f"{len(records)} {'logs' if len(records) > 1 else 'log'}, {seconds:.4g} s at "
+        f"{1.0 / records[0].period_s:.5g} Hz, fitted together: {', '.join(record.name for record in records)}.",
+        verdict=_verdict(results),
+        tables=tuple(tables),
+        sections=_sections(fit, records, runs, results, words),
+        provenance=_provenance(source, records, results),
+        results=results,
+        listings=(_next_steps(source),),
+    )
+
+
+def _verdict(results: dict[str, Any]) -> Verdict:
+    doubted = [doubt["symbol"] for doubt in results["doubts"]]
+    fitted = [row["symbol"] for row in results["parameters"] if row["of_the_model"] and row["fitted"]]
+    told = [symbol for symbol in fitted if symbol not in doubted]
+    percent = {name: run["torque_relative_percent"] for name, run in results["residuals"].items()}
+    worst = max(percent.values())
+    if worst > LARGE_RESIDUAL_PERCENT:
+        headline = f"The model leaves up to {significant(worst, 2)} % of the torque: something that matters is missing."
+    elif doubted:
+        headline = f"The data tell {', '.join(told)}. They do not tell {', '.join(doubted)}."
+    else:
+        left = _span(percent.values())
+        headline = f"The data tell all {len(fitted)} parameters, and the model leaves {left} % of the torque."
+    cautions = [*results["warnings"], *_remaining(results)]
+    cautions += [f"{d['symbol']}: {d['reason']}; what would tell it: {d['excitation']}." for d in results["doubts"]]
+    useless = worst > USELESS_RESIDUAL_PERCENT or "J" in doubted
+    standing: Standing = "bad" if useless else "caution" if cautions or worst > LARGE_RESIDUAL_PERCENT else "good"
+    return Verdict(standing=standing, headline=headline, reasons=_quality(results), cautions=cautions)
+
+
+def _span(values: Any) -> str:
+    low, high = (significant(value, 2) for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _quality(results: dict[str, Any]) -> list[str]:
+    """The quality line: torque, velocity over free windows, what the residual remembers."""
+    runs = results["residuals"].values()
+    median = _span([run["velocity_median_rps"] for run in runs])
+    window_s = next(iter(runs))["velocity_window_s"]
+    share = _span([run["torque_relative_percent"] for run in runs])
+    friction = _span([run["friction_relative_percent"] for run in runs])
+    linear = results["units"] == "linear"
+    lines = [
+        f"Quality: {'force' if linear else 'torque'} residual {share} % of the motor's ({friction} % of friction); "
+        f"free simulation over {window_s:g} s is off by {median} {'m/s' if linear else 'rps'} in the median window."
+    ]
+    loss = results["fit"]["literal_stribeck_loss_ratio"]
+    if loss is not None and loss > 1.005:
+        lines.append(
+            f"The falling Stribeck curve fits: the rising (literal) one has {significant(loss)} times its loss."
+        )
+    return lines
+
+
+def _remaining(results: dict[str, Any]) -> list[str]:
+    """Functions of the motion on which the residual still depends."""
+    found = []
+    for name, run in results["residuals"].items():
+        strong = [
+            f"{d['function']} (r = {d['correlation']:+.2f})".replace("-", "\u2212")
+            for d in run["dependence"]
+            if d["p_value"] < SURE and d["correlation"] ** 2 > TOLD_SHARE
+        ]
+        if strong:
+            found.append(f"{name}: the residual still depends on {', '.join(strong)}: an effect that the model lacks.")
+    return found
+
+
+def _digits(value: float, sd: float | None) -> int:
+    """Digits that show a value to two digits of its standard deviation."""
+    if sd is None or sd <= 0.0 or value == 0.0:
+        return 4
+    return min(9, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2))
+
+
+def _parameters(results: dict[str, Any], records: Sequence[Record]) -> Table:
+    doubted = {doubt["name"]: doubt for doubt in results["doubts"]}
+    names = ", ".join(record.name for record in records)
+    rows = []
+    for p in results["parameters"]:
+        if not p["fitted"]:
+            continue
+        source = "at a bound" if p["sd"] is None else "fitted, not told" if p["name"] in doubted else "fitted"
+        source = source if p["of_the_model"] else "beside the model"
+        rows.append(_parameter_row(p["symbol"], p["unit"], p, source))
+        if p["name"] == "inertia_nm_s2_per_rev" and results["units"] == "rotary":
+            rows.append(_parameter_row("J", "kg m²", _scaled(p, inertia_kg_m2(1.0)), source))
+    lag = results["sensor_delay_s"]
+    if lag is not None:
+        sd = results["sensor_delay_sd_s"]
+        ends = None if sd is None else [lag - 1.96 * sd, lag + 1.96 * sd]
+        row = {"value": lag, "sd": sd, "interval_95": ends, "statistical_sd": sd or math.nan}
+        row |= {"specification_sd": math.nan, "windows_that_tell": math.nan}
+        rows.append(_parameter_row("velocity lag", "s", row, "regression"))
+    constant = results["torque_constant_nm_per_a"]
+    dash = Cell(text="–")
+    unit = "N per command" if results["units"] == "linear" else "Nm/A"
+    rows.append(Row(label="Kt", unit=unit, cells=[number(constant, 6), *[dash] * 5, Cell(text="declared")]))
+    note = (
+        f"Below each value its {100 * CONFIDENCE:g} % interval. Standard deviation: from noise (whole windows count "
+        "once, near ones may hang together), and what fits with observers of three bandwidths, whose mean is "
+        "taken, disagree about. Windows: how many quarter seconds, in effect, speak about it. Velocity lag: of the "
+        f"drive's velocity behind its position. Fitted together to: {names}."
+    )
+    columns = [
+        Column(label="value"), Column(label="sd"), Column(label="sd", unit="%"),
+        Column(label="noise", group="parts of sd"), Column(label="specification", group="parts of sd"),
+        Column(label="windows"), Column(label="source", words=True),
+    ]  # fmt: skip
+    return Table(name="parameters", title="Parameters", note=note, corner="parameter", columns=columns, rows=rows)
+
+
+def _scaled(parameter: dict[str, Any], factor: float) -> dict[str, Any]:
+    scaled = dict(parameter)
+    for key in ("value", "sd", "statistical_sd", "specification_sd"):
+        scaled[key] = None if parameter[key] is None else factor * parameter[key]
+    ends = parameter["interval_95"]
+    scaled["interval_95"] = None if ends is None else [factor * end for end in ends]
+    return scaled
+
+
+def _parameter_row(label: str, unit: str, p: dict[str, Any], source: str) -> Row:
+    value, sd = p["value"], p["sd"]
+    low, high = p["interval_95"] or (None, None)
+    nothing = math.nan
+    cells = [
+        number(value, _digits(value, sd), low=low, high=high),
+        number(nothing if sd is None else sd, 2),
+        number(nothing if sd is None or abs(value) < 2.0 * sd else 100.0 * sd / abs(value), 2),
+        number(p["statistical_sd"] if sd is not None else nothing, 2),
+        number(p["specification_sd"] if sd is not None else nothing, 2),
+        number(p["windows_that_tell"] if sd is not None else nothing, 3),
+        Cell(text=source),
+    ]
+    return Row(label=label, unit="" if unit == "-" else unit.replace("^2", "²"), cells=cells)
+
+
+def _doubts(results: dict[str, Any]) -> Table:
+    rows = [
+        Row(
+            label=doubt["symbol"],
+            cells=[
+                Cell(text=doubt["reason"]),
+                Cell(text=", ".join(SYMBOLS[name] for name in doubt["confused_with"]) or "–"),
+                Cell(text=doubt["excitation"]),
+            ],
+        )
+        for doubt in results["doubts"]
+    ]
+    return Table(
+        name="doubts", title="What could not be told", corner="parameter",
+        note="Values of these are in the model file all the same: do not lean on them.",
+        columns=[
+            Column(label="why", words=True), Column(label="goes with", words=True),
+            Column(label="excitation that would tell it", words=True),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _runs(results: dict[str, Any], words: Words) -> Table:
+    columns = [
+        Column(label="length", unit="s"), Column(label="loop"), Column(label="gaps"),
+        Column(label="rms", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Column(label="of all", unit="%", group=f"{words.torque} residual"),
+        Column(label="sliding", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Column(label="presliding", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Column(label="mean forward", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Column(label="mean backward", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Column(label="rms", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
+        Column(label="median", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
+    ]  # fmt: skip
+    rows = []
+    for run in results["runs"]:
+        r = results["residuals"][run["name"]]
+        regime = r["by_regime"]
+        rows.append(
+            Row(
+                label=run["name"],
+                cells=[
+                    number(run["duration_s"], 4), Cell(text="closed" if run["closed_loop"] else "open"),
+                    count(run["gaps"]), number(r["torque_rms_nm"]), number(r["torque_relative_percent"]),
+                    *(number(regime[key]) for key in ("sliding", "presliding")),
+                    *(number(regime[key], 2) for key in ("forward_mean_nm", "backward_mean_nm")),
+                    number(r["velocity_rms_rps"]), number(r["velocity_median_rps"]),
+                ],
+            )
+        )  # fmt: skip
+    return Table(
+        name="runs", title="Residuals", corner="log", columns=columns, rows=rows,
+        note="Where the Stribeck curve falls a free simulation is unstable and a few windows run away: the median "
+             "window says what is typical. Means: while sliding, by direction.",
+    )  # fmt: skip
+
+
+def _dependence(results: dict[str, Any], words: Words) -> Table:
+    runs = results["residuals"]
+    columns: list[Column] = []
+    for name in runs:
+        columns += [Column(label="r", group=name), Column(label="p", group=name)]
+    functions = list(dict.fromkeys(d["function"] for run in runs.values() for d in run["dependence"]))
+    rows = []
+    for function in functions:
+        cells: list[Cell] = []
+        for run in runs.values():
+            entry = next((d for d in run["dependence"] if d["function"] == function), None)
+            cells += [Cell(text="–")] * 2 if entry is None else [_signed(entry["correlation"]), _p(entry["p_value"])]
+        rows.append(Row(label={"1": "constant"}.get(function, function), cells=cells))
+    for label, key in (("neighbours (lag 1)", "lag_1"), ("skewness", ""), ("Ljung-Box, 20 lags", "ljung_box")):
+        cells = []
+        for run in runs.values():
+            white = run["whiteness"]
+            value = run["skewness"] if not key else white.get(key, math.nan)
+            cells += [
+                number(value) if key == "ljung_box" else _signed(value),
+                _p(white["p_value"]) if key == "ljung_box" and white else Cell(text=""),
+            ]
+        rows.append(Row(label=label, cells=cells))
+    for label, key in (("samples", "samples"), ("in effect", "effective_samples")):
+        cells = []
+        for run in runs.values():
+            value = run["whiteness"].get(key, math.nan)
+            cells += [count(round(value)) if math.isfinite(value) else Cell(text="–"), Cell(text="")]
+        rows.append(Row(label=label, cells=cells))
+    return Table(
+        name="dependence", title="Is anything left in the residual?", corner="function of the motion",
+        note=f"Correlation of the {words.torque} residual with functions of velocity v, acceleration a and the motor's "
+             f"{words.torque} u, with the p-value of no connection (two-sided, from the effective number of samples). "
+             "The residual is filtered at 40 Hz, so it is never white; dependence on the motion is what speaks of a "
+             "missing effect.",
+        columns=columns, rows=rows,
+    )  # fmt: skip
+
+
+def _signed(value: float) -> Cell:
+    if not math.isfinite(value):
+        return Cell(text="–")
+    return Cell(text=f"{value:+.3f}".replace("-", "\u2212"), value=value)
+
+
+def _p(value: float) -> Cell:
+    text = "< 1e−4" if value < 1e-4 else f"{value:.1g}" if value < 0.01 else f"{value:.2f}"
+    return Cell(text=text.replace("-", "\u2212"), value=value)
+
+
+def _sections(
+    fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any], words: Words
+) -> tuple[Section, ...]:
+    summaries = results["residuals"]
+    measured: list[Figure] = [figure for run in runs for figure in draw.cutout_figures(run, words)]
+    spread: list[Figure] = []
+    for run in runs:
+        spread += [draw.histogram_figure(run, words), draw.over_speed_figure(run, words)]
+    whole = [draw.autocorrelation_figure(runs), draw.by_frequency_figure(summaries, words)]
+    whole.append(draw.by_speed_figure(summaries, words))
+    chirps = response_figures.responses(records, results["frequency_response"], fit.physical)
+    inertia = fit.value("inertia_nm_s2_per_rev")
+    damping = results["damping"]
+    answers = [f for chirp in chirps for f in response_figures.response_figures(chirp, damping, inertia, words)]
+    answers += [response_figures.damping_figure(damping, fit.physical, words)] if damping else []
+    sections = [
+        Section("Measured and simulated", "Fig. 3: the model's own motion beside the measured one.", tuple(measured)),
+        Section("Friction", "What the fit makes of it, and how well it is known.",
+                (draw.friction_figure(fit, runs, words),)),
+        Section("Residual", "Fig. 4: what the model leaves over.", tuple(spread)),
+        Section("Where the residual is", "By memory, frequency, amplitude and regime.", tuple(whole)),
+        Section("Frequency response", "Fig. 5: from open-loop chirps.", tuple(answers)),
+        Section("Whole logs", "The figures of one log zoom together.",
+                tuple(figure for run in runs for figure in draw.course_figures(run, words))),
+    ]  # fmt: skip
+    return tuple(section for section in sections if section.figures)
+
+
+def _next_steps(source: IdentifySource) -> Listing:
+    model = source.model_file
+    return Listing(
+        name="next", title="What to do with it", note="The model file is what a controller runs.",
+        text=f"fffo-drive tune {model} --out {model.parent / 'tune'}   # gains and margins for this model\n"
+             f"fffo-drive config check AXIS.yaml   # after `model: {model.name}` in the axis file",
+    )  # fmt: skip
+
+
+def _provenance(source: IdentifySource, records: Sequence[Record], results: dict[str, Any]) -> Provenance:
+    files = [
+        SourceFile(name=record.path.name, bytes=record.path.stat().st_size, sha256=record.digest) for record in records
+    ]
+    files += [source_file(path.name, path.read_bytes(), text=True) for path in (source.facts_file, source.model_file)]
+    fit = results["fit"]
+    facts = {
+        "fit": f"{fit['residual']}: {fit['residuals']} residuals, rms {significant(fit['residual_rms_lsb'])} counts, "
+               f"{fit['windows']} windows, {fit['iterations']} iterations",
+        "starting point": ", ".join(
+            f"{key} {significant(value, 4)}" for key, value in results["start"].items() if np.isfinite(value)
+        ),
+    }  # fmt: skip
+    return provenance(files, facts)

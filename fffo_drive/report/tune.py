@@ -1,0 +1,253 @@
+"""The report of a tuning: the gains, what speaks for and against them, and the files that a controller runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..control.stability import LinearAxis, Margins, loop_margins
+from ..identification.tuning import DampingRange
+from ..model.parameters import ModelFile, Quantity
+from ..units import inertia_nm_s2_per_rev
+from . import tune_figures as draw
+from .document import (
+    Cell,
+    Column,
+    Listing,
+    Report,
+    Row,
+    Section,
+    Standing,
+    Table,
+    Verdict,
+    number,
+    provenance,
+    significant,
+    source_file,
+)
+from .tune_figures import Tuning
+
+NORMAL_95 = 1.96
+MOST_SAID = 1e4  # a wider range of damping is called wide, and no more
+
+
+class TuneSource(NamedTuple):
+    """The model that was tuned for, and what was written."""
+
+    model_path: Path
+    model: ModelFile
+    hold_s: float  # of a sampled command: half a period
+    section: str  # the controller section, as YAML
+    written: Sequence[Path]  # files, the axis file last where there is one
+    commands: Sequence[str]
+
+
+def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> Report:
+    """The report of a design."""
+    files = [source_file(path.name, path.read_bytes(), text=True) for path in (source.model_path, *source.written)]
+    fitted = source.model.provenance
+    facts = {"model": source.model.name, "model fitted": f"{fitted.date} {fitted.tool}".strip()}
+    if fitted.runs:
+        facts["on the logs (SHA-256)"] = ", ".join(fitted.runs)
+    return Report(
+        kind="tune",
+        title=f"Gains for {source.model.name}",
+        subtitle="PI and observer for the fitted axis with its whole delay, judged at friction's smallest damping.",
+        verdict=_verdict(tuning),
+        tables=(_gains(tuning), _margins(source, tuning), _checks(tuning, source.model), _axis(source, tuning)),
+        sections=(
+            Section("Poles", "Where the closed loop's poles go as the gain rises.",
+                    (*draw.locus_figures(tuning), draw.poles_figure(tuning))),
+            Section("Step", "What a step of the reference does.", (draw.step_figure(tuning),)),
+            Section("Open loop", "With the delay, without and with the observer's L.",
+                    tuple(draw.bode_figures(tuning))),
+            Section("Friction's damping", "Over how wide a range friction may damp the loop.",
+                    tuple(draw.damping_figures(tuning))),
+        ),
+        provenance=provenance(files, {name: text for name, text in facts.items() if text}),
+        results=results,
+        listings=_listings(source),
+    )  # fmt: skip
+
+
+def _verdict(tuning: Tuning) -> Verdict:
+    design, gains = tuning.design, tuning.gains
+    margins = design.margins_observer
+    headline = (
+        f"Kp {significant(gains.proportional_a_per_rps, 4)} A/rps, "
+        f"Ki {significant(gains.integral_a_per_rev, 4)} A/rev, L {significant(gains.observer_nm_per_rev, 4)} Nm/rev: "
+        f"phase margin {significant(margins.phase_deg, 2)}°, gain margin {significant(margins.gain, 2)} "
+        "with delay and observer."
+    )
+    unstable = margins.phase_deg <= 0.0 or margins.gain <= 1.0
+    broken = unstable or design.condition_14_nm_per_rev < -1e-9
+    standing: Standing = "bad" if broken else "caution" if design.warnings else "good"
+    bound = design.real_poles_from_a_per_rps
+    share = f", {significant(gains.proportional_a_per_rps / bound, 2)} times the bound" if bound > 0.0 else ""
+    reasons = [
+        f"Condition (14) holds with {significant(design.condition_14_nm_per_rev)} Nm/rev to spare; "
+        f"poles are real from Kp {significant(bound)} A/rps{share}."
+        if not broken
+        else "The loop with these gains must not be run.",
+        f"A step goes {significant(design.overshoot_percent, 2)} % over and is within 2 % after "
+        f"{significant(1e3 * design.settled_s, 2)} ms.",
+        f"Friction's damping may vary {_ratio(design.without_overshoot)} with real poles, "
+        f"{_ratio(design.within_margins)} within the margins.",
+    ]
+    cautions = [f"{text[0].upper()}{text[1:]}." for text in design.warnings]
+    return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
+
+
+def _ratio(damping: DampingRange) -> str:
+    if damping.ratio > MOST_SAID:
+        return f"over {MOST_SAID:g} : 1"
+    return f"{significant(damping.ratio, 2)} : 1"
+
+
+def _gains(tuning: Tuning) -> Table:
+    g = tuning.gains
+    rows = [
+        Row(label="Kp", unit="A/rps", cells=[number(g.proportional_a_per_rps, 4), _text("proportional gain")]),
+        Row(label="Ki", unit="A/rev", cells=[number(g.integral_a_per_rev, 4), _text("integral gain")]),
+        Row(label="Ti", unit="s", cells=[number(tuning.integral_time_s, 4), _text("integral time, Kp / Ki")]),
+        Row(label="L", unit="Nm/rev", cells=[number(g.observer_nm_per_rev, 4), _text("gain of the friction observer")]),
+    ]
+    return Table(
+        name="gains", title="Gains", corner="gain", rows=rows,
+        columns=[Column(label="value"), Column(label="what it is", words=True)],
+        note="As written into the controller section, there to four digits.",
+    )  # fmt: skip
+
+
+def _text(text: str) -> Cell:
+    return Cell(text=text)
+
+
+def _margins(source: TuneSource, tuning: Tuning) -> Table:
+    axis, gains, wish = tuning.axis, tuning.gains, tuning.wish
+    design = tuning.design
+    rows = [_margin_row("PI", design.margins_pi), _margin_row("PI and observer", design.margins_observer)]
+    corners = _corners(source, axis)
+    if corners:
+        found = [loop_margins(corner, *gains) for corner in corners]
+        worst = Margins(
+            min(m.phase_deg for m in found), min(m.gain for m in found), min(found, key=lambda m: m.gain).crossover_hz
+        )
+        rows.append(_margin_row("the same, J and Td at the ends of their intervals", worst))
+    return Table(
+        name="margins", title="Margins", corner="loop", rows=rows,
+        columns=[Column(label="phase", unit="deg"), Column(label="gain"), Column(label="crossover", unit="Hz")],
+        note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Wished: at least "
+             f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.",
+    )  # fmt: skip
+
+
+def _margin_row(label: str, margins: Margins) -> Row:
+    cells = [
+        _bounded(margins.phase_deg, "no crossover"),
+        _bounded(margins.gain, "no limit"),
+        _bounded(margins.crossover_hz, "–"),
+    ]
+    return Row(label=label, cells=cells)
+
+
+def _bounded(value: float, otherwise: str) -> Cell:
+    return number(value) if math.isfinite(value) else Cell(text=otherwise)
+
+
+def _corners(source: TuneSource, axis: LinearAxis) -> list[LinearAxis]:
+    """The axis at the ends of the 95 % intervals of J and Td; none where the model knows no spread."""
+    j_sd, delay_sd_s = source.model.inertia_kg_m2.sd, source.model.delay_s.sd
+    if j_sd is None or delay_sd_s is None:
+        return []
+    reach = NORMAL_95 * inertia_nm_s2_per_rev(j_sd)
+    return [
+        axis._replace(
+            inertia_nm_s2_per_rev=max(0.1 * axis.inertia_nm_s2_per_rev, axis.inertia_nm_s2_per_rev + sign * reach),
+            delay_s=max(0.0, axis.delay_s + other * NORMAL_95 * delay_sd_s),
+        )
+        for sign in (-1.0, 1.0)
+        for other in (-1.0, 1.0)
+    ]
+
+
+def _checks(tuning: Tuning, model: ModelFile) -> Table:
+    design, gains, axis = tuning.design, tuning.gains, tuning.axis
+    stiffness = gains.integral_a_per_rev * axis.torque_constant_nm_per_a
+    attraction = model.friction.attraction_nm_per_rev.value
+    rows = [
+        Row(label="Ki Kt + L", unit="Nm/rev",
+            cells=[number(stiffness + gains.observer_nm_per_rev), _text("left side of condition (14)")]),
+        Row(label="2 B", unit="Nm/rev", cells=[number(2.0 * attraction), _text("its right side")]),
+        Row(label="to spare", unit="Nm/rev",
+            cells=[number(design.condition_14_nm_per_rev), _text("not negative where (14) holds")]),
+        Row(label="real poles from Kp", unit="A/rps",
+            cells=[number(design.real_poles_from_a_per_rps), _text("at the smallest damping, for good")]),
+        Row(label="overshoot", unit="%",
+            cells=[number(design.overshoot_percent), _text("of a step, with the PI's zero and the delay")]),
+        Row(label="settled", unit="s", cells=[number(design.settled_s), _text("within 2 % of a step")]),
+        *_range_rows("real poles", design.without_overshoot, "and the slow one within ten times 1/Ti"),
+        *_range_rows("margins hold", design.within_margins, "with delay and observer"),
+    ]  # fmt: skip
+    return Table(
+        name="checks", title="Conditions", corner="what", rows=rows,
+        columns=[Column(label="value"), Column(label="meaning", words=True)],
+        note="Condition (14) in torque units, Ki Kt + L ≥ 2 B, belongs to the loop with observer and is not a margin.",
+    )  # fmt: skip
+
+
+def _range_rows(label: str, damping: DampingRange, meaning: str) -> list[Row]:
+    interval = f"{significant(damping.lowest)} to {significant(damping.highest)}"
+    wide = _ratio(damping)
+    ratio = damping.ratio if math.isfinite(damping.ratio) else None
+    return [
+        Row(
+            label=f"damping, {label}",
+            cells=[Cell(text=wide, value=ratio), _text(f"{interval} Nm/rps, {meaning}")],
+        )
+    ]  # fmt: skip
+
+
+def _axis(source: TuneSource, tuning: Tuning) -> Table:
+    model, axis = source.model, tuning.axis
+    friction = model.friction
+    rows = [
+        _quantity("J", "kg m²", model.inertia_kg_m2),
+        _quantity("sigma, smallest damping", "Nm/rps", friction.viscous_nm_per_rps),
+        _quantity("B", "Nm/rev", friction.attraction_nm_per_rev),
+        _quantity("Td, command to measured velocity", "s", model.delay_s),
+        Row(label="hold of the command", unit="s",
+            cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),
+        Row(label="whole delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
+        Row(label="Kt", unit="Nm/A",
+            cells=[number(model.torque_constant_nm_per_a, 4), Cell(text="–"), _text("declared")]),
+    ]  # fmt: skip
+    return Table(
+        name="axis", title="The axis", corner="parameter", rows=rows,
+        columns=[Column(label="value"), Column(label="sd"), Column(label="source", words=True)],
+        note="From the model file; below each value its 95 % interval where it was fitted.",
+    )  # fmt: skip
+
+
+def _quantity(label: str, unit: str, quantity: Quantity) -> Row:
+    sd = quantity.sd
+    low, high = (None, None) if sd is None else (quantity.value - NORMAL_95 * sd, quantity.value + NORMAL_95 * sd)
+    cells = [
+        number(quantity.value, 4, low=low, high=high),
+        Cell(text="–") if sd is None else number(sd, 2),
+        _text(quantity.source),
+    ]
+    return Row(label=label, unit=unit, cells=cells)
+
+
+def _listings(source: TuneSource) -> tuple[Listing, ...]:
+    where = source.written[0]
+    return (
+        Listing(name="controller", title="Controller section", note=f"Written to {where}.", text=source.section),
+        Listing(
+            name="commands", title="What to do with it",
+            note="Try gains on the simulated drive before they meet an axis.", text="\n".join(source.commands),
+        ),
+    )  # fmt: skip

@@ -1,0 +1,217 @@
+"""The figures of a tuning: root locus over the gain (Fig. 6), step, open loop with its margins, friction's damping."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..control.stability import LinearAxis, Margins, loop_margins
+from ..identification.tuning import Design, Gains, Wish, root_locus, step_response
+from ..model.friction import FrictionConfig
+from .document import significant
+from .figures import Axis, Dash, Figure, Floats, Level, Series, Span, Uniform
+from .response_figures import harmonic_damping
+
+LOCUS_GAINS = 401
+HIGHEST_GAIN = 2.5  # of the chosen one, in the s-plane
+POINTS = 400
+LOWEST_HZ, HIGHEST_HZ = 0.1, 500.0
+LAST_TURN = 0.5  # turns of phase that the delay takes at the end of the figure
+DAMPINGS = 81
+SHORTEST_STEP_S = 0.15
+
+
+class Tuning(NamedTuple):
+    """A design on its axis, and what was wished."""
+
+    axis: LinearAxis
+    design: Design
+    wish: Wish
+    friction: FrictionConfig
+
+    @property
+    def gains(self) -> Gains:
+        """The chosen gains."""
+        return self.design.gains
+
+    @property
+    def integral_time_s(self) -> float:
+        """Kp / Ki."""
+        return self.gains.proportional_a_per_rps / self.gains.integral_a_per_rev
+
+
+def locus_figures(tuning: Tuning) -> list[Figure]:
+    """Fig. 6: both closed-loop poles as the proportional gain rises, the integral time kept; and near the bound."""
+    chosen = tuning.gains.proportional_a_per_rps
+    bound = tuning.design.real_poles_from_a_per_rps
+    range_a = chosen * np.geomspace(0.005, HIGHEST_GAIN, LOCUS_GAINS)
+    upper, lower = _branches(tuning, np.union1d(range_a, bound * np.linspace(0.9, 1.1, LOCUS_GAINS)[1::2]))
+    series = [
+        Series("one pole", upper.real, upper.imag, "blue", weight=2.0),
+        Series("the other", lower.real, lower.imag, "purple", dash="dashed", weight=2.0),
+    ]
+    here = np.array(_branches(tuning, np.array([chosen]))).ravel()
+    series.append(Series(f"chosen, Kp {significant(chosen)}", here.real, here.imag, "orange", "points"))
+    if bound > 0.0:
+        meet = np.array(_branches(tuning, np.array([bound * (1.0 + 1e-9)])))[:1].ravel()
+        series.append(Series(f"real from Kp {significant(bound)}", meet.real, meet.imag, "green", "points"))
+    zero = -1.0 / tuning.integral_time_s
+    series.append(Series("zero of the PI", np.array([zero]), np.array([0.0]), "grey", "points"))
+    caption = (
+        f"PI and first-order plant at its smallest damping, without delay, Kp from {significant(range_a[0])} to "
+        f"{significant(range_a[-1])} A/rps at Ti = {significant(tuning.integral_time_s)} s."
+    )
+    x, y = Axis("real part", "1/s"), Axis("imaginary part", "1/s")
+    figures = [Figure("root-locus", "xy", "Root locus", f"Fig. 6: {caption}", x, y, tuple(series), height_px=240)]
+    if bound > 0.0:
+        near = x._replace(limits=(4.0 * zero, 0.4 * abs(zero)))
+        title = "Root locus near the bound"
+        figures.append(
+            Figure("root-locus-near", "xy", title, "The same, near the zero.", near, y, tuple(series), "half")
+        )
+    return figures
+
+
+def _branches(tuning: Tuning, gains: Floats) -> tuple[Floats, Floats]:
+    """Upper or faster pole, and lower or slower pole, at each gain: complex (n,)."""
+    points = root_locus(tuning.axis, tuning.integral_time_s, gains)
+    poles = np.array([sorted(point.poles, key=lambda z: (z.imag, -z.real)) for point in points])
+    return poles[:, 1], poles[:, 0]
+
+
+def poles_figure(tuning: Tuning) -> Figure:
+    """The same poles over the gain itself, with the bound from which on they are real."""
+    chosen, bound = tuning.gains.proportional_a_per_rps, tuning.design.real_poles_from_a_per_rps
+    gains = np.geomspace(min(0.02 * chosen, 0.5 * bound if bound > 0.0 else chosen), 10.0 * chosen, LOCUS_GAINS)
+    first, second = _branches(tuning, gains)
+    turning = np.abs(first.imag)
+    levels = [Level(chosen, "chosen", upright=True)]
+    if bound > 0.0:
+        levels.append(Level(bound, "real", upright=True))
+    return Figure(
+        name="poles", kind="xy", title="Poles over the gain",
+        caption="Distance of the poles from the imaginary axis, and their frequency where they are a pair. Both are "
+                f"real for good from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
+        x=Axis("Kp", "A/rps", log=True), y=Axis("pole", "1/s", log=True), width="half",
+        series=(
+            Series("−Re", gains, -first.real, "blue", weight=2.0),
+            Series("−Re, other", gains, -second.real, "purple", dash="dashed", weight=2.0),
+            Series("|Im|", gains, np.where(turning > 0.0, turning, np.nan), "orange", dash="dotted"),
+        ),
+        levels=tuple(levels),
+    )  # fmt: skip
+
+
+def step_figure(tuning: Tuning) -> Figure:
+    """A step of the reference with the PI's zero and the delay, and what each of them does."""
+    design, axis, gains = tuning.design, tuning.axis, tuning.gains
+    duration_s = max(SHORTEST_STEP_S, 1.5 * design.settled_s)
+    with_observer = gains.integral_a_per_rev + gains.observer_nm_per_rev / axis.torque_constant_nm_per_a
+    prompt = axis._replace(delay_s=0.0)
+    cases: tuple[tuple[str, LinearAxis, float, str, Dash, float], ...] = (
+        ("PI, zero and delay", axis, gains.integral_a_per_rev, "blue", "solid", 2.0),
+        ("without the delay", prompt, gains.integral_a_per_rev, "grey", "dashed", 1.3),
+        ("with L, at worst", axis, with_observer, "orange", "dashdot", 1.5),
+    )
+    series = []
+    for name, plant, integral, colour, dash, weight in cases:
+        response = step_response(plant, gains.proportional_a_per_rps, integral, duration_s)
+        thin = max(1, response.size // POINTS)
+        grid = Uniform(0.0, duration_s / response.size * thin)
+        series.append(Series(name, grid, response[::thin], colour, dash=dash, weight=weight))
+    return Figure(
+        name="step", kind="time", title="Step of the reference",
+        caption="Unit step at the smallest damping, current not limited: "
+                f"{significant(design.overshoot_percent, 2)} % over, within 2 % after "
+                f"{significant(1e3 * design.settled_s, 2)} ms. At worst the observer is one more integral action of L; "
+                "friction that is compensated is not in this figure.",
+        x=Axis("time", "s"), y=Axis("velocity", "rps"), series=tuple(series), levels=(Level(1.0, ""),),
+    )  # fmt: skip
+
+
+def bode_figures(tuning: Tuning) -> list[Figure]:
+    """Open loop with the delay, without and with the observer's L: gain and phase, zooming together."""
+    hz = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, LAST_TURN / max(tuning.axis.delay_s, 1e-4)), POINTS)
+    design, gains = tuning.design, tuning.gains
+    looks: tuple[tuple[str, float, Margins, str, Dash], ...] = (
+        ("PI", 0.0, design.margins_pi, "blue", "solid"),
+        ("PI and L", gains.observer_nm_per_rev, design.margins_observer, "orange", "dashdot"),
+    )
+    gain, phase, levels = [], [], []
+    for name, observer, margins, colour, dash in looks:
+        loop = open_loop(tuning.axis, gains, observer, hz)
+        gain.append(Series(name, hz, np.abs(loop), colour, dash=dash, weight=1.8))
+        turned = np.degrees(np.unwrap(np.angle(loop)))
+        phase.append(Series(name, hz, turned, colour, dash=dash, weight=1.8))
+        if observer > 0.0 and np.isfinite(margins.crossover_hz):
+            levels.append(Level(margins.crossover_hz, "", upright=True))
+    wanted = tuning.wish.phase_margin_deg
+    x = Axis("frequency", "Hz", log=True)
+    return [
+        Figure(
+            name="bode-gain", kind="xy", title="Open loop: gain", group="bode", width="half",
+            caption=f"From velocity error to velocity. Crossover {significant(design.margins_pi.crossover_hz)} Hz "
+                    f"with PI, {significant(design.margins_observer.crossover_hz)} Hz with L; gain margins "
+                    f"{significant(design.margins_pi.gain)} and {significant(design.margins_observer.gain)}.",
+            x=x, y=Axis("gain", "-", log=True), series=tuple(gain), levels=(Level(1.0, ""), *levels),
+        ),
+        Figure(
+            name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
+            caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
+                    f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° were wished.",
+            x=x, y=Axis("phase", "deg"), series=tuple(phase),
+            levels=(Level(-180.0, "−180°"), Level(wanted - 180.0, f"{wanted:g}° margin"), *levels),
+        ),
+    ]  # fmt: skip
+
+
+def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Floats) -> Floats:
+    """Complex open loop (n,) as in control.stability: L is one more integral action."""
+    s = 2j * np.pi * hz
+    kt = axis.torque_constant_nm_per_a
+    controller = gains.proportional_a_per_rps * kt + (gains.integral_a_per_rev * kt + observer_nm_per_rev) / s
+    return np.asarray(
+        controller / (axis.inertia_nm_s2_per_rev * s + axis.damping_nm_per_rps) * np.exp(-s * axis.delay_s)
+    )
+
+
+def damping_figures(tuning: Tuning) -> list[Figure]:
+    """Phase margin over friction's damping with the allowed range, and at which amplitudes friction has it."""
+    own = tuning.axis.damping_nm_per_rps
+    damping = own * np.geomspace(0.01, 1e4, DAMPINGS)
+    phase: dict[str, list[float]] = {"PI": [], "PI and L": []}
+    for value in damping:
+        varied = tuning.axis._replace(damping_nm_per_rps=float(value))
+        for name, observer in (("PI", 0.0), ("PI and L", tuning.gains.observer_nm_per_rev)):
+            margins = loop_margins(
+                varied, tuning.gains.proportional_a_per_rps, tuning.gains.integral_a_per_rev, observer
+            )
+            phase[name].append(margins.phase_deg if np.isfinite(margins.phase_deg) else np.nan)
+    held, real = tuning.design.within_margins, tuning.design.without_overshoot
+    x = Axis("friction damping D", "Nm/rps", log=True)
+    amplitude = np.geomspace(1e-3, 50.0, DAMPINGS)
+    friction = np.array([harmonic_damping(tuning.friction, float(a)) for a in amplitude])
+    return [
+        Figure(
+            name="margin-over-damping", kind="xy", title="Phase margin over friction's damping", width="half",
+            caption=f"Margins hold from {significant(held.lowest)} to {significant(held.highest)} Nm/rps; poles are "
+                    f"real and not ten times slower from {significant(real.lowest)} to {significant(real.highest)}. "
+                    "A line ends where the gain no longer crosses 1.",
+            x=x, y=Axis("phase margin", "deg"),
+            series=(
+                Series("PI", damping, np.array(phase["PI"]), "blue", weight=1.8),
+                Series("PI and L", damping, np.array(phase["PI and L"]), "orange", dash="dashdot", weight=1.8),
+            ),
+            spans=(Span(held.lowest, held.highest, "margins hold"),),
+            levels=(Level(tuning.wish.phase_margin_deg, "wished"), Level(own, "smallest", upright=True)),
+        ),
+        Figure(
+            name="damping-over-amplitude", kind="xy", title="Friction's damping over amplitude", width="half",
+            caption="Steady friction of the model by harmonic balance (17). Between the lines both poles are real and "
+                    "neither is ten times slower than 1/Ti; above, the loop follows only with friction compensated.",
+            x=Axis("amplitude of the velocity", "rps", log=True), y=Axis("damping", "Nm/rps", log=True),
+            series=(Series("model", amplitude, friction, "blue", weight=2.0),),
+            levels=(Level(real.lowest, "least"), Level(real.highest, "most")),
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,176 @@
+"""The page of a diagnosis: verdict first, the family named, intervals shown, nothing invented, the schema beside it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fffo_drive.diagnosis.results import (
+    Ceiling,
+    Channel,
+    Curve,
+    Diagnosis,
+    ErrorFigures,
+    Finding,
+    Interval,
+    Number,
+    Picture,
+    Rival,
+    RunFigure,
+)
+from fffo_drive.model.parameters import read_model
+from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
+from fffo_drive.report.document import provenance, source_file
+from fffo_drive.report.page import render_page
+
+TABLE_1 = Path(__file__).resolve().parents[2] / "configs" / "models" / "table1.yaml"
+SOURCE = DiagnosisSource("<axis>", provenance([source_file("log.mcap", b"abc")], {}), "model_after.yaml")
+LARGEST_PAGE_BYTES = 3_000_000
+
+
+def errors(torque_nm, seconds=60.0):
+    def interval(value):
+        return Interval(value, 0.9 * value, 1.1 * value)
+
+    return ErrorFigures(interval(torque_nm), interval(1000.0 * torque_nm), interval(3.0 * torque_nm), seconds)
+
+
+def picture():
+    x = np.linspace(0.0, 1.0, 25)
+    wave = 0.008 * np.sin(2 * np.pi * x)
+    curves = (
+        Curve("without", x, wave, wave - 0.001, wave + 0.001),
+        Curve("with", x, 0.1 * wave, 0.1 * wave - 0.001, 0.1 * wave + 0.001),
+        Curve("law", x, wave, kind="line"),
+    )
+    return Picture("cogging over the motor angle", "motor angle", "rev", "residual torque", "Nm", curves)
+
+
+def finding(**changes):
+    content = {
+        "name": "cogging", "alternatives": ("torque_ripple",), "axis": "motor_angle", "explained_fraction": 0.62,
+        "parameters": (Number("cos_nm", 0.008, 0.0002, "Nm", "track"), Number("order", 12.0, None, "1/rev")),
+        "false_alarm_probability": 0.002, "accepted": True, "reason": "beyond chance", "regime": "everywhere",
+        "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
+        "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
+        "picture": picture(), "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
+    }  # fmt: skip
+    return Finding(**{**content, **changes})
+
+
+def diagnosis(**changes):
+    time_s = np.arange(0.0, 60.0, 0.25)
+    band = 0.004 + 0.001 * np.sin(time_s)
+    run = RunFigure("check", "held_out", time_s, -band, band, -0.3 * band, 0.3 * band)
+    content = {
+        "verdict": "effects_found", "headline": "Cogging is missing in the model.",
+        "findings": (finding(), finding(name="unbalance", accepted=False, reason="within chance", picture=None)),
+        "before": errors(0.0052), "after": errors(0.0021), "fit_before": errors(0.005), "fit_after": errors(0.002),
+        "ceiling": Ceiling(0.9, 0.001, 0.95, "2 repeats of the staircase"),
+        "channels": (Channel("motor_angle", 0.6, 0.02, True, False, 100_000),),
+        "runs": (run, replace(run, name="track", role="fit")),
+        "model_before": read_model(TABLE_1), "model_after": read_model(TABLE_1), "false_alarm_rate": 0.01,
+        "units": "rotary", "fit_names": ("track",), "held_out_names": ("check",), "seconds": 31.0,
+    }  # fmt: skip
+    return Diagnosis(**{**content, **changes})
+
+
+def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
+    report = diagnosis_report(SOURCE, diagnosis())
+    assert report.verdict.headline == "Cogging is missing in the model."
+    assert report.verdict.standing == "good"
+    first = report.verdict.reasons[0]
+    assert "cogging, or torque_ripple" in first
+    assert "62 %" in first
+    assert "p = 0.0020" in first
+    page = render_page(report)
+    marks = [page.index(mark) for mark in ('class="verdict', 'id="table-found"', 'id="table-errors"', "<figure")]
+    assert marks == sorted(marks)
+    assert "&lt;axis&gt;" in page
+    assert len(page.encode()) < LARGEST_PAGE_BYTES
+
+
+def test_errors_stand_before_and_after_with_intervals_on_all_of_it_and_where_the_effect_acts():
+    tables = {table.name: table for table in diagnosis_report(SOURCE, diagnosis()).tables}
+    rows = {row.label: row for row in tables["errors"].rows}
+    assert list(rows) == ["held out", "cogging", "fitted runs"]
+    cells = rows["held out"].cells
+    assert [cells[0].value, cells[3].value] == [5.2, 2.1]
+    assert cells[0].low == pytest.approx(4.68)
+    assert [column.unit for column in tables["errors"].columns[:3]] == ["%", "mNm", "mrps"]
+    assert cells[1].value == pytest.approx(5.2)
+    assert cells[5].value == pytest.approx(6.3)
+    assert [column.group for column in tables["errors"].columns] == ["before"] * 3 + ["after"] * 3
+    assert rows["cogging"].unit == "20 s"
+
+
+def test_a_family_comes_with_the_experiment_that_decides_and_a_sure_one_without():
+    listings = {listing.name: listing.text for listing in diagnosis_report(SOURCE, diagnosis()).listings}
+    assert listings["experiments"] == "cogging and torque_ripple: turn slowly at two loads"
+    sure = diagnosis(findings=(finding(alternatives=()),))
+    assert "experiments" not in {listing.name for listing in diagnosis_report(SOURCE, sure).listings}
+
+
+def test_each_finding_has_its_picture_and_each_run_its_residual():
+    figures = {figure.name: figure for figure in diagnosis_report(SOURCE, diagnosis()).figures}
+    assert set(figures) == {"effect-1", "run-1", "run-2", "channels"}
+    effect = figures["effect-1"]
+    assert [series.draw for series in effect.series] == ["points", "points", "line"]
+    assert effect.series[0].low is not None
+    assert "held out" in figures["run-1"].title  # first what the fit has not seen
+    envelope = figures["run-1"].series[0]
+    assert envelope.y.size == 2 * 240
+    assert envelope.y[0] == -envelope.y[1]
+
+
+def test_nothing_found_is_a_page_too():
+    nothing = diagnosis(verdict="no_effect_found", headline="Nothing is missing.", findings=())
+    report = diagnosis_report(SOURCE, nothing)
+    assert report.verdict.standing == "good"
+    assert {table.name for table in report.tables} == {"errors", "channels", "base"}
+    assert "Nothing is missing." in render_page(report)
+
+
+def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
+    open_ = diagnosis(verdict="unexplained", before=None, after=None, held_out_names=(), findings=())
+    report = diagnosis_report(SOURCE, open_)
+    assert report.verdict.standing == "caution"
+    assert any("Nothing was held out" in text for text in report.verdict.cautions)
+    assert "nothing held out" in report.subtitle
+
+
+def test_a_linear_axis_is_told_in_its_own_units():
+    report = diagnosis_report(SOURCE, diagnosis(units="linear"))
+    tables = {table.name: table for table in report.tables}
+    assert [column.unit for column in tables["errors"].columns[:3]] == ["%", "N", "mm/s"]
+    base = {row.label: row for row in tables["base"].rows}
+    mass = base["M, mass"].cells[0].value
+    assert mass == pytest.approx(2 * np.pi * read_model(TABLE_1).inertia_kg_m2.value)
+
+
+def test_the_json_is_the_stable_schema(tmp_path):
+    after = errors(0.002)
+    broken = replace(after, velocity_rms_rps=Interval(float("nan"), float("nan"), float("nan")))
+    paths = write_diagnosis_report(SOURCE, diagnosis(after=broken), tmp_path)
+    content = json.loads(paths.json.read_text())
+    assert content["kind"] == "diagnose"
+    assert content["verdict"] == "effects_found"
+    first = content["effects"][0]
+    assert {
+        "name",
+        "alternatives",
+        "axis",
+        "parameters",
+        "explained_fraction",
+        "false_alarm_probability",
+        "accepted",
+    } <= (set(first))
+    assert first["parameters"] == {"cos_nm": {"track": 0.008}, "order": 12.0}
+    held_out = content["before"]["held_out"]
+    assert {"torque_rms_nm", "torque_relative_percent", "velocity_rms_rps"} <= set(held_out)
+    assert content["after"]["held_out"]["velocity_rms_rps"] is None  # JSON has no nan
+    assert content["ceiling"]["repeatable_fraction"] == 0.9

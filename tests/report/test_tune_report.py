@@ -1,0 +1,140 @@
+"""The page of a tuning: gains, margins and files as they were made, and figures that agree with the closed forms."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from identification.rig import TABLE_1
+from report.test_page import LARGEST_PAGE_BYTES, outline
+
+from fffo_drive.cli import main
+from fffo_drive.cli.tune import controller_section, linear_axis, summarise
+from fffo_drive.control.stability import loop_margins
+from fffo_drive.identification.tuning import Wish, design, judge
+from fffo_drive.model.parameters import read_model
+from fffo_drive.report.document import ReportFile
+from fffo_drive.report.page import render_page, write_report
+from fffo_drive.report.static import write_figures
+from fffo_drive.report.tune import TuneSource, tune_report
+from fffo_drive.report.tune_figures import Tuning, open_loop
+
+PERIOD_S = 0.0005
+
+
+def made(directory, wish=None, change=None, **gains):
+    """Report of a design, or of given gains, for Table I."""
+    wish = wish or Wish()
+    model = change(read_model(TABLE_1)) if change else read_model(TABLE_1)
+    axis = linear_axis(model, PERIOD_S)
+    attraction = model.friction.attraction_nm_per_rev.value
+    found = design(axis, attraction, wish)
+    if gains:
+        found = judge(axis, attraction, found.gains._replace(**gains), wish)
+    text = yaml.safe_dump({"controller": controller_section(found, 10.0)})
+    path = directory / "controller.yaml"
+    path.write_text(text)
+    source = TuneSource(TABLE_1, model, 0.5 * PERIOD_S, text, [path], ["fffo-drive config check AXIS.yaml"])
+    tuning = Tuning(axis, found, wish, model.friction_config())
+    return tuning, tune_report(source, tuning, summarise(found, axis))
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("tune"))
+
+
+def test_the_page_carries_the_numbers_of_the_json_and_nothing_from_outside(report, tmp_path):
+    tuning, document = report
+    paths = write_report(document, tmp_path)
+    page = paths.page.read_text()
+    assert page == render_page(document)
+    assert len(page.encode()) < LARGEST_PAGE_BYTES
+    found = outline(page)
+    assert found.open == []
+    assert found.wrong == []
+    assert not any({"src", "href", "srcset"} & set(attrs) for _, attrs in found.elements)
+    content = ReportFile.model_validate_json(paths.json.read_text())
+    assert content.results["gains"] == pytest.approx(tuning.gains._asdict())
+    margins = {row.label: row.cells for row in next(t for t in content.tables if t.name == "margins").rows}
+    assert margins["PI"][0].value == content.results["margins_pi"]["phase_deg"]
+    assert margins["PI and observer"][1].value == content.results["margins_observer"]["gain"]
+    spare = next(row for t in content.tables if t.name == "checks" for row in t.rows if row.label == "to spare")
+    assert spare.cells[0].value == content.results["condition_14_nm_per_rev"]
+    for cells in margins.values():
+        assert f">{cells[0].text}</td>" in page
+    assert yaml.safe_load(content.listings[0].text)["controller"]["observer"]["toggle"] == "ff"
+    assert "fffo-drive config check" in content.listings[1].text
+
+
+def test_a_design_that_keeps_its_wishes_is_good(report):
+    assert report[1].verdict.standing == "good"
+    assert "phase margin 48" in report[1].verdict.headline
+
+
+def test_what_is_missed_is_a_caution_and_a_broken_condition_is_bad(tmp_path):
+    missed = made(tmp_path, Wish(phase_margin_deg=70.0))[1].verdict
+    assert missed.standing == "caution"
+    assert any("phase margin" in text for text in missed.cautions)
+    broken = made(tmp_path, observer_nm_per_rev=0.0)[1].verdict
+    assert broken.standing == "bad"
+    assert any("(14)" in text for text in broken.cautions)
+    assert any("must not be run" in text for text in broken.reasons)
+
+
+def test_the_locus_goes_through_the_chosen_poles_and_meets_at_the_bound(report):
+    tuning, document = report
+    locus = next(figure for figure in document.figures if figure.name == "root-locus")
+    series = {name.split(",")[0].split(" from")[0]: s for name, s in ((s.name, s) for s in locus.series)}
+    chosen = series["chosen"].x + 1j * series["chosen"].y
+    axis, gains = tuning.axis, tuning.gains
+    stiffness = axis.torque_constant_nm_per_a * np.array([gains.proportional_a_per_rps, gains.integral_a_per_rev])
+    wanted = np.roots([axis.inertia_nm_s2_per_rev, axis.damping_nm_per_rps + stiffness[0], stiffness[1]])
+    np.testing.assert_allclose(np.sort_complex(chosen), np.sort_complex(wanted), rtol=1e-6)
+    bound = series["real"]
+    assert np.ptp(bound.x) < 1e-2 * abs(bound.x[0])
+    assert np.abs(bound.y).max() < 1e-2 * abs(bound.x[0])
+
+
+def test_the_bode_figure_has_the_margins_of_the_table(report):
+    tuning, _ = report
+    hz = np.geomspace(0.1, 300.0, 40_000)
+    for observer in (0.0, tuning.gains.observer_nm_per_rev):
+        loop = open_loop(tuning.axis, tuning.gains, observer, hz)
+        gains = (tuning.gains.proportional_a_per_rps, tuning.gains.integral_a_per_rev, observer)
+        margins = loop_margins(tuning.axis, *gains)
+        at = np.flatnonzero(np.abs(loop) >= 1.0)[-1]
+        assert hz[at] == pytest.approx(margins.crossover_hz, rel=1e-2)
+        assert 180.0 + np.degrees(np.unwrap(np.angle(loop)))[at] == pytest.approx(margins.phase_deg, abs=0.5)
+
+
+def test_a_spread_of_the_model_gives_the_worst_corner(tmp_path):
+    def spread(model):
+        inertia = model.inertia_kg_m2.model_copy(update={"sd": 0.05 * model.inertia_kg_m2.value})
+        delay = model.delay_s.model_copy(update={"sd": 2e-4})
+        return model.model_copy(update={"inertia_kg_m2": inertia, "delay_s": delay})
+
+    tuning, document = made(tmp_path, change=spread)
+    rows = next(table for table in document.tables if table.name == "margins").rows
+    assert len(rows) == 3
+    assert rows[2].cells[0].value < tuning.design.margins_observer.phase_deg
+
+
+@pytest.mark.slow
+def test_every_figure_is_a_valid_picture(report, tmp_path):
+    figures = {figure.name: figure for figure in report[1].figures}
+    assert len(figures) == 8
+    shown = [figures[name] for name in ("root-locus-near", "step", "bode-phase", "margin-over-damping")]
+    for path in write_figures(shown, tmp_path / "figures"):
+        assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_the_command_writes_page_and_json(tmp_path, capsys):
+    assert main(["tune", str(TABLE_1), "--out", str(tmp_path), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["report"] == str(tmp_path / "report.html")
+    assert {path.name for path in tmp_path.iterdir()} == {"controller.yaml", "report.html", "report.json"}
+    content = json.loads((tmp_path / "report.json").read_text())
+    assert content["kind"] == "tune"
+    assert content["results"]["gains"] == printed["gains"]
