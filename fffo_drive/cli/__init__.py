@@ -20,8 +20,17 @@ COMMANDS = {
     "evaluate": ("evaluate", "compare controllers over seeds, on recordings or on a bus"),
     "replay": ("replay", "put a recorded run through the law again, bit for bit"),
     "identify": ("identify", "fit a model to logs of an axis, with uncertainties and residuals"),
+    "diagnose": ("diagnose", "find what the model of an axis lacks, name it, and show the error before and after"),
+    "adopt": ("adopt", "put a diagnosed model in service on an axis, when all of its gates pass"),
+    "close-the-loop": ("close_the_loop", "run, record, diagnose, adopt, run again: the error before and after"),
     "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
+    "serve": ("serve", "serve an axis as a daemon: supervise, record, listen on a Unix socket"),
+    "ctl": ("ctl", "control a daemon: status, enable, start, toggle, stop, set, record, events"),
+    "top": ("top", "watch a daemon in the terminal: state, ticks, error, current, recorder"),
     "log": ("log", "read what was recorded: info, recover"),
+    "doctor": ("doctor", "look over this machine: kernel, limits, CPU, interrupts, CAN interface, lateness"),
+    "install": ("install", "put units, rules and configuration of the service in place, or take them away"),
+    "drive-info": ("drive_info", "say what can be done with a drive, from its EDS"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
 }
 

@@ -31,8 +31,10 @@ from ..runtime.realtime import RealtimeRequest
 from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S, counts_per_rev
+from .effects import compensation_table
 from .sections import (
     ControllerSection,
+    DaemonSection,
     EnvelopeSection,
     FeedforwardSection,
     FrfProfile,
@@ -133,6 +135,7 @@ class AxisFile(Record):
     realtime: RealtimeSection = RealtimeSection()
     recording: RecordingSection = RecordingSection()
     profile: ProfileSection
+    daemon: DaemonSection = DaemonSection()
     commissioning: Annotated[
         str | None,
         Field(description="record of `fffo-drive commission`, relative to this file; a drive on a bus needs one"),
@@ -238,21 +241,26 @@ def loop_config(axis: AxisFile) -> LoopConfig:
     )
 
 
+def realtime_request(axis: AxisFile) -> RealtimeRequest:
+    """What the loop's thread asks the system for."""
+    section = axis.realtime
+    cpu = {"last": -1, "any": -2}.get(str(section.cpu))
+    return RealtimeRequest(section.priority, int(section.cpu) if cpu is None else cpu, section.lock_memory)
+
+
 def session_config(
     axis: AxisFile, model: ModelFile, longest_profile: int, ring_rows: int | None = None
 ) -> SessionConfig:
     """Everything that a session is made from. `ring_rows`: None for what a recorder beside the loop needs."""
-    realtime = axis.realtime
-    cpu = {"last": -1, "any": -2}.get(str(realtime.cpu))
-    request = RealtimeRequest(realtime.priority, int(realtime.cpu) if cpu is None else cpu, realtime.lock_memory)
     return SessionConfig(
         loop_config(axis),
         controller_config(axis, model),
         envelope_config(axis),
-        request,
-        realtime.required,
+        realtime_request(axis),
+        axis.realtime.required,
         longest_profile,
         ring_rows or round(RING_S * axis.loop.rate_hz),
+        compensation_table(axis, model),
     )
 
 

@@ -10,7 +10,8 @@ import dataclasses
 import functools
 import typing
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from enum import IntEnum
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, create_model
 
@@ -54,9 +55,11 @@ def dataclass_of(dataclass: type[T], record: Any) -> T:
 
 
 def _annotation(hint: Any) -> Any:
-    """The hint with every dataclass in it replaced by its record, and tuples of them by lists."""
+    """The hint with every dataclass in it replaced by its record, tuples of them by lists, enumerations by names."""
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return record_of(hint)
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return Literal[tuple(member.name.lower() for member in hint)]
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
         return list[_annotation(arguments[0])]  # type: ignore[misc]
@@ -81,6 +84,8 @@ def _record_default(field: dataclasses.Field[Any]) -> Any:
 def _value(hint: Any, value: Any) -> Any:
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return dataclass_of(hint, value)
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return hint[value.upper()]
     arguments = typing.get_args(hint)
     if typing.get_origin(hint) is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
         return tuple(_value(arguments[0], item) for item in value)

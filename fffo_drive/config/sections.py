@@ -34,6 +34,22 @@ class FeedforwardSection(Record):
     delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
 
 
+class EffectsSection(Record):
+    """Feed-forward of the model's effects. One that depends on the angle needs an absolute one."""
+
+    compensate: Annotated[bool, Field(description="give the torque of the model's effects with the command")] = True
+    out_of_service: Annotated[list[str], Field(description="effects of the model that are not compensated")] = Field(
+        default_factory=list
+    )
+    each_limit_share: Annotated[
+        float, Field(gt=0, le=1, description="bound of an effect's torque, of that at current_limit_a")
+    ] = 0.25
+    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of their sum")] = 0.4
+    monitor: Annotated[
+        bool, Field(description="try windows with and without them, and take them out where tracking gets worse")
+    ] = True
+
+
 class ControllerSection(Record):
     """PI with friction observer."""
 
@@ -45,6 +61,7 @@ class ControllerSection(Record):
     ] = 0.0
     observer: ObserverSection = ObserverSection()
     feedforward: FeedforwardSection = FeedforwardSection()
+    effects: EffectsSection = EffectsSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
     gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
     accept_unproven: Annotated[
@@ -211,3 +228,34 @@ ProfileSection = Annotated[
     PaperProfile | SineProfile | PointsProfile | IdentifyProfile | FrfProfile | RecipeProfile,
     Field(discriminator="kind"),
 ]
+
+
+class DaemonSection(Record):
+    """`fffo-drive serve`: who may do what, how it stops, what it records."""
+
+    control_group: Annotated[str | None, Field(description="group of the control socket; null: the process's own")] = (
+        None
+    )
+    clients: Annotated[int, Field(ge=1, le=256, description="of each socket, at a time")] = 32
+    in_charge: Annotated[
+        Literal["anyone", "connection"],
+        Field(description="connection: only a client that stays connected (ctl enable --hold) may enable"),
+    ] = "anyone"
+    client_loss: Annotated[
+        Literal["stop", "quick_stop", "go_on"],
+        Field(description="what happens when the client that holds the axis goes away"),
+    ] = "stop"
+    stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
+    enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
+    stop_timeout_s: Annotated[
+        float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")
+    ] = 3.0
+    retry_s: Annotated[float, Field(ge=0.05, le=600, description="between attempts to reach the drive")] = 2.0
+    supervisor_timeout_s: Annotated[
+        float, Field(ge=0.1, le=60, description="a supervisor silent for so long: the loop quick-stops and ends")
+    ] = 1.0
+    record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
+    record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
+    profiles: Annotated[
+        dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")
+    ] = Field(default_factory=dict)

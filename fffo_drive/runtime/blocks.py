@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..control.compensation import ALL_EFFECTS, TABLE_SIZE, new_memory
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.reference import Profile
 from ..jit import njit
@@ -27,7 +28,10 @@ PROFILE_ABORT = 4  # the number of a profile that is to end at once
 PARAMETER_NUMBER = 5  # a new number publishes the parameters in slot number & 1
 RESET_NUMBER = 6  # a new number clears the latched trip and the drive's fault
 AUTOSTOP = 7  # 1: disable the drive and leave the loop when the profile has ended
-CONTROL_WORDS = 8
+SUPERVISOR_BEAT = 8  # changes as long as somebody is in charge of the loop (LoopConfig.supervisor_ticks)
+EFFECTS = 9  # bits: which of the model's effects are in service
+EFFECTS_NUMBER = 10  # a new number publishes the effects in slot number & 1
+CONTROL_WORDS = 11
 
 # status words: written by the loop
 TICK = 0
@@ -44,7 +48,9 @@ MISSING_FEEDBACK = 10
 STALE_BLOCKS = 11  # parameter copies that were torn and not used
 PARAMETERS_IN_USE = 12
 FINISHED = 13  # 1 when the loop has returned
-STATUS_WORDS = 14
+ABANDONED = 14  # 1 when the loop stopped because the supervisor was silent
+EFFECTS_IN_USE = 15  # number of the effects that are compensated
+STATUS_WORDS = 16
 
 PROFILE_ROWS = 2  # value and derivative
 
@@ -57,6 +63,9 @@ class Blocks(NamedTuple):
     parameters: Floats  # (2, CONTROLLER_BLOCK_SIZE)
     profile_words: Words  # (2, 2): length and mode of each slot
     profiles: Floats  # (2, PROFILE_ROWS, capacity)
+    effects: Floats  # (2, compensation.TABLE_SIZE)
+    effects_loop: Floats  # the same size, the loop's own: copy under way, and effects in use
+    effects_memory: Floats  # (compensation.MEMORY_SIZE,), the loop's own
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -67,7 +76,11 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros((2, CONTROLLER_BLOCK_SIZE)),
         np.zeros((2, 2), np.int64),
         np.zeros((2, PROFILE_ROWS, profile_capacity)),
+        np.zeros((2, TABLE_SIZE)),
+        np.zeros((2, TABLE_SIZE)),
+        new_memory(),
     )
+    blocks.control[EFFECTS] = ALL_EFFECTS
     blocks.parameters[:] = pack_controller(controller)
     blocks.status[PROFILE_SAMPLE] = -1
     return blocks
@@ -78,6 +91,14 @@ def publish_controller(blocks: Blocks, controller: ControllerConfig) -> int:
     number = int(blocks.control[PARAMETER_NUMBER]) + 1
     blocks.parameters[number & 1] = pack_controller(controller)
     store_release(blocks.control, PARAMETER_NUMBER, number)
+    return number
+
+
+def publish_effects(blocks: Blocks, table: Floats) -> int:
+    """Hand new effects (compensation.pack_compensation) to the loop. Returns their number."""
+    number = int(blocks.control[EFFECTS_NUMBER]) + 1
+    blocks.effects[number & 1] = table
+    store_release(blocks.control, EFFECTS_NUMBER, number)
     return number
 
 
@@ -112,11 +133,29 @@ def take_parameters(blocks: Blocks, number_in_use: int, scratch: Floats, in_use:
     number = load_acquire(blocks.control, PARAMETER_NUMBER)
     if number == number_in_use:
         return number_in_use
-    for i in range(scratch.size):
-        scratch[i] = blocks.parameters[number & 1, i]
+    _copy(blocks.parameters[number & 1], scratch)
     if load_acquire(blocks.control, PARAMETER_NUMBER) != number:
         blocks.status[STALE_BLOCKS] += 1
         return number_in_use
-    for i in range(scratch.size):
-        in_use[i] = scratch[i]
+    _copy(scratch, in_use)
     return number
+
+
+@njit
+def take_effects(blocks: Blocks, number_in_use: int) -> int:
+    """Newly published effects to `blocks.effects_loop[1]`, as `take_parameters` does. Returns the number in use."""
+    number = load_acquire(blocks.control, EFFECTS_NUMBER)
+    if number == number_in_use:
+        return number_in_use
+    _copy(blocks.effects[number & 1], blocks.effects_loop[0])
+    if load_acquire(blocks.control, EFFECTS_NUMBER) != number:
+        blocks.status[STALE_BLOCKS] += 1
+        return number_in_use
+    _copy(blocks.effects_loop[0], blocks.effects_loop[1])
+    return number
+
+
+@njit
+def _copy(source: Floats, target: Floats) -> None:
+    for i in range(target.size):
+        target[i] = source[i]

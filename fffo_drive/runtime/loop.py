@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..control.controller import controller_at_rest, unpack_controller, with_limited
+from ..control.compensation import SUM_NM, compensation_rest, effects_in_service
+from ..control.controller import controller_at_rest, unpack_controller, with_limited, with_new_gains, with_torque_lost
 from ..control.envelope import (
     LIMIT_CONTROLLER,
     REACTION_QUICK_STOP,
     TRIP_NONE,
     EnvelopeConfig,
+    envelope_after_reset,
     envelope_at_rest,
     envelope_step,
 )
@@ -31,13 +33,14 @@ from ..drive.port import port_command, port_housekeeping, port_now_ns
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 from . import blocks as b
-from .blocks import Blocks, take_parameters
+from .blocks import Blocks, take_effects, take_parameters
 from .ring import HEAD, Ring
 from .tick import (
     LoopConfig,
     ProfileCursor,
     apply_law,
     baseline_of,
+    compensate,
     exchange,
     follow_profile,
     look,
@@ -66,6 +69,9 @@ def run_loop(
 ) -> int:  # fmt: skip
     """Run until STOP, the end of the profile (AUTOSTOP) or `max_ticks`. Returns the number of ticks that ran.
 
+    A supervisor that is silent for `supervisor_ticks` has left the axis alone: quick stop, then the end, and with it of
+    our heartbeat.
+
     `scratch` (2, CONTROLLER_BLOCK_SIZE) float64: copy under way, and parameters in use. The last thing sent is a zero
     command with the voltage disabled.
     """
@@ -76,11 +82,17 @@ def run_loop(
     status[b.PARAMETERS_IN_USE] = parameter_number
     controller_config = unpack_controller(scratch[1])
     controller = controller_at_rest()
+    effects_number = take_effects(blocks, -1)
+    status[b.EFFECTS_IN_USE] = effects_number
+    compensation_rest(blocks.effects_memory)
     envelope = envelope_at_rest()
     cursor = ProfileCursor(status[b.PROFILE_DONE], -1, 0, MODE_IDLE)
     baseline = baseline_of(feedback)
     reset_number = load_acquire(control, b.RESET_NUMBER)
     reset_ticks = 0
+    beat = load_acquire(control, b.SUPERVISOR_BEAT)
+    beat_tick = 0
+    abandoned = False
     trip = TRIP_NONE
     controlword = 0
     stopping_ticks = 0
@@ -100,18 +112,36 @@ def run_loop(
         if number != parameter_number:
             parameter_number = number
             status[b.PARAMETERS_IN_USE] = number
+            gains_before = controller_config
             controller_config = unpack_controller(scratch[1])
+            controller = with_new_gains(gains_before, controller_config, controller)
+        number = take_effects(blocks, effects_number)
+        if number != effects_number:
+            effects_number = number
+            status[b.EFFECTS_IN_USE] = number
+            controller = with_torque_lost(controller_config, controller, blocks.effects_memory[SUM_NM])
+            compensation_rest(blocks.effects_memory)
         number = load_acquire(control, b.RESET_NUMBER)
         if number != reset_number:
             reset_number = number
             reset_ticks = FAULT_RESET_TICKS
             trip = TRIP_NONE
-            envelope = envelope_at_rest()
+            envelope = envelope_after_reset(envelope)
             baseline = baseline_of(feedback)
         toggle = load_acquire(control, b.TOGGLE)
         goal = load_acquire(control, b.GOAL)
         if stopping_ticks > 0:
             goal = GOAL_DISABLED
+        number = load_acquire(control, b.SUPERVISOR_BEAT)
+        if number != beat:
+            beat = number
+            beat_tick = timing.tick
+        if config.supervisor_ticks > 0 and timing.tick - beat_tick > config.supervisor_ticks and not abandoned:
+            abandoned = True
+            stopping_ticks = 1
+            status[b.ABANDONED] = 1
+        if abandoned:
+            goal = GOAL_QUICK_STOP
 
         # the law
         enabled = is_operation_enabled(feedback["statusword"])
@@ -124,12 +154,14 @@ def run_loop(
             stopping_ticks = 1
             goal = GOAL_DISABLED
             wanted = False
+        active = wanted and enabled
+        effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active)
         law, controller = apply_law(
-            controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, wanted and enabled
+            controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active, effects_nm
         )
 
         # the envelope
-        seen = look(feedback, timing, baseline, law, wanted, enabled)
+        seen = look(feedback, timing, baseline, law, wanted, enabled, timing.tick - tick)
         command_a, limits, found, envelope = envelope_step(envelope_config, envelope, seen)
         if limits != 0:
             controller = with_limited(controller, True)
@@ -152,6 +184,7 @@ def run_loop(
         row["trip"] = trip
         row["profile_sample"] = sample
         row["toggle"] = toggle
+        row["effects"] = effects_in_service(blocks.effects_loop[1], load_acquire(control, b.EFFECTS))
         head += 1
         publish_tick(ring, head, status, timing, row)
         port_housekeeping(port, timing.tick)

@@ -10,17 +10,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .. import __version__
+from ..control.compensation import ALL_EFFECTS
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.friction_observer import TOGGLE_NAMES
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
 from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts, port_now_ns
 from ..jit import kernel_digest
+from ..recording.events import Level
 from ..recording.recorder import Recorder
+from ..recording.ring_reader import RingReader
 from ..recording.settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 from ..recording.writer import wall_clock_offset_ns
 from ..units import NS_PER_S
 from . import blocks as b
+from .effect_monitor import EffectMonitor
 from .session import Session
 
 POLL_S = 0.05
@@ -103,9 +107,11 @@ def record_simulated(
 def record_live(
     session: Session, profile: Profile, toggle: int, path: Path, header: RunHeader,
     settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None, monitor: EffectMonitor | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Run in wall-clock time on a started session: enable, profile, disable. `progress` gets the share done.
+
+    With a `monitor` the effects of the model are tried, and taken out of service where tracking gets worse.
 
     An exception (Ctrl-C, say) disables the drive before it goes on.
     """
@@ -117,14 +123,34 @@ def record_live(
         session.request(b.TOGGLE, toggle)
         number = session.start_profile(profile)
         session.request(b.GOAL, GOAL_ENABLED)
-        started = _follow(session, profile, number, progress)
+        watch = _watch(session, recorder, monitor)
+        started = _follow(session, profile, number, progress, watch)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
         ended = recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
     return _outcome(session, recorder, started, counted)._replace(recorder_ended=ended)
 
 
-def _follow(session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None) -> bool:
+def _watch(session: Session, recorder: Recorder, monitor: EffectMonitor | None) -> Callable[[], None]:
+    """What is looked at from time to time beside the run: whether the model's effects help."""
+    if monitor is None:
+        return lambda: None
+    reader = RingReader(session.ring, from_now=True)
+    session.request(b.EFFECTS, ALL_EFFECTS if monitor.with_effects else 0)
+
+    def look() -> None:
+        for decision in monitor.observe(reader.read().rows):
+            session.request(b.EFFECTS, ALL_EFFECTS if decision.with_effects else 0)
+            if decision.verdict:
+                recorder.event(Level.WARNING if decision.worse else Level.INFO, "effects", decision.verdict)
+
+    return look
+
+
+def _follow(
+    session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None,
+    watch: Callable[[], None],
+) -> bool:  # fmt: skip
     """Wait until the profile is done, or the loop has tripped. False when the drive was never enabled."""
     deadline = time.monotonic() + ENABLE_TIMEOUT_S
     started = False
@@ -135,6 +161,7 @@ def _follow(session: Session, profile: Profile, number: int, progress: Callable[
             return False
         if progress is not None and sample >= 0:
             progress(min(1.0, sample / profile.values.size))
+        watch()
         time.sleep(POLL_S)
     return started or session.status(b.PROFILE_DONE) == number
 

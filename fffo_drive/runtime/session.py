@@ -7,7 +7,7 @@ returns when the profile has ended, as fast as the machine allows.
 from __future__ import annotations
 
 import threading
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import typeof
@@ -20,7 +20,7 @@ from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
 from . import blocks as b
-from .blocks import Blocks, new_blocks, publish_controller, publish_profile
+from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile
 from .loop import run_loop
 from .realtime import RealtimeRefusedError, RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
 from .ring import Ring, new_ring
@@ -39,6 +39,16 @@ class SessionConfig(NamedTuple):
     realtime_required: bool
     longest_profile: int  # samples
     ring_rows: int
+    effects: Floats | None = None  # table of compensated effects (control/compensation)
+
+
+class PortHolder(Protocol):
+    """What compiling needs of a drive."""
+
+    @property
+    def port(self) -> Any:
+        """The compiled side."""
+        ...
 
 
 class Session:
@@ -48,6 +58,8 @@ class Session:
         self.drive = drive
         self.config = config
         self.blocks: Blocks = new_blocks(config.controller, config.longest_profile)
+        if config.effects is not None:
+            self.blocks.effects[:] = config.effects
         self.ring: Ring = new_ring(config.ring_rows)
         self.realtime_report: RealtimeReport | None = None
         self.error: BaseException | None = None
@@ -74,6 +86,11 @@ class Session:
     def set_controller(self, controller: ControllerConfig) -> None:
         """New gains and model, taken at a tick boundary."""
         publish_controller(self.blocks, controller)
+
+    def set_effects(self, table: Floats) -> None:
+        """Other effects to compensate, taken at a tick boundary; they come in on a ramp. The same again: nothing."""
+        if not np.array_equal(table, self.blocks.effects[self.blocks.control[b.EFFECTS_NUMBER] & 1]):
+            publish_effects(self.blocks, table)
 
     def start_profile(self, profile: Profile) -> int:
         """Ask for a profile; it starts once the drive is enabled. Returns its number."""
@@ -148,6 +165,12 @@ class Session:
         """Stop the loop, then leave the drive without torque."""
         self.stop()
         self.drive.close()
+
+    @staticmethod
+    def rehearse(drive: PortHolder, config: SessionConfig) -> None:
+        """Compile for ports of this type, before there is a drive that would have to wait for it."""
+        on_paper: Any = drive
+        Session(on_paper, config._replace(longest_profile=1, ring_rows=1)).compile()
 
     def _arguments(self, first_deadline_ns: int) -> tuple[Any, ...]:
         return (

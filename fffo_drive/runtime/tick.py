@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from ..control.compensation import compensation_rest, compensation_step
 from ..control.controller import ControllerConfig, ControllerState, ControllerTerms, controller_at_rest, controller_step
 from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
@@ -26,6 +27,7 @@ class LoopConfig(NamedTuple):
     stop_ticks: int  # a drive that has not let go of its torque by then is left all the same
     tail_ticks: int  # standstill under control after a profile, before it counts as done
     max_ticks: int  # 0: no bound
+    supervisor_ticks: int = 0  # a supervisor silent for so long: the loop stops the drive and ends; 0: never
 
 
 class Timing(NamedTuple):
@@ -59,12 +61,13 @@ class Baseline(NamedTuple):
 
     emergencies: int
     boots: int
+    bus_losses: int
 
 
 @njit
 def baseline_of(feedback: Any) -> Baseline:
     """The counters now."""
-    return Baseline(feedback["emergency_count"], feedback["boot_count"])
+    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"])
 
 
 @njit
@@ -116,26 +119,39 @@ def follow_profile(
 
 
 @njit
+def compensate(blocks: Blocks, mode: int, reference: Reference, position_rev: float, active: bool) -> float:
+    """Torque (Nm) for the effects of the model; their memory rests while the velocity law does not act."""
+    memory = blocks.effects_memory
+    if not active or mode == MODE_CURRENT:
+        compensation_rest(memory)
+        return 0.0
+    in_service = load_acquire(blocks.control, b.EFFECTS)
+    return compensation_step(blocks.effects_loop[1], memory, in_service, reference, position_rev)
+
+
+@njit
 def apply_law(
     config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
-    toggle: int, active: bool,
+    toggle: int, active: bool, effects_nm: float,
 ) -> tuple[Law, ControllerState]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
         return Law(MODE_IDLE, steady_reference(0.0), _terms_of_current(0.0)), controller_at_rest()
     if mode == MODE_CURRENT:
         return Law(MODE_CURRENT, steady_reference(0.0), _terms_of_current(reference.value)), controller_at_rest()
-    terms, state = controller_step(config, state, toggle, reference, velocity_rps)
+    terms, state = controller_step(config, state, toggle, reference, velocity_rps, effects_nm)
     return Law(MODE_VELOCITY, reference, terms), state
 
 
 @njit
 def _terms_of_current(current_a: float) -> ControllerTerms:
-    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
 
 
 @njit
-def look(feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool) -> EnvelopeInputs:
+def look(
+    feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool, skipped_ticks: int
+) -> EnvelopeInputs:
     """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
     heartbeat_age_ns = -1
     if feedback["heartbeat_ns"] >= 0:
@@ -150,11 +166,13 @@ def look(feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bo
         feedback["statusword"],
         feedback["emergency_count"] - baseline.emergencies,
         feedback["boot_count"] - baseline.boots,
-        feedback["bus_off"] != 0,
+        # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
+        feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
         heartbeat_age_ns,
         wanted,
         enabled,
         law.mode == MODE_VELOCITY,
+        skipped_ticks,
     )
 
 
@@ -170,7 +188,6 @@ def write_row(
     row["lateness_ns"] = lateness_ns
     row["turnaround_ns"] = timing.turnaround_ns
     row["late"] = 1 if lateness_ns > config.late_ns else 0
-    row["reserved"] = 0
     row["reference_rps"] = law.reference.value
     row["reference_rps2"] = law.reference.derivative
     row["reference_ahead_rps"] = law.reference.ahead
@@ -183,6 +200,7 @@ def write_row(
     row["integral_a"] = law.terms.integral_a
     row["friction_nm"] = law.terms.friction_nm
     row["inertia_nm"] = law.terms.inertia_nm
+    row["effects_nm"] = law.terms.effects_nm
     row["observation_nm_per_s"] = law.terms.observation_nm_per_s
     row["requested_a"] = law.terms.requested_a
     row["velocity_rps"] = seen.velocity_rps

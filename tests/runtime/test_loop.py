@@ -247,3 +247,20 @@ def test_the_slew_limit_is_marked_in_the_row():
     rows = rig.run(slew_a_per_s=1000.0)
     np.testing.assert_allclose(rows["current_command_a"][:5], 0.5 * np.arange(1, 6))
     assert (rows["limits"][:5] & env.LIMIT_SLEW).all()
+
+
+def test_a_silent_supervisor_ends_in_a_quick_stop_and_then_in_no_loop_at_all():
+    rig = Rig(scripted(400))
+    rig.port.script[350:, STATUSWORD] = SWITCH_ON_DISABLED  # the drive has stopped by then
+    loop = LOOP._replace(max_ticks=390, supervisor_ticks=200)
+    if not INTERPRETED:
+        run_loop.disable_compile(False)
+    scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
+    ticks = run_loop(rig.port, loop, envelope(), rig.blocks, scratch, rig.ring, PERIOD_NS)
+    rows = rig.reader.read().rows
+    assert rig.status(b.ABANDONED) == rig.status(b.FINISHED) == 1
+    assert 201 < ticks < 390
+    assert (rows["controlword"][:201] == 0x0F).all()
+    assert (rows["controlword"][201:] == 0x02).all()
+    assert (rows["current_command_a"][202:] == 0.0).all()
+    assert (rows["trip"] == 0).all()

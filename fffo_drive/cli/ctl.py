@@ -1,0 +1,234 @@
+"""Control a daemon (fffo-drive serve) over its socket. The commands are the methods of its API.
+
+Without --axis there must be one daemon only. Profiles and models given as files are read here and sent: the daemon does
+not need to see them. Exit codes: 69 no daemon, 70 refused or fault, 78 bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from ..daemon import rpc
+from ..daemon.client import CallError, ClientError, DaemonClient
+from ..daemon.parameters import METHODS, Method
+from ..daemon.places import CONTROL, SYSTEM_DIRECTORY, WATCH, user_directory
+from ..documents import DocumentError, parse, read_text
+from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
+
+BAD_INPUT = (rpc.BAD_DOCUMENT, rpc.INVALID_PARAMS, rpc.METHOD_NOT_FOUND, rpc.INVALID_REQUEST, rpc.PARSE_ERROR)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand, made from the table of methods."""
+    parser.add_argument("--axis", metavar="NAME", help="which daemon: name of its directory (vcan0, bench)")
+    parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    commands = parser.add_subparsers(dest="method", metavar="COMMAND", required=True)
+    for name, method in METHODS.items():
+        text = f"{method.summary}{'' if method.watching else ' (control socket)'}"
+        command = commands.add_parser(name.replace("_", "-"), help=text, description=method.summary)
+        command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object")
+        for field, info in method.parameters.model_fields.items():
+            _add_parameter(command, field, info)
+
+
+def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo) -> None:
+    """A required parameter has a place, others a flag; `cli: file` is read from a file, and names it."""
+    kind = (info.json_schema_extra or {}).get("cli") if isinstance(info.json_schema_extra, dict) else None
+    text = (info.description or "").replace("%", "%%")
+    if info.is_required():
+        metavar = {"file": "PATH", "profile": "PROFILE"}.get(str(kind), name.upper())
+        choices = get_args(info.annotation) if get_origin(info.annotation) is Literal else None
+        command.add_argument(name, metavar=metavar, choices=choices, help=f"{text}{_choices(choices)}")
+    elif info.annotation is bool:
+        command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
+    elif name != "name":
+        flag = f"--{name.replace('_', '-')}"
+        kind_of = int if info.annotation is int else float
+        command.add_argument(flag, dest=name, type=kind_of, default=None, metavar="N", help=f"{text} ({info.default})")
+
+
+def _choices(choices: tuple[Any, ...] | None) -> str:
+    return f": {', '.join(map(str, choices))}" if choices else ""
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    name = options.method.replace("-", "_")
+    method = METHODS[name]
+    try:
+        params = _parameters(method, options)
+        path = find_socket(options, method.watching)
+        with DaemonClient(path) as client:
+            result = client.call(name, **params)
+            _print(name, result, options.json)
+            if name == "subscribe":
+                _follow(client, options.json)
+            if name == "enable" and params.get("hold"):
+                _hold(client)
+        return 0
+    except ClientError as error:
+        print(f"fffo-drive ctl: {error}", file=sys.stderr)
+        return EXIT_UNAVAILABLE
+    except CallError as error:
+        if options.json:
+            print(json.dumps({"error": {"code": error.code, "message": str(error), "data": error.data}}))
+        print(f"fffo-drive ctl: {options.method}: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT if error.code in BAD_INPUT else EXIT_DRIVE_FAULT
+
+
+def find_socket(options: argparse.Namespace, watching: bool) -> Path:
+    """The socket of the one daemon that is meant. Raises ClientError."""
+    name = WATCH if watching else CONTROL
+    if options.sockets:
+        return Path(options.sockets) / name
+    homes = (SYSTEM_DIRECTORY, user_directory())
+    found = [path for home in homes for path in sorted(home.glob(f"*/{name}"))]
+    if options.axis:
+        found = [path for path in found if path.parent.name == options.axis]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        which = f" of '{options.axis}'" if options.axis else ""
+        places = ", ".join(str(home) for home in homes)
+        raise ClientError(f"no daemon{which} in {places}: start one with fffo-drive serve AXIS, or give --sockets")
+    raise ClientError(f"several daemons run, give --axis: {', '.join(path.parent.name for path in found)}")
+
+
+def _parameters(method: Method, options: argparse.Namespace) -> dict[str, Any]:
+    """What was given, as the API wants it. Raises DocumentError for a file that cannot be read."""
+    params: dict[str, Any] = {}
+    for field, info in method.parameters.model_fields.items():
+        value = getattr(options, field, None)
+        if value is None:
+            continue
+        kind = (info.json_schema_extra or {}).get("cli") if isinstance(info.json_schema_extra, dict) else None
+        if kind == "file":
+            params[field] = read_text(Path(value))
+            params["name"] = Path(value).name
+        elif kind == "profile":
+            params[field] = _profile(value)
+        elif field == "value":
+            params[field] = _number(value)
+        else:
+            params[field] = value
+    return params
+
+
+def _profile(given: str) -> Any:
+    """A name, or the content of a file."""
+    if "/" not in given and not given.endswith((".yaml", ".yml")):
+        return given
+    content, _ = parse(read_text(Path(given)), given)
+    return content.get("profile", content) if isinstance(content, dict) else content
+
+
+def _number(given: str) -> float | bool:
+    if given in ("true", "false"):
+        return given == "true"
+    try:
+        return float(given)
+    except ValueError:
+        raise DocumentError(f"set: {given!r} is no number, and neither true nor false") from None
+
+
+def _follow(client: DaemonClient, as_json: bool) -> None:
+    """Print what comes until the daemon or the user ends it."""
+    while True:
+        message = client.next_notification()
+        if as_json:
+            print(json.dumps(message), flush=True)
+        elif message.get("method") == "event":
+            print(_event_line(message["params"]), flush=True)
+        else:
+            print(_status_line(message["params"]), flush=True)
+
+
+def _hold(client: DaemonClient) -> None:
+    """Stay connected; leaving is what the daemon reacts to."""
+    print("holding the axis; Ctrl-C lets go (daemon.client_loss)", file=sys.stderr, flush=True)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    client.call("subscribe", events=True, status_hz=0)
+    _follow(client, False)
+
+
+def _print(name: str, result: Any, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(result, indent=2), flush=True)
+    elif name == "status":
+        print(_status_text(result), flush=True)
+    elif name == "events":
+        print("\n".join(_event_line(event) for event in result["events"]), flush=True)
+    elif name in ("info", "schema"):
+        print(_plain(result), flush=True)
+    else:
+        print(", ".join(f"{key}: {_short(value)}" for key, value in result.items()), flush=True)
+
+
+def _status_text(status: dict[str, Any]) -> str:
+    lines = [f"{status['state']}, for {status['state_s']:.1f} s, friction {status['toggle']}, model {_model(status)}"]
+    if status["fault"]:
+        lines.append(f"fault: {status['fault']['text']} ({status['fault']['name']}, tick {status['fault']['tick']})")
+    lines += [f"not ready: {text}" for text in status["obstacles"]]
+    if status["motion"]:
+        motion = status["motion"]
+        lines.append(
+            f"{motion['velocity_rps']:.4g} rps of {motion['reference_rps']:.4g}, {motion['position_rev']:.4g} rev, "
+            f"{motion['current_a']:.3g} A"
+        )
+    if status["profile"]:
+        profile = status["profile"]
+        lines.append(f"profile {profile['name']}: sample {profile['sample']} of {profile['samples']}")
+    if status["loop"]:
+        loop = status["loop"]
+        wire = [f"{count} {name}" for name, count in loop["exchange"].items() if count]
+        lines.append(
+            f"tick {loop['tick']}, {loop['late']} late, {loop['skipped']} skipped, {loop['missing_feedback']} without "
+            f"feedback; drive: {status['drive']['state']}{'; ' + ', '.join(wire) if wire else ''}"
+        )
+    recording = status["recording"]
+    if recording["on"]:
+        trouble = f"; {recording['trouble']}" if recording["trouble"] else ""
+        lines.append(f"recording to {recording['file']}, {recording['rows_written']} rows{trouble}")
+    if status["held_by"]:
+        lines.append(f"held by {status['held_by']}")
+    return "\n".join(lines)
+
+
+def _model(status: dict[str, Any]) -> str:
+    return f"{status['model']['name']} ({status['model']['hash'][:12]})"
+
+
+def _status_line(status: dict[str, Any]) -> str:
+    motion = status["motion"] or {"velocity_rps": 0.0, "reference_rps": 0.0, "current_a": 0.0}
+    return (
+        f"{status['state']:9s} {motion['velocity_rps']:9.4f} rps of {motion['reference_rps']:9.4f}, "
+        f"{motion['current_a']:8.4f} A"
+    )
+
+
+def _event_line(event: dict[str, Any]) -> str:
+    return f"{event['time'][:23]} {event['level']:7s} {event['kind']:10s} {event['text']}"
+
+
+def _plain(content: dict[str, Any], indent: str = "") -> str:
+    lines = []
+    for key, value in content.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}:", _plain(value, indent + "  ")]
+        else:
+            lines.append(f"{indent}{key}: {_short(value)}")
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "-"
+    return "-" if value is None else str(value)

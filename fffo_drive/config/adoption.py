@@ -1,0 +1,242 @@
+"""Whether a diagnosed model may be put in service on an axis: gates, each with its reason, and the file that names it.
+
+A gate looks at one thing that can go wrong: that the effects are not there (held-out error, intervals), that they are
+beyond their bounds, that the loop loses its proof, that the drive moves while its model is exchanged.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from pydantic import Field
+
+from ..documents import DocumentError, Record, load, parse, read_text
+from ..model.effects.law import STRENGTH
+from ..model.effects.registry import law_of
+from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
+from .axis import AxisFile, beside, build_profile, read_axis
+from .checks import law_problems
+from .effects import effect_limits, effect_problems, reason_against, services, slope_margin
+
+CONFIDENCE_SDS = 1.96
+HISTORY_SUFFIX = ".adoptions.yaml"
+
+
+class Gate(NamedTuple):
+    """One condition of an adoption."""
+
+    name: str
+    passed: bool
+    text: str  # what was found
+
+
+class Adoption(Record):
+    """One entry of an axis file's history."""
+
+    date: str
+    model: str  # as the axis file names it
+    model_hash: str
+    former: str
+    gates: list[str]
+
+
+class History(Record):
+    """What was adopted on an axis, the last one at the end."""
+
+    format: str = "fffo_drive/adoptions/1"
+    adoptions: list[Adoption] = Field(default_factory=list)
+
+
+def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
+    """The error on runs that the effects were not chosen on has fallen, and its interval lies below what it was."""
+    name = "held-out error"
+    if report is None:
+        return Gate(name, False, "no report.json of `fffo-drive diagnose` stands beside the model")
+    before, after = (report.get(key, {}).get("held_out") for key in ("before", "after"))
+    if not before or not after:
+        return Gate(name, False, "the report has no held-out runs: diagnose again with --held-out")
+    old, new = (float(figures["torque_rms_nm"]) for figures in (before, after))
+    highest = float(after.get("interval_95", {}).get("torque_rms_nm", [new, new])[1])
+    lowest = float(before.get("interval_95", {}).get("torque_rms_nm", [old, old])[0])
+    text = f"{old:.3g} -> {new:.3g} Nm rms ({100.0 * (new / old - 1.0):+.1f} %), at most {highest:.3g} (95 %)"
+    regime = any(
+        ((effect.get("after") or {}).get("held_out_regime") or {}).get("torque_rms_nm", math.inf)
+        < ((effect.get("before") or {}).get("held_out_regime") or {}).get("torque_rms_nm", -math.inf)
+        for effect in report.get("effects", [])
+        if effect.get("accepted")
+    )
+    if new < old and (highest < old or new < lowest):
+        return Gate(name, True, text)
+    if new <= old and regime:
+        return Gate(name, True, text + "; clear in the regime where the effect acts")
+    return Gate(name, False, text)
+
+
+def interval_gate(effect: EffectModel) -> Gate:
+    """Strengths are told from zero: the wave of a pair as a whole, at least one of several alone."""
+    law = law_of(effect.name)
+    told = []
+    for p in law.parameters:
+        quantity = effect.parameters.get(p.name)
+        if p.kind == STRENGTH and quantity is not None and quantity.value != 0.0:
+            told.append((p.name, quantity.value, quantity.sd))
+    name = f"{effect.name}: interval"
+    if not told:
+        return Gate(name, False, "no strength")
+    unknown = [key for key, _, sd in told if sd is None]
+    if len(unknown) == len(told):
+        return Gate(name, False, "no standard deviation: the strengths were not fitted, or stand at a bound")
+    known = [(value, sd) for _, value, sd in told if sd is not None]
+    distance = math.sqrt(sum((value / sd) ** 2 for value, sd in known if sd > 0.0))
+    needed = CONFIDENCE_SDS * math.sqrt(len(known))
+    first, value, sd = told[0]
+    text = f"{first} = {value:.3g}" + (f" +- {sd:.2g}" if sd is not None else "")
+    return Gate(name, distance > needed, f"{text}; {distance:.1f} standard deviations from zero, {needed:.1f} needed")
+
+
+def bounds_gate(model: ModelFile, effect: EffectModel) -> Gate:
+    """Every parameter lies within its law's range."""
+    errors = effect_errors([effect])
+    text = "; ".join(f"{key.removeprefix('effects[0].parameters.')}: {why}" for key, why in errors)
+    return Gate(f"{effect.name}: range", not errors, text or "inside the law's range")
+
+
+def compensation_gate(axis: AxisFile, model: ModelFile) -> Gate:
+    """At least one effect can be compensated; which, and why the others cannot."""
+    found = services(axis, model)
+    limits = effect_limits(axis, model)
+    said = [f"{s.effect.name}: {s.reason or f'compensated, within +-{limits.each_nm:.3g} Nm'}" for s in found]
+    if not found:
+        return Gate("compensation", True, "the model has no effects: its own parameters alone change")
+    return Gate("compensation", any(s.reason is None for s in found), "; ".join(said))
+
+
+def stability_gate(axis: AxisFile, model: ModelFile) -> Gate:
+    """Condition (14), the margins, and both with the slope of the feed-forward over the motor angle."""
+    profile = build_profile(axis.profile, axis.loop.period_s)
+    observer_on = axis.controller.observer.toggle != "off"
+    problems = law_problems(axis, model, observer_on) + effect_problems(axis, model, profile, observer_on)
+    margin = slope_margin(axis, model, profile, observer_on)
+    text = (
+        f"slope over the angle {margin.slope_nm_per_rev:.3g} Nm/rev; with it {margin.condition_14_nm_per_rev:.3g} "
+        f"Nm/rev left of (14), {margin.phase_deg:.1f} deg, gain margin {margin.gain:.2f}"
+    )
+    return Gate("stability", not problems, "; ".join([text, *problems]))
+
+
+def same_axis_gate(axis_model: ModelFile, model: ModelFile) -> Gate:
+    """The declared torque constant is that of the model in service: all torques scale with it."""
+    ours, theirs = axis_model.torque_constant_nm_per_a, model.torque_constant_nm_per_a
+    text = f"{theirs:g} Nm/A, in service {ours:g} Nm/A"
+    return Gate("torque constant", math.isclose(ours, theirs, rel_tol=1e-3), text)
+
+
+def gates(
+    axis: AxisFile, in_service: ModelFile, model: ModelFile, report: Mapping[str, Any] | None, torque_on: bool | None
+) -> list[Gate]:
+    """All of them. `torque_on`: what the axis' daemon says; None where none answers."""
+    found = [
+        Gate(
+            "drive disabled",
+            not torque_on,
+            {True: "the daemon has torque on: `fffo-drive ctl disable` first", False: "the daemon has no torque on",
+             None: "no daemon serves this axis"}[torque_on],
+        ),
+        same_axis_gate(in_service, model),
+        held_out_gate(report) if model.effects else Gate("held-out error", True, "no effects"),
+    ]  # fmt: skip
+    for effect in model.effects:
+        if reason_against(effect) is None:
+            found += [interval_gate(effect), bounds_gate(model, effect)]
+    return [*found, compensation_gate(axis, model), stability_gate(axis, model)]
+
+
+def read_report(model_path: Path, given: Path | None) -> dict[str, Any] | None:
+    """The report of the diagnosis that wrote the model: given, or beside it. Raises DocumentError for a broken one."""
+    path = given or model_path.parent / "report.json"
+    if not path.exists():
+        if given is not None:
+            raise DocumentError(f"{given}: cannot be read: no such file")
+        return None
+    try:
+        found = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise DocumentError(f"{path}:{error.lineno}: not JSON: {error.msg}") from None
+    if not str(found.get("format", "")).startswith("fffo_drive/diagnosis/"):
+        if given is not None:
+            raise DocumentError(f"{path}:1: format: not a report of `fffo-drive diagnose`")
+        return None
+    return dict(found)
+
+
+def history_path(axis_path: Path) -> Path:
+    """Where the adoptions of an axis file stand."""
+    return axis_path.with_suffix(HISTORY_SUFFIX)
+
+
+def read_history(axis_path: Path) -> History:
+    """What was adopted on this axis; nothing yet where there is no file."""
+    path = history_path(axis_path)
+    return load(path, History) if path.exists() else History()
+
+
+def put_in_service(axis_path: Path, model_path: Path, passed: list[Gate]) -> Adoption:
+    """Name the model in the axis file, and keep the former one in the history. Raises DocumentError."""
+    axis = read_axis(axis_path)
+    name = os.path.relpath(model_path.resolve(), axis_path.resolve().parent)
+    entry = Adoption(
+        date=time.strftime("%Y-%m-%d %H:%M:%S"), model=name, model_hash=content_hash(read_model(model_path)),
+        former=axis.model, gates=[f"{gate.name}: {gate.text}" for gate in passed],
+    )  # fmt: skip
+    history = read_history(axis_path)
+    _write_history(axis_path, History(adoptions=[*history.adoptions, entry]))
+    rename_model(axis_path, name)
+    return entry
+
+
+def roll_back(axis_path: Path) -> Adoption:
+    """Name the former model again. Raises DocumentError where nothing was adopted, or the file was edited since."""
+    history = read_history(axis_path)
+    if not history.adoptions:
+        raise DocumentError(f"{axis_path}: nothing was adopted on this axis: {history_path(axis_path)} has no entry")
+    last = history.adoptions[-1]
+    axis = read_axis(axis_path)
+    if axis.model != last.model:
+        raise DocumentError(
+            f"{axis_path}: model: names {axis.model}, not the adopted {last.model}: it was edited since"
+        )
+    read_model(beside(axis_path, last.former))
+    rename_model(axis_path, last.former)
+    _write_history(axis_path, History(adoptions=history.adoptions[:-1]))
+    return last
+
+
+def rename_model(axis_path: Path, name: str) -> None:
+    """Replace the `model:` line of an axis file and leave the rest, with its comments, as it is."""
+    text = read_text(axis_path)
+    _, lines = parse(text, str(axis_path))
+    rows = text.splitlines(keepends=True)
+    at = lines[("model",)] - 1
+    changed = re.sub(r"^(\s*model\s*:\s*)[^#\r\n]*?(\s*(?:#.*)?)(\r?\n?)$", lambda m: _line(m, name), rows[at])
+    rows[at] = changed
+    found, _ = parse("".join(rows), str(axis_path))
+    if found.get("model") != name:
+        raise DocumentError(f"{axis_path}:{at + 1}: model: write `model: {name}` on a line of its own yourself")
+    axis_path.write_text("".join(rows), encoding="utf-8")
+
+
+def _line(match: re.Match[str], name: str) -> str:
+    return f"{match[1]}{json.dumps(name) if re.search(r'[^A-Za-z0-9_./-]', name) else name}{match[2]}{match[3]}"
+
+
+def _write_history(axis_path: Path, history: History) -> None:
+    text = yaml.safe_dump(history.model_dump(mode="json"), sort_keys=False, width=110)
+    history_path(axis_path).write_text(text, encoding="utf-8")

@@ -1,0 +1,1 @@
+"""The daemon: one axis, kept connected, supervised, recorded, and controlled over a Unix socket."""

@@ -1,0 +1,108 @@
+"""A client of the daemon's socket, for programs without asyncio: calls, and what was subscribed."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+
+class ClientError(Exception):
+    """No daemon on that socket, or it went away."""
+
+
+class CallError(Exception):
+    """The daemon answered with an error. `code` and `data` as in JSON-RPC."""
+
+    def __init__(self, code: int, message: str, data: Any = None) -> None:
+        super().__init__(message)
+        self.code, self.data = code, data
+
+
+class DaemonClient:
+    """A connection. One thread uses it."""
+
+    def __init__(self, path: Path, timeout_s: float | None = 30.0) -> None:
+        """`timeout_s`: for an answer beyond what the call itself waits. Raises ClientError."""
+        self.path = path
+        self._timeout_s = timeout_s
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        self._buffer = b""
+        self._number = 0
+        self.notifications: list[dict[str, Any]] = []
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise ClientError(_no_daemon(path, error)) from error
+
+    def call(self, method: str, **params: Any) -> Any:
+        """Call and wait for the result. Raises CallError, ClientError. Notifications meanwhile are kept."""
+        self._number += 1
+        request = {"jsonrpc": "2.0", "id": self._number, "method": method, "params": params}
+        self.send_line(json.dumps(request).encode())
+        waits_s = float(params.get("wait_s") or 0.0)
+        self._socket.settimeout(None if self._timeout_s is None else self._timeout_s + waits_s)
+        while True:
+            message = self.read()
+            if "method" in message:
+                self.notifications.append(message)
+            elif message.get("id") == self._number or (message.get("id") is None and "error" in message):
+                if "error" in message:
+                    error = message["error"]
+                    raise CallError(error["code"], error["message"], error.get("data"))
+                return message["result"]
+
+    def next_notification(self, timeout_s: float | None = None) -> dict[str, Any]:
+        """The next one, in order. Raises ClientError when none comes in time or the daemon goes away."""
+        if self.notifications:
+            return self.notifications.pop(0)
+        self._socket.settimeout(timeout_s)
+        return self.read()
+
+    def send_line(self, line: bytes) -> None:
+        """Send raw bytes and a line break."""
+        try:
+            self._socket.sendall(line + b"\n")
+        except OSError as error:
+            raise ClientError(f"{self.path}: the daemon went away: {error.strerror}") from error
+
+    def read(self) -> dict[str, Any]:
+        """The next message of any kind."""
+        while b"\n" not in self._buffer:
+            try:
+                data = self._socket.recv(65536)
+            except TimeoutError:
+                raise ClientError(f"{self.path}: no answer in time") from None
+            except OSError as error:
+                raise ClientError(f"{self.path}: the daemon went away: {error.strerror}") from error
+            if not data:
+                raise ClientError(f"{self.path}: the daemon closed the connection")
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        message: dict[str, Any] = json.loads(line)
+        return message
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _no_daemon(path: Path, error: OSError) -> str:
+    if isinstance(error, PermissionError):
+        return (
+            f"{path}: not allowed; be root or a member of the socket's group (daemon.control_group), or watch only "
+            "(--watch)"
+        )
+    return f"{path}: no daemon answers ({error.strerror}); start it: fffo-drive serve AXIS, or systemctl start"

@@ -1,0 +1,113 @@
+"""A drive with a running loop: brought up and left again, both on a thread that may wait for the bus."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..config.axis import CanopenDriveSection
+from ..config.plan import Plan, open_drive, plan_session
+from ..control.envelope import TRIP_NONE
+from ..documents import refuse
+from ..drive.canopen.drive import CanopenDrive
+from ..drive.cia402 import GOAL_DISABLED, STATE_FAULT, STATE_FAULT_REACTION_ACTIVE, state_of
+from ..drive.port import Drive, DriveIdentity
+from ..runtime import blocks as b
+from ..runtime.realtime import RealtimeReport
+from ..runtime.ring import HEAD
+from ..runtime.session import Session
+
+Row = np.ndarray[Any, np.dtype[np.void]]
+
+
+@dataclasses.dataclass
+class Connection:
+    """A drive, and the loop that talks to it; SYNC runs, without torque until somebody asks for it."""
+
+    number: int  # from 1, in the life of the daemon
+    drive: Drive
+    identity: DriveIdentity
+    session: Session
+    realtime: RealtimeReport
+
+    @property
+    def running(self) -> bool:
+        """The loop's thread lives."""
+        return self.session.running
+
+    @property
+    def head(self) -> int:
+        """Rows ever written by the loop."""
+        return int(self.session.ring.words[HEAD])
+
+    def last_row(self) -> Row | None:
+        """A copy of the newest row; None before the first."""
+        head = self.head
+        if head == 0:
+            return None
+        rows = self.session.ring.rows
+        row: Row = rows[(head - 1) % rows.size].copy()
+        return row
+
+    def beat(self) -> None:
+        """Tell the loop that somebody is in charge."""
+        words = self.session.blocks.control
+        self.session.request(b.SUPERVISOR_BEAT, int(words[b.SUPERVISOR_BEAT]) + 1)
+
+    def in_fault(self) -> bool:
+        """The drive itself is in a fault state."""
+        return state_of(self.session.status(b.STATUSWORD)) in (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
+
+    @property
+    def trip(self) -> int:
+        """The latched trip (envelope.TRIP_*)."""
+        return self.session.status(b.TRIP)
+
+    @property
+    def clear(self) -> bool:
+        """Nothing is latched, neither here nor in the drive."""
+        return self.trip == TRIP_NONE and not self.in_fault()
+
+
+class OnPaper(NamedTuple):
+    """A drive that is not there yet."""
+
+    port: Any
+
+
+def require_served(plan: Plan) -> None:
+    """Raise DocumentError for an axis that cannot be served."""
+    if not isinstance(plan.axis.drive, CanopenDriveSection):
+        text = (
+            "a daemon needs a drive on a bus; for the simulated one run `fffo-drive sim` beside it and give "
+            "kind: canopen with its bus (configs/axis_canopen.yaml)"
+        )
+        refuse(plan.path, [("drive.kind", text)])
+
+
+def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
+    """Connect, compile, start the loop. Raises DriveError, LinkError, RealtimeRefusedError; the bus is left then."""
+    drive = open_drive(plan, bus)
+    if isinstance(drive, CanopenDrive):
+        Session.rehearse(OnPaper(drive.rehearsal_port()), plan_session(plan))
+    identity = drive.connect()
+    try:
+        config = plan_session(plan)
+        rate_hz = plan.axis.loop.rate_hz
+        loop = config.loop._replace(supervisor_ticks=round(plan.axis.daemon.supervisor_timeout_s * rate_hz))
+        longest = round(plan.axis.loop.longest_profile_s * rate_hz)
+        session = Session(drive, config._replace(loop=loop, longest_profile=longest))
+        session.request(b.GOAL, GOAL_DISABLED)
+        session.request(b.TOGGLE, plan.toggle)
+        report = session.start()
+    except BaseException:
+        drive.close()
+        raise
+    return Connection(number, drive, identity, session, report)
+
+
+def leave(connection: Connection) -> None:
+    """End the loop, then leave the drive without torque."""
+    connection.session.close()

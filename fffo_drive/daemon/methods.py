@@ -1,0 +1,292 @@
+"""The methods of the API: one table that the server dispatches on, and from which schema and `ctl` are made.
+
+Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) and, for the methods that only look, on
+`watch.sock`. Parameters are objects with names (`parameters.py`). What a method answers:
+
+info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
+status      state, state_s, obstacles, fault {name, text, tick}, toggle, model {name, hash}, profile {name, sample,
+            samples, duration_s}, recording {on, wanted, file, finished, rows_*, write_errors, trouble}, last_event,
+            loop {connection, running, tick, rows, late, skipped, missing_feedback, stale_blocks, trip, exchange},
+            drive {name, statusword, state, emergency_code, nmt_state}, motion {velocity_rps, position_rev, current_a,
+            current_command_a, reference_rps, error_rps, friction_nm, mode, age}; null where there is none
+enable, disable, start, stop, quick_stop, reset_fault
+            {"state": ..., "reached": true}; error -32004 when it does not come about within wait_s
+toggle, model, set, reload
+            what is in use now
+record      {"on": ..., "file": ..., "files": [...]}
+events      {"events": [{number, time, kind, level, text, data}, ...], "last": number}
+subscribe   {"status_hz": ..., "events": ...}; then notifications `status` (as above) and `event` on this connection
+schema      JSON schemas of all parameters
+
+Errors of ours: -32000 not possible in this state (data: state, allowed), -32001 this socket is for watching, -32002
+the drive, -32003 a profile, model, key or file that cannot be used, -32004 not reached in time, -32005 a limit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from .. import __version__
+from ..config.axis import TOGGLES
+from ..config.plan import YAML_TYPE, Plan, toggle_name
+from ..recording.events import Level
+from ..runtime.states import AT_REST, Change, Event, RefusedError, State, require_change, step
+from . import parameters as p
+from . import settings
+from .profiles import chosen_profile
+from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
+from .status import info_of, status_of
+from .supervisor import Supervisor
+
+
+class Caller(Protocol):
+    """Who asks: one connection."""
+
+    @property
+    def name(self) -> str:
+        """For the log: pid and user."""
+        ...
+
+    @property
+    def credentials(self) -> dict[str, int]:
+        """client_pid, client_uid, client_gid."""
+        ...
+
+    def subscribe(self, status_hz: float, events: bool) -> None:
+        """What it wants to hear from now on."""
+        ...
+
+
+class Api:
+    """The methods of `parameters.METHODS`, each by its name, on one supervisor.
+
+    `holder` is the connection that the axis hangs on, if there is one.
+    """
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self.supervisor = supervisor
+        self.holder: Caller | None = None
+        self._changing = asyncio.Lock()  # plans are checked on another thread: one change at a time
+
+    # what only looks
+
+    def info(self, _: p.Nothing, caller: Caller) -> Any:
+        """Protocol version, axis, what may be asked for."""
+        return info_of(self.supervisor, __version__)
+
+    def status(self, _: p.Nothing, caller: Caller) -> Any:
+        """The status of this moment."""
+        return self.full_status()
+
+    def full_status(self) -> dict[str, Any]:
+        """Status with who is in charge."""
+        holder = None if self.holder is None else self.holder.name
+        return {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
+
+    def events(self, wanted: p.Events, caller: Caller) -> Any:
+        """The last events."""
+        log = self.supervisor.log
+        return {"events": log.since(wanted.since, wanted.limit), "last": log.last_number}
+
+    def subscribe(self, wanted: p.Subscribe, caller: Caller) -> Any:
+        """Statuses at a rate, and events, on this connection."""
+        caller.subscribe(wanted.status_hz, wanted.events)
+        return wanted.model_dump()
+
+    def schema(self, _: p.Nothing, caller: Caller) -> Any:
+        """JSON schemas of all parameters."""
+        return {
+            name: {"summary": m.summary, "watching": m.watching, "parameters": m.parameters.model_json_schema()}
+            for name, m in p.METHODS.items()
+        }
+
+    # motion
+
+    async def enable(self, wanted: p.Enable, caller: Caller) -> Any:
+        """Torque."""
+        supervisor = self.supervisor
+        if supervisor.plan.axis.daemon.in_charge == "connection" and not wanted.hold:
+            text = "daemon.in_charge is connection: enable with hold, and stay connected (ctl enable --hold)"
+            raise RpcError(REFUSED, text, {"state": supervisor.state.value, "allowed": []})
+        if supervisor.state is State.CONNECTED and supervisor.obstacles:
+            reasons = "; ".join(supervisor.obstacles)
+            raise RefusedError(f"the axis may not be enabled: {reasons}", supervisor.state, (State.READY,))
+        supervisor.apply(Event.ENABLE)
+        if wanted.hold:
+            self.holder = caller
+        self._command(caller, "enable")
+        asked = (State.ENABLED, State.RUNNING)
+        return await self._reached(
+            lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled", lambda: supervisor.state not in asked
+        )
+
+    async def disable(self, wanted: p.Ending, caller: Caller) -> Any:
+        """Brake to standstill if a profile runs, then no torque."""
+        return await self._end(Event.DISABLE, wanted, caller, AT_REST)
+
+    async def stop(self, wanted: p.Ending, caller: Caller) -> Any:
+        """Brake to standstill; the axis stays enabled."""
+        return await self._end(Event.STOP, wanted, caller, AT_REST | {State.ENABLED})
+
+    async def quick_stop(self, wanted: p.Ending, caller: Caller) -> Any:
+        """The drive's own quick stop, then no torque."""
+        return await self._end(Event.QUICK_STOP, wanted, caller, AT_REST)
+
+    async def reset_fault(self, wanted: p.Ending, caller: Caller) -> Any:
+        """Leave a fault; torque needs another enable."""
+        supervisor = self.supervisor
+        supervisor.reset_fault()
+        self._command(caller, "reset_fault")
+        return await self._reached(lambda: supervisor.state is State.READY, wanted.wait_s, State.READY.value)
+
+    async def start(self, wanted: p.Start, caller: Caller) -> Any:
+        """Run a profile."""
+        supervisor = self.supervisor
+        if supervisor.state is not State.ENABLED:
+            step(supervisor.state, Event.START)  # refused before anything is computed
+        profile = await asyncio.to_thread(chosen_profile, supervisor.plan, wanted.profile)
+        supervisor.start(profile)
+        self._command(caller, f"start {profile.name}")
+        if wanted.wait_s == 0:
+            return self._now(True)
+        return await self._reached(lambda: supervisor.state is not State.RUNNING, wanted.wait_s, "the profile's end")
+
+    # parameters
+
+    async def toggle(self, wanted: p.Toggle, caller: Caller) -> Any:
+        """Friction from reference, feedback, or not; bumpless, at a tick boundary."""
+        supervisor = self.supervisor
+        async with self._changing:
+            toggle = TOGGLES[wanted.to]
+            await asyncio.to_thread(settings.require_toggle, supervisor.plan, toggle)
+            require_change(supervisor.state, Change.TOGGLE)
+            supervisor.set_toggle(toggle)
+        self._parameters(caller, f"friction {wanted.to}")
+        return {"toggle": toggle_name(supervisor.toggle)}
+
+    async def set(self, wanted: p.Set, caller: Caller) -> Any:
+        """One gain or switch, until the next reload."""
+        supervisor = self.supervisor
+        async with self._changing:
+            change = settings.change_of(wanted.key)
+            require_change(supervisor.state, change)
+            args = (supervisor.plan, supervisor.toggle, wanted.key, wanted.value)
+            plan = await asyncio.to_thread(settings.with_value, *args)
+            require_change(supervisor.state, change)
+            supervisor.set_plan(plan)
+        self._parameters(caller, f"{wanted.key} = {wanted.value:g}")
+        return {"key": wanted.key, "value": settings.value_of(plan.axis, wanted.key)}
+
+    async def model(self, wanted: p.Model, caller: Caller) -> Any:
+        """Another model, while the axis has no torque."""
+        supervisor = self.supervisor
+        async with self._changing:
+            require_change(supervisor.state, Change.MODEL)
+            plan = await asyncio.to_thread(self._with_model, wanted)
+            require_change(supervisor.state, Change.MODEL)
+            supervisor.set_plan(plan)
+            supervisor.sources.model = (wanted.name, YAML_TYPE, wanted.text.encode())
+            supervisor.check_permission()
+        self._parameters(caller, f"model {plan.model.name}")
+        return status_of(supervisor, time.monotonic())["model"]
+
+    def _with_model(self, wanted: p.Model) -> Plan:
+        plan, toggle = self.supervisor.plan, self.supervisor.toggle
+        model = settings.model_from_text(wanted.text, wanted.name)
+        old = plan.model
+        if model.torque_constant_nm_per_a != old.torque_constant_nm_per_a:
+            text = (
+                f"{wanted.name}: torque_constant_nm_per_a is {model.torque_constant_nm_per_a:g}, the drive is scaled "
+                f"with {old.torque_constant_nm_per_a:g}: name this model in the axis file and restart the service"
+            )
+            raise RpcError(BAD_DOCUMENT, text)
+        return settings.with_model(plan, toggle, model)
+
+    async def reload(self, _: p.Nothing, caller: Caller) -> Any:
+        """Read the axis file again; what needs a restart is named."""
+        return await self.reload_file(caller.name, caller.credentials)
+
+    async def reload_file(self, who: str, credentials: dict[str, int]) -> dict[str, Any]:
+        """As `reload`, also for SIGHUP."""
+        supervisor = self.supervisor
+        async with self._changing:
+            at_rest = supervisor.state in AT_REST
+            fresh = await asyncio.to_thread(settings.reload, supervisor.plan, supervisor.toggle, at_rest)
+            if at_rest and supervisor.state not in AT_REST:  # enabled meanwhile
+                fresh = await asyncio.to_thread(settings.reload, supervisor.plan, supervisor.toggle, False)
+            before = supervisor.plan
+            supervisor.set_plan(fresh.plan)
+            if before.toggle != fresh.plan.toggle:
+                supervisor.set_toggle(fresh.plan.toggle)
+            supervisor.sources.take(fresh.plan)
+            supervisor.check_permission()
+        applied, restart = list(fresh.applied), list(fresh.restart)
+        text = f"reloaded by {who}: {', '.join(applied) or 'nothing to apply'}"
+        text += f"; needs a restart: {', '.join(restart)}" if restart else ""
+        level = Level.WARNING if restart else Level.INFO
+        supervisor.log.add("reload", text, level, {"applied": applied, "restart": restart, **credentials})
+        return {"applied": applied, "restart": restart}
+
+    async def record(self, wanted: p.RecordSwitch, caller: Caller) -> Any:
+        """Begin or end a recording."""
+        supervisor = self.supervisor
+        self._command(caller, f"record {wanted.to}")
+        if wanted.to == "off":
+            supervisor.recorder.wanted = False
+            return {"on": False, "file": None, "files": await supervisor.recorder.end()}
+        path = await supervisor.start_recording()
+        return {"on": True, "file": path or supervisor.recorder.status()["file"], "files": []}
+
+    # what they share
+
+    async def _end(self, event: Event, wanted: p.Ending, caller: Caller, there: frozenset[State]) -> Any:
+        supervisor = self.supervisor
+        supervisor.apply(event)
+        self._command(caller, event.value)
+        if event is not Event.STOP:
+            self.holder = None
+        return await self._reached(lambda: supervisor.state in there, wanted.wait_s, "standstill")
+
+    async def _reached(
+        self, condition: Callable[[], bool], wait_s: float, what: str, hopeless: Callable[[], bool] | None = None
+    ) -> dict[str, Any]:
+        """Wait until it is so, or until a fault (or `hopeless`) ends the waiting."""
+        supervisor = self.supervisor
+        no_more = hopeless or (lambda: supervisor.state is State.FAULT)
+        if wait_s == 0:
+            return self._now(condition())
+        came = await supervisor.reached(lambda: condition() or no_more(), wait_s)
+        if came and condition():
+            return self._now(True)
+        reason = f": {supervisor.fault.text}" if supervisor.fault is not None else ""
+        if not reason and supervisor.state in (State.OFFLINE, State.CONNECTED) and supervisor.obstacles:
+            reason = f": {supervisor.obstacles[0]}"
+        raise RpcError(
+            NOT_REACHED, f"{what} was not reached, the axis is in state {supervisor.state.value}{reason}",
+            {"state": supervisor.state.value},
+        )  # fmt: skip
+
+    def _now(self, reached: bool) -> dict[str, Any]:
+        return {"state": self.supervisor.state.value, "reached": reached}
+
+    def _command(self, caller: Caller, text: str) -> None:
+        self.supervisor.log.add("command", f"{text} by {caller.name}", data=caller.credentials)
+
+    def _parameters(self, caller: Caller, text: str) -> None:
+        self.supervisor.log.add("parameters", f"{text} by {caller.name}", data=caller.credentials)
+
+    def client_left(self, caller: Caller) -> None:
+        """A connection closed. When the axis hung on it, do as daemon.client_loss says."""
+        if caller is not self.holder:
+            return
+        self.holder = None
+        supervisor = self.supervisor
+        reaction = supervisor.plan.axis.daemon.client_loss
+        if supervisor.state in AT_REST or reaction == "go_on":
+            return
+        text = f"{caller.name}, who held the axis, is gone: {reaction.replace('_', ' ')}"
+        supervisor.log.add("client", text, Level.WARNING, caller.credentials)
+        supervisor.apply(Event.QUICK_STOP if reaction == "quick_stop" else Event.DISABLE)

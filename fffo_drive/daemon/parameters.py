@@ -1,0 +1,117 @@
+"""The methods of the API and their parameters as records: the server checks them, `schema` and `ctl --help` show them.
+
+Imported by `ctl`, which is to answer quickly: nothing of the loop is imported here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import BaseModel, Field
+
+from ..config.sections import ProfileSection
+from ..documents import Record
+
+Seconds = Annotated[float, Field(ge=0, le=600)]
+
+
+class Nothing(Record):
+    """No parameters."""
+
+
+class Enable(Record):
+    """Parameters of `enable`."""
+
+    hold: Annotated[
+        bool, Field(description="this connection is in charge: daemon.client_loss happens when it closes")
+    ] = False
+    wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: not")] = 10.0
+
+
+class Ending(Record):
+    """Parameters of what ends a motion or a fault."""
+
+    wait_s: Annotated[Seconds, Field(description="how long to wait until it is done; 0: not")] = 10.0
+
+
+class Start(Record):
+    """Parameters of `start`."""
+
+    profile: Annotated[
+        str | ProfileSection,
+        Field(
+            description="name (see info: profiles), or a profile as in an axis file",
+            json_schema_extra={"cli": "profile"},
+        ),
+    ]
+    wait_s: Annotated[Seconds, Field(description="how long to wait for its end; 0: not")] = 0.0
+
+
+class Toggle(Record):
+    """Parameters of `toggle`."""
+
+    to: Annotated[Literal["ff", "fb", "off"], Field(description="friction from reference, feedback, or not")]
+
+
+class Model(Record):
+    """Parameters of `model`."""
+
+    text: Annotated[
+        str, Field(max_length=200_000, description="a model file (YAML)", json_schema_extra={"cli": "file"})
+    ]
+    name: Annotated[str, Field(max_length=255, description="its file name, for messages and recordings")] = "model.yaml"
+
+
+class Set(Record):
+    """Parameters of `set`."""
+
+    key: Annotated[str, Field(description="dotted key of the axis file (see info: keys)")]
+    value: Annotated[float | bool, Field(description="number, or true or false for a switch")]
+
+
+class RecordSwitch(Record):
+    """Parameters of `record`."""
+
+    to: Annotated[Literal["on", "off"], Field(description="begin or end a recording")]
+
+
+class Events(Record):
+    """Parameters of `events`."""
+
+    since: Annotated[int, Field(ge=0, description="number of the last event that is known already")] = 0
+    limit: Annotated[int, Field(ge=1, le=1000, description="at most so many, the newest")] = 100
+
+
+class Subscribe(Record):
+    """Parameters of `subscribe`; it replaces what was subscribed before."""
+
+    status_hz: Annotated[float, Field(ge=0, le=50, description="statuses a second; 0: none")] = 0.0
+    events: Annotated[bool, Field(description="every event as it happens")] = True
+
+
+class Method(NamedTuple):
+    """One method; `methods.Api` has its handler under the same name."""
+
+    parameters: type[BaseModel]
+    watching: bool  # only looks: allowed on the read-only socket
+    summary: str
+
+
+METHODS: dict[str, Method] = {
+    "info": Method(Nothing, True, "protocol version, axis, what may be asked for"),
+    "status": Method(Nothing, True, "the status of this moment"),
+    "enable": Method(Enable, False, "torque; the axis is held at standstill"),
+    "disable": Method(Ending, False, "brake to standstill, then no torque"),
+    "start": Method(Start, False, "run a profile"),
+    "toggle": Method(Toggle, False, "friction from the reference, the feedback, or not"),
+    "stop": Method(Ending, False, "brake to standstill and stay enabled"),
+    "quick_stop": Method(Ending, False, "the drive's quick stop, then no torque"),
+    "reset_fault": Method(Ending, False, "leave a latched fault"),
+    "model": Method(Model, False, "use another model file, while there is no torque"),
+    "set": Method(Set, False, "change one gain or switch until the next reload"),
+    "reload": Method(Nothing, False, "read the axis file again, as SIGHUP does"),
+    "record": Method(RecordSwitch, False, "begin or end a recording"),
+    "events": Method(Events, True, "what happened last"),
+    "subscribe": Method(Subscribe, True, "statuses at a rate, and events, on this connection"),
+    "schema": Method(Nothing, True, "JSON schemas of all parameters"),
+}

@@ -1,0 +1,153 @@
+"""Recording while the daemon runs: on and off, a new file for each connection, and whether it still works."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..config.axis import beside, recorder_settings
+from ..config.plan import YAML_TYPE, Plan
+from ..recording.events import Level
+from ..recording.recorder import Recorder
+from ..recording.settings import RecorderHooks, RunHeader
+from ..recording.writer import wall_clock_offset_ns
+from ..runtime.runs import run_metadata, timestamp_name
+from .connection import Connection
+from .event_log import EventLog
+
+DISK_TIMEOUT_S = 30.0
+LEVELS = {level.name.lower(): level for level in Level}
+
+
+class Sources:
+    """The texts that a recording carries: as they were when they were taken, whatever becomes of the files."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.take(plan)
+
+    def take(self, plan: Plan) -> None:
+        """The files of a plan, read now."""
+        model = beside(plan.path, plan.axis.model)
+        self.axis = (plan.path.name, YAML_TYPE, plan.path.read_bytes())
+        self.model = (model.name, YAML_TYPE, model.read_bytes())
+        record = plan.axis.commissioning
+        self.extra: tuple[tuple[str, str, bytes], ...] = ()
+        if record is not None:
+            with contextlib.suppress(OSError):
+                self.extra = ((Path(record).name, YAML_TYPE, beside(plan.path, record).read_bytes()),)
+
+
+class RecordKeeper:
+    """One recorder at most. What waits for the disk is done on another thread."""
+
+    def __init__(self, log: EventLog, directory: Path | None) -> None:
+        """`directory`: for recordings whose configured directory is relative; None: the working directory."""
+        self._log = log
+        self._base = directory
+        self.hooks = RecorderHooks()  # of recorders that are started from now on
+        self.wanted = False
+        self._recorder: Recorder | None = None
+        self._changing = asyncio.Lock()
+        self._bad = ""
+        self.last_files: tuple[Path, ...] = ()
+
+    async def begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
+        """Begin a file now, or (without a connection, "") with the next one. Raises OSError."""
+        self.wanted = True
+        async with self._changing:
+            if connection is None or self.running:
+                return ""
+            path = str(await asyncio.to_thread(self._start, plan, connection, sources, toggle, note))
+        self._log.add("recording", f"recording to {path}", data={"file": path})
+        return path
+
+    async def end(self) -> list[str]:
+        """End the file. Returns the files of this recording."""
+        async with self._changing:
+            if not self.running:
+                return []
+            files = [str(file) for file in await asyncio.to_thread(self._stop)]
+        self._log.add("recording", f"recorded {', '.join(files) or 'nothing'}", data={"files": files})
+        return files
+
+    def _start(self, plan: Plan, connection: Connection, sources: Sources, toggle: int, note: str) -> Path:
+        directory = (self._base or Path()) / plan.axis.recording.directory
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
+        number = 1
+        while path.exists() or path.with_name(path.name + ".part").exists():
+            number += 1
+            path = directory / f"{timestamp_name(plan.axis.name, time.time_ns())}_{number}.mcap"
+        facts = {"commissioning": note, "source": "daemon", "connection": str(connection.number)}
+        metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile, facts)
+        header = RunHeader(metadata, (sources.axis, sources.model, *sources.extra), wall_clock_offset_ns())
+        recorder = Recorder(
+            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True
+        )
+        recorder.start()
+        self._recorder, self._bad = recorder, ""
+        return path
+
+    def _stop(self) -> tuple[Path, ...]:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return ()
+        if recorder.alive:
+            recorder.stop(None, DISK_TIMEOUT_S)
+        else:  # what it had not written is drained here
+            recorder.close()
+        self.last_files = recorder.statistics.files
+        return self.last_files
+
+    @property
+    def running(self) -> bool:
+        """A file is being written, or should be."""
+        return self._recorder is not None
+
+    def tell(self, event: Mapping[str, Any]) -> None:
+        """An event of the daemon's, into the file."""
+        if self._recorder is not None:
+            self._recorder.event(LEVELS[event["level"]], "supervisor", event["text"], {"kind": event["kind"]})
+
+    def trouble(self) -> str:
+        """Why the recording is not whole; empty when it is."""
+        recorder = self._recorder
+        if recorder is None:
+            return ""
+        if not recorder.alive:
+            return "the recorder's thread has ended"
+        statistics = recorder.statistics
+        missing = statistics.rows_dropped + statistics.rows_lost
+        if missing or statistics.write_errors:
+            return f"{missing} rows are missing: {statistics.last_error or 'the disk was too slow for the ring'}"
+        return ""
+
+    def news(self) -> str:
+        """`trouble`, once each time that it begins."""
+        bad = self.trouble()
+        begun = bool(bad) and not self._bad
+        self._bad = bad
+        return bad if begun else ""
+
+    def status(self) -> dict[str, Any]:
+        """For the API."""
+        recorder = self._recorder
+        if recorder is None:
+            files = [str(file) for file in self.last_files]
+            return {"on": False, "wanted": self.wanted, "file": None, "finished": files, "trouble": ""}
+        s = recorder.statistics
+        return {
+            "on": True,
+            "wanted": self.wanted,
+            "file": str(recorder.current_path) if recorder.current_path else None,
+            "finished": [str(file) for file in s.files],
+            "rows_written": s.rows_written,
+            "rows_lost": s.rows_lost,
+            "rows_dropped": s.rows_dropped,
+            "write_errors": s.write_errors,
+            "trouble": self.trouble(),
+        }

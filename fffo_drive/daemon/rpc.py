@@ -1,0 +1,154 @@
+"""JSON-RPC 2.0, one document a line: from bytes to calls, from results and errors to bytes. No sockets, no axis.
+
+Every malformed request has its error: not JSON, no request, an empty or over-long batch, an unknown method, wrong
+parameters. A request without `id` is a notification and is never answered, not even by an error.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+PARSE_ERROR = -32700
+INVALID_REQUEST = -32600
+METHOD_NOT_FOUND = -32601
+INVALID_PARAMS = -32602
+INTERNAL_ERROR = -32603
+# ours
+REFUSED = -32000  # not possible in this state; data: state, allowed
+READ_ONLY = -32001
+DRIVE_ERROR = -32002
+BAD_DOCUMENT = -32003  # a profile, model, key or file that cannot be used
+NOT_REACHED = -32004  # asked for, but not there in time; data: state
+LIMIT = -32005  # line, batch, clients, send buffer
+
+BATCH_LIMIT = 16
+DEEPEST = 32  # of brackets; the parser recurses
+
+Json = Any
+Id = str | int | float | None
+
+
+class RpcError(Exception):
+    """An error for the client."""
+
+    def __init__(self, code: int, message: str, data: Json = None) -> None:
+        super().__init__(message)
+        self.code, self.message, self.data = code, message, data
+
+
+class Call(NamedTuple):
+    """One call; `id` is NOTIFICATION where nobody waits for an answer."""
+
+    id: Any
+    method: str
+    params: dict[str, Json]
+
+
+NOTIFICATION = object()
+
+
+class Document(NamedTuple):
+    """A line: calls, and the errors of those that are none, in the order of the line."""
+
+    items: list[Call | dict[str, Json]]
+    batch: bool
+
+
+def read_line(line: bytes) -> Document:
+    """Parse one line. A document that is no JSON is one error."""
+    try:
+        text = line.decode("utf-8")
+        if _depth(text) > DEEPEST:
+            return Document([error_of(None, RpcError(PARSE_ERROR, f"brackets deeper than {DEEPEST}"))], False)
+        content = json.loads(text, parse_constant=_no_constant)
+    except UnicodeDecodeError as error:
+        return Document([error_of(None, RpcError(PARSE_ERROR, f"not UTF-8 (byte {error.start})"))], False)
+    except (ValueError, RecursionError) as error:
+        return Document([error_of(None, RpcError(PARSE_ERROR, f"not JSON: {error}"))], False)
+    if not isinstance(content, list):
+        return Document([_call(content)], False)
+    if not 1 <= len(content) <= BATCH_LIMIT:
+        text = f"a batch has 1 to {BATCH_LIMIT} requests, this one {len(content)}"
+        return Document([error_of(None, RpcError(INVALID_REQUEST if not content else LIMIT, text))], False)
+    return Document([_call(item) for item in content], True)
+
+
+def _call(content: Json) -> Call | dict[str, Json]:
+    if not isinstance(content, dict):
+        return error_of(None, RpcError(INVALID_REQUEST, "a request is an object with jsonrpc, method, params, id"))
+    number = content.get("id", NOTIFICATION)
+    known = number is NOTIFICATION or number is None or isinstance(number, str | int | float)
+    if not known or isinstance(number, bool):
+        return error_of(None, RpcError(INVALID_REQUEST, "id: a string or a number"))
+    name = content.get("method")
+    answer_to = None if number is NOTIFICATION else number
+    if content.get("jsonrpc") != "2.0":
+        return error_of(answer_to, RpcError(INVALID_REQUEST, 'jsonrpc: "2.0" is needed'))
+    if not isinstance(name, str):
+        return error_of(answer_to, RpcError(INVALID_REQUEST, "method: a string is needed"))
+    params = content.get("params", {})
+    if not isinstance(params, dict):
+        if isinstance(params, list) and not params:
+            params = {}
+        else:
+            return error_of(answer_to, RpcError(INVALID_PARAMS, "params: an object with names is needed"))
+    return Call(number, name, params)
+
+
+def _depth(text: str) -> int:
+    """Deepest nesting of brackets, strings not told apart: never less than the truth."""
+    deepest = depth = 0
+    for character in text:
+        if character in "[{":
+            depth += 1
+            deepest = max(deepest, depth)
+        elif character in "]}":
+            depth -= 1
+    return deepest
+
+
+def _no_constant(name: str) -> Json:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def result_of(call: Call, result: Json) -> dict[str, Json]:
+    """An answer."""
+    return {"jsonrpc": "2.0", "id": call.id, "result": result}
+
+
+def error_of(number: Id, error: RpcError) -> dict[str, Json]:
+    """An answer that is an error."""
+    content: dict[str, Json] = {"code": error.code, "message": error.message}
+    if error.data is not None:
+        content["data"] = error.data
+    return {"jsonrpc": "2.0", "id": number, "error": content}
+
+
+def notification(method: str, params: Json) -> dict[str, Json]:
+    """A message that the server sends by itself."""
+    return {"jsonrpc": "2.0", "method": method, "params": params}
+
+
+def encode(content: Json) -> bytes:
+    """One line. Numbers that JSON lacks become null."""
+    try:
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+    except ValueError:
+        return json.dumps(finite(content), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def finite(content: Json) -> Json:
+    """The same with null for NaN and infinities."""
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    if isinstance(content, dict):
+        return {key: finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [finite(value) for value in content]
+    return content
+
+
+Answer = Callable[[Json], None]

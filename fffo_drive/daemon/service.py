@@ -1,0 +1,135 @@
+"""The process around the supervisor: signals, the service manager, the turn, and an orderly end."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from .. import __version__
+from ..config.plan import Plan, make_plan
+from ..documents import DocumentError
+from ..recording.events import Level
+from ..runtime.journal import Journal
+from ..runtime.notify import Notifier
+from ..runtime.states import AT_REST, Event
+from .connection import require_served
+from .methods import Api
+from .places import recordings_directory, socket_directory
+from .server import Server
+from .supervisor import TURN_S, Supervisor
+
+FEEDS_PER_WATCHDOG = 4.0
+STATUS_S = 0.5
+
+
+class Options(NamedTuple):
+    """What the command line says."""
+
+    file: Path
+    bus: str | None = None
+    sockets: Path | None = None
+    uncommissioned: bool = False
+
+
+def serve(options: Options) -> None:
+    """Serve one axis until SIGTERM or SIGINT. Raises DocumentError for bad files, and what ends it for good."""
+    plan = make_plan(options.file)
+    require_served(plan)
+    asyncio.run(_Service(plan, options).run())
+
+
+class _Service:
+    """One run."""
+
+    def __init__(self, plan: Plan, options: Options) -> None:
+        self.plan, self.options = plan, options
+        self.notifier = Notifier()
+        self.journal = Journal()
+        self._stop = asyncio.Event()
+        self._stops = 0
+        self._fed_s = 0.0
+        self._told_s = 0.0
+
+    async def run(self) -> None:
+        """From the sockets to the last frame."""
+        options = self.options
+        self.supervisor = supervisor = Supervisor(
+            self.plan, self.journal, options.bus, options.uncommissioned, recordings_directory()
+        )
+        supervisor.recorder.wanted = self.plan.axis.daemon.record == "on"
+        self.api = Api(supervisor)
+        directory = options.sockets or socket_directory(self.plan.axis.name)
+        self.server = Server(self.api, directory, self.plan.axis.daemon.clients)
+        self._reloads: set[asyncio.Task[None]] = set()
+        try:
+            await self.server.open(self.plan.axis.daemon.control_group)
+            self._catch_signals()
+            supervisor.log.add("started", f"fffo-drive {__version__} serves {options.file} on {directory}")
+            living = asyncio.create_task(supervisor.run())
+            turning = asyncio.create_task(self._turn_for_ever())
+            self.notifier.ready()
+            stopping = asyncio.create_task(self._stop.wait())
+            await asyncio.wait({living, turning, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            self.notifier.stopping()
+            supervisor.log.add("stopping", "the service ends")
+            if not turning.done():
+                await supervisor.stop_in_order()
+            stopping.cancel()
+            turning.cancel()
+        finally:
+            await supervisor.close()
+            await self.server.close()
+            self.journal.close()
+        if supervisor.fatal is not None:
+            raise supervisor.fatal
+        if turning.done() and not turning.cancelled() and turning.exception() is not None:
+            raise turning.exception() or RuntimeError
+
+    async def _turn_for_ever(self) -> None:
+        while True:
+            self.supervisor.turn()
+            now_s = time.monotonic()
+            self.server.turn(now_s)
+            self._feed(now_s)
+            await asyncio.sleep(TURN_S)
+
+    def _feed(self, now_s: float) -> None:
+        """The watchdog, only while all is consistent; and one line of status."""
+        supervisor, watchdog_s = self.supervisor, self.notifier.watchdog_s
+        if watchdog_s is not None and now_s - self._fed_s > watchdog_s / FEEDS_PER_WATCHDOG and supervisor.consistent:
+            self._fed_s = now_s
+            self.notifier.alive()
+        if now_s - self._told_s > STATUS_S:
+            self._told_s = now_s
+            self.notifier.status(supervisor.one_line())
+
+    def _catch_signals(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._on_stop)
+        loop.add_signal_handler(signal.SIGHUP, self._on_reload)
+
+    def _on_stop(self) -> None:
+        """The first one stops in order, the next one quickly."""
+        self._stops += 1
+        self._stop.set()
+        if self._stops > 1 and self.supervisor.state not in AT_REST:
+            self.supervisor.apply(Event.QUICK_STOP)
+
+    def _on_reload(self) -> None:
+        task = asyncio.get_running_loop().create_task(self._reload())
+        self._reloads.add(task)
+        task.add_done_callback(self._reloads.discard)
+
+    async def _reload(self) -> None:
+        """SIGHUP. A file that cannot be used changes nothing."""
+        self.notifier.reloading()
+        try:
+            await self.api.reload_file("SIGHUP", {})
+        except (DocumentError, OSError) as error:
+            text = f"not reloaded, all goes on as it was: {error}"
+            self.supervisor.log.add("reload", text, Level.ERROR)
+        self.notifier.ready()

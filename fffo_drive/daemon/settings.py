@@ -1,0 +1,139 @@
+"""What changes while the daemon lives: single keys, the model, the whole file. Each is checked before it is taken."""
+
+from __future__ import annotations
+
+import difflib
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..config.axis import TOGGLES, AxisFile
+from ..config.plan import Plan, checked_plan, make_plan, proof_problems
+from ..config.sections import ControllerSection
+from ..documents import DocumentError, check
+from ..model.parameters import ModelFile, content_hash, read_model
+from ..runtime.states import Change
+
+GAIN_KEYS = (
+    "controller.proportional_a_per_rps",
+    "controller.integral_a_per_rev",
+    "controller.error_filter_s",
+    "controller.observer.gain_nm_per_rev",
+    "controller.observer.clamp_ratio",
+    "controller.observer.feedback_band_rps",
+)
+LAW_KEYS = (
+    "controller.feedforward.inertia",
+    "controller.feedforward.preview",
+    "controller.feedforward.delay_aware",
+)
+LIVE_KEYS = (*GAIN_KEYS, *LAW_KEYS)
+
+# of the axis file: what a running loop was made from; a change needs a restart of the service
+FIXED = ("name", "drive", "envelope", "loop", "realtime", "commissioning")
+FIXED_DAEMON = ("control_group", "clients", "supervisor_timeout_s")
+APPLIED = ("controller", "recording", "profile", "daemon")
+
+
+def change_of(key: str) -> Change:
+    """Which kind of change a key is. Raises DocumentError for a key that `set` does not have."""
+    if key in GAIN_KEYS:
+        return Change.GAINS
+    if key in LAW_KEYS:
+        return Change.LAW
+    close = difflib.get_close_matches(key, LIVE_KEYS, 1, cutoff=0.5)
+    hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(LIVE_KEYS)}"
+    raise DocumentError(f"{key}: no key that may be set while the daemon runs; {hint} (others: edit the file, reload)")
+
+
+def value_of(axis: AxisFile, key: str) -> Any:
+    """The value of a dotted key."""
+    value: Any = axis
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def with_value(plan: Plan, toggle: int, key: str, value: float | bool) -> Plan:
+    """The plan with one key changed. Raises DocumentError when its value, or the law that it makes, is refused."""
+    content = plan.axis.controller.model_dump()
+    *sections, last = key.split(".")[1:]
+    inner = content
+    for section in sections:
+        inner = inner[section]
+    inner[last] = value
+    controller = check(content, ControllerSection, "set")
+    axis = plan.axis.model_copy(update={"controller": controller})
+    _require_proof(axis, plan.model, toggle)
+    return plan._replace(axis=axis)
+
+
+def require_toggle(plan: Plan, toggle: int) -> None:
+    """Raise DocumentError when the law is not proven stable with this toggle."""
+    _require_proof(plan.axis, plan.model, toggle)
+
+
+def _require_proof(axis: AxisFile, model: ModelFile, toggle: int) -> None:
+    problems = proof_problems(axis, model, (toggle,))
+    if problems:
+        raise DocumentError("\n".join(problems))
+
+
+def model_from_text(text: str, name: str) -> ModelFile:
+    """A model file given as text. Raises DocumentError with `name` in place of a path."""
+    with tempfile.TemporaryDirectory(prefix="fffo_drive_model_") as directory:
+        path = Path(directory) / "model.yaml"
+        path.write_text(text, encoding="utf-8")
+        try:
+            return read_model(path)
+        except DocumentError as error:
+            raise DocumentError(str(error).replace(str(path), name)) from None
+
+
+def with_model(plan: Plan, toggle: int, model: ModelFile) -> Plan:
+    """The plan with another model. Raises DocumentError when the law is refused on it."""
+    return checked_plan(plan.path, plan.axis, model, (toggle,))
+
+
+class Reload(NamedTuple):
+    """What a file that was read again changes."""
+
+    plan: Plan
+    applied: tuple[str, ...]  # sections and keys that differ and are taken
+    restart: tuple[str, ...]  # that differ and need a restart of the service
+    model_changed: bool
+
+
+def reload(plan: Plan, toggle: int, rest: bool) -> Reload:
+    """Read the axis file again; what cannot be changed in a running service keeps its value and is named.
+
+    `rest`: no torque is asked for, so that the model may change. Raises DocumentError for a file that cannot be used.
+    """
+    fresh = make_plan(plan.path)
+    old, new = plan.axis, fresh.axis
+    restart = [name for name in FIXED if getattr(old, name) != getattr(new, name)]
+    daemon = new.daemon
+    for name in FIXED_DAEMON:
+        if getattr(old.daemon, name) != getattr(new.daemon, name):
+            restart.append(f"daemon.{name}")
+            daemon = daemon.model_copy(update={name: getattr(old.daemon, name)})
+    kept = {name: getattr(old, name) for name in FIXED}
+    axis = new.model_copy(update={**kept, "daemon": daemon})
+    applied = [name for name in APPLIED if getattr(old, name) != getattr(axis, name)]
+    if not rest and old.controller.feedforward != axis.controller.feedforward:
+        restart.append("controller.feedforward (disable first, then reload again)")
+        section = axis.controller.model_copy(update={"feedforward": old.controller.feedforward})
+        axis = axis.model_copy(update={"controller": section})
+    model_changed = content_hash(fresh.model) != content_hash(plan.model)
+    model = fresh.model
+    if model_changed and fresh.model.torque_constant_nm_per_a != plan.model.torque_constant_nm_per_a:
+        restart.append("model: torque_constant_nm_per_a")
+        model, model_changed = plan.model, False
+    elif model_changed and not rest:
+        restart.append("model (disable first, then reload again)")
+        model, model_changed = plan.model, False
+    if model_changed:
+        applied.append("model")
+    file_toggle = TOGGLES[axis.controller.observer.toggle]
+    in_use = file_toggle if old.controller.observer.toggle != axis.controller.observer.toggle else toggle
+    return Reload(checked_plan(plan.path, axis, model, (in_use,)), tuple(applied), tuple(restart), model_changed)

@@ -1,0 +1,59 @@
+"""Unix sockets on the file system: their mode and group, and what a dead process left behind."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import socket
+from pathlib import Path
+
+from ..documents import DocumentError
+
+CONTROL_MODE, WATCH_MODE = 0o660, 0o666
+
+
+class SocketTakenError(OSError):
+    """Another process serves on this socket."""
+
+
+def bound(path: Path, mode: int) -> socket.socket:
+    """A listening socket of this mode; one that a dead process left behind is replaced.
+
+    Raises SocketTakenError, OSError.
+    """
+    if path.exists():
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.settimeout(1.0)
+            try:
+                probe.connect(str(path))
+            except (ConnectionRefusedError, FileNotFoundError):
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise SocketTakenError(error.errno, f"cannot be used: {error.strerror}", str(path)) from error
+            else:
+                raise SocketTakenError(errno.EADDRINUSE, "another daemon serves this axis; stop it first", str(path))
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+    before = os.umask(0o777 & ~mode)
+    try:
+        sock.bind(str(path))
+    except OSError as error:
+        sock.close()
+        raise OSError(error.errno, f"control socket: {error.strerror}", str(path)) from error
+    finally:
+        os.umask(before)
+    sock.listen(64)
+    return sock
+
+
+def give_to(path: Path, group: str) -> None:
+    """Make a group the socket's own. Raises DocumentError for one that does not exist or is not ours."""
+    try:
+        number = grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise DocumentError(f"daemon.control_group: no group '{group}' on this machine") from None
+    try:
+        os.chown(path, -1, number)
+    except OSError as error:
+        text = f"daemon.control_group: cannot give {path} to '{group}' ({error.strerror}): be a member of it"
+        raise DocumentError(text) from None

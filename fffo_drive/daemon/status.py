@@ -1,0 +1,110 @@
+"""The status of the daemon, as `status` answers and `subscribe` sends it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..config.plan import toggle_name
+from ..control.envelope import TRIP_NONE
+from ..control.reference import MODE_CURRENT, MODE_VELOCITY
+from ..drive.cia402 import state_name
+from ..drive.port import exchange_counts
+from ..runtime import blocks as b
+from ..runtime.states import State
+from .profiles import profile_names
+from .settings import LIVE_KEYS, value_of
+from .supervisor import Supervisor
+from .watch import TRIP_NAMES
+
+PROTOCOL = 1
+MOTION = (
+    "velocity_rps", "position_rev", "current_a", "current_command_a", "reference_rps", "error_rps", "friction_nm",
+)  # fmt: skip
+MODES = {MODE_VELOCITY: "velocity", MODE_CURRENT: "current"}
+
+
+def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
+    """Everything that changes by itself, as one JSON object. Numbers have their units in their names."""
+    plan = supervisor.plan
+    fault = supervisor.fault
+    ready = supervisor.state not in (State.OFFLINE, State.CONNECTED)
+    return {
+        "state": supervisor.state.value,
+        "state_s": round(now_s - supervisor.since_s, 3),
+        "obstacles": [] if ready else supervisor.obstacles,
+        "fault": None if fault is None else fault._asdict(),
+        "toggle": toggle_name(supervisor.toggle),
+        "model": {"name": plan.model.name, "hash": supervisor.model_hash},
+        "profile": _profile_of(supervisor),
+        "recording": supervisor.recorder.status(),
+        "last_event": supervisor.log.last_number,
+        **_loop_of(supervisor),
+    }
+
+
+def _profile_of(supervisor: Supervisor) -> dict[str, Any] | None:
+    profile, connection = supervisor.profile, supervisor.connection
+    if profile is None or connection is None:
+        return None
+    sample = connection.session.status(b.PROFILE_SAMPLE)
+    return {
+        "name": profile.name,
+        "sample": sample,
+        "samples": int(profile.values.size),
+        "duration_s": profile.duration_s,
+    }
+
+
+def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
+    """What the loop and the drive say; `loop`, `drive` and `motion` are null without a connection."""
+    connection = supervisor.connection
+    if connection is None:
+        return {"loop": None, "drive": None, "motion": None}
+    session = connection.session
+    feedback = connection.drive.feedback
+    row = connection.last_row()
+    loop = {
+        "connection": connection.number,
+        "running": connection.running,
+        "tick": session.status(b.TICK),
+        "rows": connection.head,
+        "late": session.status(b.LATE_TICKS),
+        "skipped": session.status(b.SKIPPED_TICKS),
+        "missing_feedback": session.status(b.MISSING_FEEDBACK),
+        "stale_blocks": session.status(b.STALE_BLOCKS),
+        "trip": None if connection.trip == TRIP_NONE else TRIP_NAMES[connection.trip],
+        "exchange": exchange_counts(feedback)._asdict(),
+    }
+    statusword = session.status(b.STATUSWORD)
+    drive = {
+        "name": connection.identity.device_name,
+        "statusword": statusword,
+        "state": state_name(statusword),
+        "emergency_code": int(feedback["emergency_code"][0]),
+        "nmt_state": int(feedback["nmt_state"][0]),
+    }
+    if row is None:
+        return {"loop": loop, "drive": drive, "motion": None}
+    motion: dict[str, Any] = {name: float(row[name]) for name in MOTION}
+    motion |= {"mode": MODES.get(int(row["mode"]), "idle"), "age": int(row["velocity_age"])}
+    return {"loop": loop, "drive": drive, "motion": motion}
+
+
+def info_of(supervisor: Supervisor, version: str) -> dict[str, Any]:
+    """What does not change by itself: protocol, axis, what may be asked for."""
+    plan = supervisor.plan
+    connection = supervisor.connection
+    realtime = None if connection is None else connection.realtime._asdict()
+    identity = None if connection is None else connection.identity._asdict()
+    return {
+        "protocol": PROTOCOL,
+        "fffo_drive": version,
+        "axis": plan.axis.name,
+        "file": str(plan.path),
+        "rate_hz": plan.axis.loop.rate_hz,
+        "drive": identity,
+        "realtime": realtime,
+        "profiles": list(profile_names(plan)),
+        "keys": {key: value_of(plan.axis, key) for key in LIVE_KEYS},
+        "states": [state.value for state in State],
+    }

@@ -1,0 +1,404 @@
+"""Owns the drive, the loop and the recorder, and moves them by the table of `runtime.states`.
+
+All of it runs in one thread on one asyncio loop. `turn` looks at the loop 50 times a second; what waits for the bus or
+the disk (bring-up, leaving, files) is done on other threads and awaited. Nothing here touches the tick: requests reach
+the loop through its blocks, and what it does is read from its status words and rows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ..can.link import LinkError
+from ..config.axis import controller_config
+from ..config.commissioning import Permission, permission, require_identity
+from ..config.effects import compensation_table
+from ..config.plan import Plan, toggle_name
+from ..control.reference import Profile
+from ..documents import DocumentError
+from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
+from ..drive.port import DriveError, DriveRefusedError
+from ..model.parameters import content_hash
+from ..recording.events import Level
+from ..runtime import blocks as b
+from ..runtime.journal import Journal
+from ..runtime.states import AT_REST, TORQUE_STATES, Action, Event, State, step
+from .connection import Connection, bring_up, leave
+from .event_log import EventLog
+from .motion import Motion
+from .record_keeper import RecordKeeper, Sources
+from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher
+
+TURN_S = 0.02
+SILENT_S = 0.5  # without an answer to SYNC for so long, at rest, the drive counts as lost
+MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
+NEVER_S = float("inf")
+
+
+def silent_ticks(plan: Plan) -> int:
+    """Without an answer for so long the drive counts as lost, also at rest, where the envelope does not look."""
+    limits, rate_hz = plan.axis.envelope, plan.axis.loop.rate_hz
+    return max(limits.feedback_missing_ticks, limits.status_missing_ticks, round(SILENT_S * rate_hz))
+
+
+class Supervisor:
+    """One axis. `run` lives until `close`; the methods are called from its loop alone."""
+
+    def __init__(
+        self, plan: Plan, journal: Journal, bus: str | None = None, uncommissioned: bool = False,
+        recordings: Path | None = None, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self.plan = plan
+        self.model_hash = content_hash(plan.model)
+        self.sources = Sources(plan)
+        self.toggle = plan.toggle
+        self.log = EventLog(journal, self._context)
+        self.recorder = RecordKeeper(self.log, recordings)
+        self.log.listeners.append(self.recorder.tell)
+        self.state = State.OFFLINE
+        self.since_s = clock()
+        self.fault: Latched | None = None
+        self.obstacles: list[str] = ["not connected yet"]
+        self.connection: Connection | None = None
+        self.motion: Motion | None = None
+        self.fatal: BaseException | None = None
+        self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
+        self._permission: Permission | None = None
+        self._watcher: Watcher | None = None
+        self._to_leave: Connection | None = None
+        self._wake = asyncio.Event()
+        self._connections = 0
+        self._closing = False
+        self._next_profile: Profile | None = None
+        self._deadline_s = NEVER_S
+        self._torque_seen = False
+        self._quick = False
+        self._said = ""  # the last reason why there is no drive: told once
+        self._forbidding = ""
+
+    # -- the state machine -----------------------------------------------------------------------------------------
+
+    def apply(self, event: Event) -> bool:
+        """Go where the table says. False where it says nothing. Raises RefusedError for what is not possible now."""
+        row = step(self.state, event)
+        if row is None:
+            return False
+        before, self.state = self.state, row.to
+        now_s = self._clock()
+        if row.to is not before:
+            self.since_s = now_s
+        for action in row.actions:
+            self._act(action, now_s)
+        if row.to is not before:
+            self._tell_state(before, event)
+        return True
+
+    def _act(self, action: Action, now_s: float) -> None:
+        if action is Action.RELEASE:
+            self.fault = None
+            self._to_leave, self.connection = self.connection, None
+            self._watcher = self.motion = None
+            self._wake.set()
+            return
+        motion = self.motion
+        if motion is None:
+            return
+        timeouts = self.plan.axis.daemon
+        if action is Action.ENABLE:
+            self._torque_seen = False
+            self._deadline_s = now_s + timeouts.enable_timeout_s
+            motion.ask(GOAL_ENABLED)
+        elif action is Action.START:
+            assert self._next_profile is not None
+            motion.hand(self._next_profile)
+        elif action is Action.BRAKE:
+            self._brake(motion, now_s)
+        elif action is Action.CLEAR:
+            self.fault = None
+            if self._watcher is not None:
+                self._watcher.reset()
+            motion.reset_fault()
+        else:
+            self._quick = action is Action.QUICK_STOP
+            self._deadline_s = NEVER_S if action is Action.FORGET else now_s + timeouts.stop_timeout_s
+            motion.drop()
+            motion.ask(GOAL_QUICK_STOP if self._quick else GOAL_DISABLED)
+
+    def _brake(self, motion: Motion, now_s: float) -> None:
+        """To standstill under control; where there is no torque yet there is nothing to brake."""
+        if self._torque_seen:
+            motion.brake()
+            self._quick = False
+            if self.state is State.STOPPING:
+                longest_s = MAX_SPEED_FACTOR * self.plan.axis.envelope.speed_limit_rps / self.plan.axis.daemon.stop_rps2
+                self._deadline_s = now_s + longest_s + self.plan.axis.loop.tail_s + self.plan.axis.daemon.stop_timeout_s
+        elif self.state is State.STOPPING:
+            self._act(Action.DISABLE, now_s)
+        else:
+            motion.drop()
+            self.apply(Event.PROFILE_ENDED)
+
+    # -- what it sees ----------------------------------------------------------------------------------------------
+
+    def turn(self) -> None:
+        """Look at everything once."""
+        now_s = self._clock()
+        if self.connection is not None and self._watcher is not None:
+            self.connection.beat()
+            trouble = self._watcher.look(now_s)
+            if trouble is not None:
+                self._meet(trouble)
+            else:
+                self._follow(now_s)
+        self._watch_deadline(now_s)
+        self._watch_recording()
+
+    def _meet(self, trouble: Trouble) -> None:
+        """Something ended what the axis did."""
+        if self.state in (State.FAULT, State.OFFLINE):
+            return
+        latches = trouble.event is not Event.DRIVE_LOST or self.state in TORQUE_STATES
+        tick = -1 if self.connection is None else self.connection.session.status(b.TRIP_TICK)
+        if latches:
+            self.fault = Latched(trouble.name, trouble.text, tick)
+        self._said = trouble.text
+        self.obstacles = [trouble.text]
+        self.apply(trouble.event)
+
+    def _follow(self, now_s: float) -> None:
+        """The loop runs and nothing is wrong."""
+        watcher, motion = self._watcher, self.motion
+        assert watcher is not None
+        assert motion is not None
+        if self.state in (State.CONNECTED, State.READY):
+            limits = self.plan.axis.envelope
+            self.obstacles = self._forbidden() + watcher.obstacles(
+                limits.feedback_missing_ticks, limits.status_missing_ticks
+            )
+            self.apply(Event.FORBIDDEN if self.obstacles else Event.PERMITTED)
+        if self.state in TORQUE_STATES and watcher.torque_on:
+            if not self._torque_seen and self.state is not State.STOPPING:
+                self._deadline_s = NEVER_S
+            self._torque_seen = True
+        motion.brake_when_settled(self.plan)
+        if motion.ended():
+            self.apply(Event.PROFILE_ENDED)
+        if self.state is State.STOPPING and not motion.wants_torque:
+            if self._quick and watcher.holds_after_quick_stop:
+                motion.ask(GOAL_DISABLED)
+            if watcher.torque_off:
+                self.apply(Event.TORQUE_OFF)
+
+    def _forbidden(self) -> list[str]:
+        """Why the axis may not be enabled, as far as it is a matter of commissioning."""
+        return [] if self._permission is not None else [self._forbidding]
+
+    def check_permission(self) -> None:
+        """Read the commissioning record again and hold it against the drive that answers."""
+        self._permission = None
+        if self.connection is None:
+            return
+        try:
+            given = permission(self.plan.path, self.plan.axis, self.plan.model, self._uncommissioned)
+            require_identity(given, self.connection.identity)
+            self._permission = given
+        except (DocumentError, DriveRefusedError) as error:
+            self._forbidding = str(error)
+
+    def _watch_deadline(self, now_s: float) -> None:
+        if now_s < self._deadline_s:
+            return
+        self._deadline_s = NEVER_S
+        if self.state in (State.ENABLED, State.RUNNING):
+            self.log.add("state", "the drive did not reach Operation Enabled in time", Level.ERROR)
+            self.apply(Event.ENABLE_TIMEOUT)
+        elif self.state is State.STOPPING and not self._quick:
+            self.log.add("state", "the ordered stop takes too long: quick stop", Level.ERROR)
+            self.apply(Event.STOP_TIMEOUT)
+        elif self.state is State.STOPPING:
+            self.fault = Latched("stop_failed", "the drive keeps its torque after a quick stop", -1)
+            self.apply(Event.STOP_FAILED)
+
+    def _watch_recording(self) -> None:
+        news = self.recorder.news()
+        if not news:
+            return
+        self.log.add("recording", f"recording: {news}", Level.ERROR)
+        if self.plan.axis.daemon.record_required and self.state in (State.ENABLED, State.RUNNING):
+            self.log.add("recording", "daemon.record_required: the axis is stopped", Level.ERROR)
+            self.apply(Event.DISABLE)
+
+    @property
+    def consistent(self) -> bool:
+        """What the watchdog may be fed on: the loop's head moves, and state, loop and requests fit together."""
+        if self.connection is None or self._watcher is None:
+            return self.state in (State.OFFLINE, State.FAULT)
+        if self.motion is None or (self.motion.wants_torque and self.state not in TORQUE_STATES):
+            return False
+        if not self.connection.running:
+            return self.state is State.FAULT
+        return self.state is not State.OFFLINE and self._watcher.moving
+
+    # -- what is asked of it ---------------------------------------------------------------------------------------
+
+    def reset_fault(self) -> None:
+        """Leave a fault: in place where the drive answers, by bringing it up again where it does not."""
+        connection = self.connection
+        away = connection is None or not connection.running or connection.trip in LOST_TRIPS
+        lost = self.fault is not None and self.fault.name in GONE
+        self.apply(Event.RESET_AWAY if away or lost else Event.RESET)
+
+    def start(self, profile: Profile) -> None:
+        """Run a profile. Raises RefusedError, or ValueError for one that the loop cannot hold."""
+        if self.connection is not None and profile.values.size > self.connection.session.config.longest_profile:
+            raise ValueError(f"profile '{profile.name}' is longer than loop.longest_profile_s")
+        step(self.state, Event.START)
+        self._next_profile = profile
+        self.apply(Event.START)
+
+    @property
+    def profile(self) -> Profile | None:
+        """The profile that runs."""
+        return None if self.motion is None else self.motion.profile
+
+    @property
+    def has_torque(self) -> bool:
+        """Torque was asked for and is there."""
+        return self.state in (State.ENABLED, State.RUNNING) and self._torque_seen
+
+    def set_plan(self, plan: Plan) -> None:
+        """Gains, model and what else changes without a new loop; the loop takes the law at a tick boundary."""
+        self.plan = plan
+        self.model_hash = content_hash(plan.model)
+        if self.connection is not None:
+            self.connection.session.set_controller(controller_config(plan.axis, plan.model))
+            self.connection.session.set_effects(compensation_table(plan.axis, plan.model))
+
+    def set_toggle(self, toggle: int) -> None:
+        """Friction from the reference, the feedback, or not."""
+        self.toggle = toggle
+        if self.connection is not None:
+            self.connection.session.request(b.TOGGLE, toggle)
+
+    async def reached(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for something that a turn changes. False when it did not come in time."""
+        deadline_s = self._clock() + timeout_s
+        while not condition():
+            if self._clock() > deadline_s or self.fatal is not None:
+                return False
+            await asyncio.sleep(TURN_S)
+        return True
+
+    async def start_recording(self) -> str:
+        """Begin a file now, or with the next connection. Raises OSError."""
+        note = self._permission.note if self._permission is not None else "none"
+        return await self.recorder.begin(self.plan, self.connection, self.sources, self.toggle, note)
+
+    # -- living ----------------------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Keep the drive connected until `close`. What is no matter of the drive ends it: see `fatal`."""
+        try:
+            while not self._closing:
+                await self._leave_old()
+                if self.state is State.OFFLINE and self.connection is None:
+                    await self._try_to_connect()
+                if not self._closing and self._to_leave is None:
+                    timeout_s = self.plan.axis.daemon.retry_s if self.connection is None else None
+                    await self._sleep(timeout_s)
+        except Exception as error:
+            self.fatal = error
+
+    async def _sleep(self, timeout_s: float | None) -> None:
+        try:
+            await asyncio.wait_for(self._wake.wait(), timeout_s)
+        except TimeoutError:
+            return
+        self._wake.clear()
+
+    async def _leave_old(self) -> None:
+        old, self._to_leave = self._to_leave, None
+        if old is not None:
+            await self.recorder.end()
+            await asyncio.to_thread(leave, old)
+
+    async def _try_to_connect(self) -> None:
+        plan = self.plan
+        if not self._said:
+            self.obstacles = ["connecting; the very first time compiles the loop"]
+        try:
+            connection = await asyncio.to_thread(bring_up, plan, self._connections + 1, self._bus)
+        except (DriveError, LinkError) as error:
+            self.obstacles = [str(error)]
+            if str(error) != self._said:  # once, not at each attempt
+                self._said = str(error)
+                self.log.add("drive", f"no drive: {error}", Level.WARNING)
+            return
+        self._said = ""
+        self._connections += 1
+        self.connection = connection
+        now_s = self._clock()
+        self.motion = Motion(connection)
+        self._watcher = Watcher(connection, silent_ticks(plan), plan.axis.daemon.supervisor_timeout_s, now_s)
+        connection.session.request(b.TOGGLE, self.toggle)
+        connection.session.set_controller(controller_config(self.plan.axis, self.plan.model))
+        connection.session.set_effects(compensation_table(self.plan.axis, self.plan.model))
+        for refusal in connection.realtime.refusals:
+            self.log.add("drive", f"without real-time properties: {refusal}", Level.WARNING)
+        identity = connection.identity
+        self.log.add("drive", f"connected to {identity.device_name}", data=identity._asdict())
+        self.check_permission()
+        self.apply(Event.FOUND)
+        if self.recorder.wanted:
+            try:
+                await self.start_recording()
+            except OSError as error:
+                self.log.add("recording", f"no recording: {error}", Level.ERROR)
+
+    async def stop_in_order(self) -> None:
+        """Brake, disable, and wait until the power stage is off (or nothing can be done about it)."""
+        if self.state in (State.ENABLED, State.RUNNING):
+            self.apply(Event.DISABLE)
+        await self.reached(lambda: self.state in AT_REST, 60.0)
+
+    async def close(self) -> None:
+        """Leave the axis without torque, the bus without traffic, the recording whole."""
+        self._closing = True
+        self._wake.set()
+        await self.recorder.end()
+        connection, self.connection = self.connection or self._to_leave, None
+        self._to_leave = self._watcher = self.motion = None
+        if connection is not None:
+            await asyncio.to_thread(leave, connection)
+        self.state = State.OFFLINE
+
+    # -- what it says ----------------------------------------------------------------------------------------------
+
+    def _context(self) -> dict[str, str]:
+        fault = {"fault": self.fault.name} if self.fault is not None else {}
+        return {"axis": self.plan.axis.name, "state": self.state.value, **fault}
+
+    def _tell_state(self, before: State, event: Event) -> None:
+        data = {"from": before.value, "to": self.state.value, "event": event.value}
+        if self.state is State.FAULT and self.fault is not None:
+            self.log.add("fault", f"fault: {self.fault.text}", Level.ERROR, {**data, **self.fault._asdict()})
+            return
+        reason = ""
+        if self.state is State.CONNECTED and self.obstacles and before is State.READY:
+            reason = f": {self.obstacles[0]}"
+        if self.state is State.OFFLINE:
+            reason = f": {self._said}" if self._said else ""
+        level = Level.WARNING if self.state is State.OFFLINE else Level.INFO
+        self.log.add("state", f"{before.value} -> {self.state.value} ({event.value}){reason}", level, data)
+
+    def one_line(self) -> str:
+        """For `systemctl status`."""
+        if self.fault is not None:
+            return f"fault: {self.fault.text}"
+        if self.obstacles and self.state in (State.OFFLINE, State.CONNECTED):
+            return f"{self.state.value}: {self.obstacles[0]}"
+        running = f" {self.profile.name}" if self.state is State.RUNNING and self.profile is not None else ""
+        return f"{self.state.value}{running}, friction {toggle_name(self.toggle)}"

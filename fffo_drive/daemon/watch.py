@@ -1,0 +1,148 @@
+"""What the supervisor sees of a connection in one turn, as events of the state machine."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ..control import envelope as env
+from ..drive.cia402 import (
+    STATE_QUICK_STOP_ACTIVE,
+    has_torque,
+    is_operation_enabled,
+    state_of,
+)
+from ..runtime import blocks as b
+from ..runtime.states import Event
+from .connection import Connection
+
+RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
+STANDSTILL_RPS = 0.05
+
+# trips that say that the drive, or the way to it, is gone: it has to be brought up again
+LOST_TRIPS = frozenset(
+    {
+        env.TRIP_BUS_OFF,
+        env.TRIP_HEARTBEAT,
+        env.TRIP_REBOOT,
+        env.TRIP_FEEDBACK_MISSING,
+        env.TRIP_STATUS_MISSING,
+    }
+)
+TRIP_NAMES = {
+    value: name.removeprefix("TRIP_").lower()
+    for name, value in vars(env).items()
+    if name.startswith("TRIP_") and isinstance(value, int) and name != "TRIP_COUNT"
+}
+
+GONE = frozenset({"silent", "loop_stalled", *(TRIP_NAMES[trip] for trip in LOST_TRIPS)})  # faults: bring it up again
+
+
+class Latched(NamedTuple):
+    """Why the axis is in fault."""
+
+    name: str
+    text: str
+    tick: int
+
+
+class Trouble(NamedTuple):
+    """An event that ends what the axis does, with a name for programs and a text for people."""
+
+    event: Event
+    name: str
+    text: str
+
+
+class Watcher:
+    """Looks at one connection, turn by turn. Times are monotonic seconds."""
+
+    def __init__(self, connection: Connection, silent_ticks: int, stall_s: float, now_s: float) -> None:
+        """Without an answer for `silent_ticks` the drive is lost, without a row for `stall_s` the loop."""
+        self.connection = connection
+        self._silent_ticks = silent_ticks
+        self._stall_s = stall_s
+        self._head = connection.head
+        self._head_s = now_s
+        self._stalled_s = 0.0
+        self._reset_tick: int | None = None
+
+    @property
+    def moving(self) -> bool:
+        """The loop's head moved in the last turns."""
+        return self._stalled_s == 0.0
+
+    def reset(self) -> None:
+        """A reset was asked for: what is latched now is old."""
+        self._reset_tick = self.connection.session.status(b.TICK)
+
+    @property
+    def resetting(self) -> bool:
+        """A reset is under way."""
+        return self._reset_tick is not None
+
+    def look(self, now_s: float) -> Trouble | None:
+        """What is wrong now. `moving`, `reasons` and the rest speak of this moment."""
+        connection = self.connection
+        head = connection.head
+        if head != self._head:
+            self._head, self._head_s = head, now_s
+        self._stalled_s = 0.0 if now_s - self._head_s < self._stall_s else now_s - self._head_s
+        if not connection.running:
+            return self._ended()
+        if self._stalled_s > 0.0:
+            return Trouble(Event.LOOP_ENDED, "loop_stalled", f"the loop has not moved for {self._stalled_s:.1f} s")
+        tick = connection.session.status(b.TICK)
+        if self._reset_tick is not None:
+            if tick > self._reset_tick + RESET_TICKS:
+                self._reset_tick = None
+            elif tick <= self._reset_tick + 1:
+                return None
+        return self._tripped(connection.trip)
+
+    def _ended(self) -> Trouble:
+        if self.connection.session.status(b.ABANDONED):
+            text = "the loop stopped the drive and ended: the supervisor was silent (daemon.supervisor_timeout_s)"
+            return Trouble(Event.LOOP_ENDED, "abandoned", text)
+        error = self.connection.session.error
+        return Trouble(Event.LOOP_ENDED, "loop_ended", f"the loop's thread ended: {error or 'no error was raised'}")
+
+    def _tripped(self, trip: int) -> Trouble | None:
+        if trip != env.TRIP_NONE:
+            event = Event.DRIVE_LOST if trip in LOST_TRIPS else Event.TRIPPED
+            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
+        row = self.connection.last_row()
+        if row is not None and int(row["velocity_age"]) > self._silent_ticks:
+            text = f"no answer to {int(row['velocity_age'])} SYNCs"
+            return Trouble(Event.DRIVE_LOST, "silent", text)
+        return None
+
+    def obstacles(self, missing_ticks: int, status_ticks: int) -> list[str]:
+        """Why the drive may not be enabled now, as far as it is the drive's own matter."""
+        row = self.connection.last_row()
+        if row is None or self.resetting:
+            return ["the loop has just begun" if row is None else "a reset is under way"]
+        found = []
+        if row["velocity_age"] >= missing_ticks:
+            found.append(f"the velocity feedback is {int(row['velocity_age'])} periods old")
+        if row["status_age"] >= status_ticks:
+            found.append(f"the statusword is {int(row['status_age'])} periods old")
+        if not self.connection.clear:
+            found.append("the drive is in fault")
+        return found
+
+    @property
+    def torque_on(self) -> bool:
+        """The drive is in Operation Enabled."""
+        return bool(is_operation_enabled(self.connection.session.status(b.STATUSWORD)))
+
+    @property
+    def torque_off(self) -> bool:
+        """The drive's power stage is off."""
+        return not has_torque(self.connection.session.status(b.STATUSWORD))
+
+    @property
+    def holds_after_quick_stop(self) -> bool:
+        """The drive stands in Quick Stop Active and stays there (0x605A of 5 to 8)."""
+        row = self.connection.last_row()
+        held = state_of(self.connection.session.status(b.STATUSWORD)) == STATE_QUICK_STOP_ACTIVE
+        return row is not None and held and abs(float(row["velocity_rps"])) < STANDSTILL_RPS

@@ -1,0 +1,69 @@
+"""sd_notify(3) by hand: one datagram with NAME=VALUE lines to $NOTIFY_SOCKET. Without that variable nothing happens."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Mapping
+
+from ..units import NS_PER_S
+
+US_PER_S = 1_000_000
+
+
+class Notifier:
+    """Says to the service manager how the service is."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        self.watchdog_s = _watchdog_s(environment)
+        self.failures = 0
+        self._status = ""
+
+    def ready(self) -> None:
+        """The control API answers."""
+        self._send("READY=1")
+
+    def reloading(self) -> None:
+        """A reload begins; `ready` ends it."""
+        self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() * US_PER_S // NS_PER_S}")
+
+    def stopping(self) -> None:
+        """The service has been told to end."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """One line for `systemctl status`; sent when it changes."""
+        line = " ".join(text.split())
+        if line != self._status:
+            self._status = line
+            self._send(f"STATUS={line}")
+
+    def alive(self) -> None:
+        """Feed the watchdog."""
+        self._send("WATCHDOG=1")
+
+    def extend_start(self, seconds: float) -> None:
+        """Starting takes longer than the unit allows (kernels are being compiled)."""
+        self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * US_PER_S)}")
+
+    def _send(self, *lines: str) -> None:
+        if not self._address:
+            return
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as sock:
+                sock.sendto("\n".join(lines).encode(), address)
+        except OSError:  # a manager that is gone, or busy: the service goes on
+            self.failures += 1
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    """Time within which the manager wants to hear of us (sd_watchdog_enabled(3)); None: no watchdog."""
+    try:
+        pid = int(environment.get("WATCHDOG_PID", os.getpid()))
+        period_s = int(environment["WATCHDOG_USEC"]) / US_PER_S
+    except (KeyError, ValueError):
+        return None
+    return period_s if pid == os.getpid() and period_s > 0.0 else None

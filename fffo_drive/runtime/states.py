@@ -1,0 +1,250 @@
+"""The daemon's state machine as one table: the code interprets it, `tools/daemon_states` prints it, a test explores it.
+
+A row says: in this state, on this event, go there and do that. What has no row is refused when somebody asks for it
+and passed over when it is an observation. Torque is asked for by ENABLE alone, and every row that leads from a fault
+needs a reset: there is no way from a fault to torque without a reset and another enable.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class State(StrEnum):
+    """Where the axis is, as the daemon has it."""
+
+    OFFLINE = "offline"
+    CONNECTED = "connected"
+    READY = "ready"
+    ENABLED = "enabled"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    FAULT = "fault"
+
+
+MEANINGS = {
+    State.OFFLINE: "no drive: the bus is away or nobody answers; tried again and again",
+    State.CONNECTED: "the drive is brought up and the loop runs without torque; something forbids to enable it",
+    State.READY: "may be enabled",
+    State.ENABLED: "torque is asked for, the axis is held at standstill",
+    State.RUNNING: "a profile runs, or is braked to standstill",
+    State.STOPPING: "torque is on its way out",
+    State.FAULT: "latched; no torque until somebody resets it",
+}
+
+
+class Event(StrEnum):
+    """What somebody asks for, and what is observed."""
+
+    # asked for
+    ENABLE = "enable"
+    DISABLE = "disable"
+    START = "start"
+    STOP = "stop"
+    QUICK_STOP = "quick_stop"
+    RESET = "reset"
+    RESET_AWAY = "reset_away"
+    # observed
+    FOUND = "found"
+    PERMITTED = "permitted"
+    FORBIDDEN = "forbidden"
+    PROFILE_ENDED = "profile_ended"
+    TORQUE_OFF = "torque_off"
+    ENABLE_TIMEOUT = "enable_timeout"
+    STOP_TIMEOUT = "stop_timeout"
+    STOP_FAILED = "stop_failed"
+    DRIVE_LOST = "drive_lost"
+    TRIPPED = "tripped"
+    LOOP_ENDED = "loop_ended"
+
+
+class Happening(NamedTuple):
+    """What an event is: asked for (else refused) or observed (else passed over), in words."""
+
+    asked: bool
+    text: str
+
+
+EVENTS = {
+    Event.ENABLE: Happening(True, "somebody asks for torque"),
+    Event.DISABLE: Happening(True, "somebody asks for no torque, in order"),
+    Event.START: Happening(True, "somebody starts a profile"),
+    Event.STOP: Happening(True, "somebody ends the profile, in order"),
+    Event.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop"),
+    Event.RESET: Happening(True, "somebody resets a fault, the drive still answers"),
+    Event.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone"),
+    Event.FOUND: Happening(False, "the drive is brought up, the loop runs"),
+    Event.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
+    Event.FORBIDDEN: Happening(False, "one of these no longer holds"),
+    Event.PROFILE_ENDED: Happening(False, "the profile, or the ramp that brakes it, has ended"),
+    Event.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
+    Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time"),
+    Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long"),
+    Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well"),
+    Event.DRIVE_LOST: Happening(False, "bus off, interface gone, heartbeat or answers missing, drive rebooted"),
+    Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them"),
+    Event.LOOP_ENDED: Happening(False, "the loop's thread is gone"),
+}
+
+
+class Action(StrEnum):
+    """What the supervisor does on the way."""
+
+    ENABLE = "ask for torque"
+    DISABLE = "switch the power stage off"
+    QUICK_STOP = "quick stop"
+    START = "hand the profile to the loop"
+    BRAKE = "brake the reference to standstill"
+    FORGET = "ask for nothing, drop the profile"
+    CLEAR = "clear the trip and the drive's fault"
+    RELEASE = "end the loop, leave the drive, try again"
+
+
+class Transition(NamedTuple):
+    """Where to, and what to do on the way, in this order."""
+
+    to: State
+    actions: tuple[Action, ...] = ()
+
+
+_S, _E, _A = State, Event, Action
+
+TABLE: dict[tuple[State, Event], Transition] = {
+    (_S.OFFLINE, _E.FOUND): Transition(_S.CONNECTED),
+    #
+    (_S.CONNECTED, _E.PERMITTED): Transition(_S.READY),
+    (_S.CONNECTED, _E.DISABLE): Transition(_S.CONNECTED),
+    (_S.CONNECTED, _E.QUICK_STOP): Transition(_S.CONNECTED),
+    (_S.CONNECTED, _E.DRIVE_LOST): Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE)),
+    (_S.CONNECTED, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.CONNECTED, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    #
+    (_S.READY, _E.FORBIDDEN): Transition(_S.CONNECTED),
+    (_S.READY, _E.ENABLE): Transition(_S.ENABLED, (_A.ENABLE,)),
+    (_S.READY, _E.DISABLE): Transition(_S.READY),
+    (_S.READY, _E.QUICK_STOP): Transition(_S.READY),
+    (_S.READY, _E.DRIVE_LOST): Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE)),
+    (_S.READY, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.READY, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    #
+    (_S.ENABLED, _E.ENABLE): Transition(_S.ENABLED),
+    (_S.ENABLED, _E.START): Transition(_S.RUNNING, (_A.START,)),
+    (_S.ENABLED, _E.STOP): Transition(_S.ENABLED),
+    (_S.ENABLED, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.ENABLED, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.ENABLED, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.ENABLED, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.ENABLED, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.ENABLED, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    #
+    (_S.RUNNING, _E.PROFILE_ENDED): Transition(_S.ENABLED),
+    (_S.RUNNING, _E.STOP): Transition(_S.RUNNING, (_A.BRAKE,)),
+    (_S.RUNNING, _E.DISABLE): Transition(_S.STOPPING, (_A.BRAKE,)),
+    (_S.RUNNING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.RUNNING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.RUNNING, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.RUNNING, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.RUNNING, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    #
+    (_S.STOPPING, _E.PROFILE_ENDED): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.STOPPING, _E.TORQUE_OFF): Transition(_S.READY, (_A.FORGET,)),
+    (_S.STOPPING, _E.DISABLE): Transition(_S.STOPPING),
+    (_S.STOPPING, _E.STOP): Transition(_S.STOPPING),
+    (_S.STOPPING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.STOPPING, _E.STOP_TIMEOUT): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.STOPPING, _E.STOP_FAILED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.STOPPING, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.STOPPING, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.STOPPING, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    #
+    (_S.FAULT, _E.DISABLE): Transition(_S.FAULT),
+    (_S.FAULT, _E.QUICK_STOP): Transition(_S.FAULT),
+    (_S.FAULT, _E.RESET): Transition(_S.CONNECTED, (_A.CLEAR,)),
+    (_S.FAULT, _E.RESET_AWAY): Transition(_S.OFFLINE, (_A.RELEASE,)),
+}
+
+TORQUE_STATES = frozenset({State.ENABLED, State.RUNNING, State.STOPPING})
+AT_REST = frozenset(State) - TORQUE_STATES
+
+
+class Change(StrEnum):
+    """What may be changed, as far as the state lets it."""
+
+    MODEL = "model"
+    LAW = "feed-forward switches"
+    CONFIG = "configuration (reload)"
+    GAINS = "gains"
+    TOGGLE = "toggle"
+    RECORD = "recording"
+
+
+CHANGES: dict[Change, frozenset[State]] = {
+    Change.MODEL: AT_REST,
+    Change.LAW: AT_REST,
+    Change.CONFIG: frozenset(State),  # each key by itself: a model in it waits for a state that allows it
+    Change.GAINS: frozenset(State),
+    Change.TOGGLE: frozenset(State),
+    Change.RECORD: frozenset(State),
+}
+
+
+class RefusedError(Exception):
+    """What was asked for is not possible in this state."""
+
+    def __init__(self, text: str, state: State, allowed: tuple[State, ...]) -> None:
+        super().__init__(text)
+        self.state = state
+        self.allowed = allowed
+
+
+def states_with(event: Event) -> tuple[State, ...]:
+    """States in which an event has a row."""
+    return tuple(state for state in State if (state, event) in TABLE)
+
+
+def step(state: State, event: Event) -> Transition | None:
+    """The row for this state and event; None for an observation that means nothing here.
+
+    Raises RefusedError for something asked for that has no row.
+    """
+    row = TABLE.get((state, event))
+    if row is None and EVENTS[event].asked:
+        allowed = states_with(event)
+        text = f"{event.value} is not possible in state {state.value}, only in {', '.join(allowed)}"
+        raise RefusedError(text, state, allowed)
+    return row
+
+
+def require_change(state: State, change: Change) -> None:
+    """Raise RefusedError where the state forbids a change."""
+    if state not in CHANGES[change]:
+        allowed = tuple(s for s in State if s in CHANGES[change])
+        raise RefusedError(
+            f"{change.value}: no change in state {state.value}, only in {', '.join(allowed)}", state, allowed
+        )
+
+
+def markdown() -> str:
+    """The tables for people."""
+    lines = [
+        "# States of the daemon", "",
+        "Made by `tools/daemon_states` from `fffo_drive/runtime/states.py`, which the daemon interprets. What is asked "
+        "for without a row is refused with the state and the states that allow it.", "",
+        "| state | meaning |", "| --- | --- |",
+        *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",
+        "| event | what it is |", "| --- | --- |",
+        *(f"| {event.value} | {happening.text} |" for event, happening in EVENTS.items()), "",
+        "| state | event | next state | actions |", "| --- | --- | --- | --- |",
+        *(
+            f"| {state.value} | {event.value} | {row.to.value} | {'; '.join(row.actions) or '-'} |"
+            for (state, event), row in TABLE.items()
+        ), "",
+        f"| may change in | {' | '.join(state.value for state in State)} |",
+        f"| --- |{' --- |' * len(State)}",
+        *(
+            f"| {change.value} | {' | '.join('yes' if state in allowed else '-' for state in State)} |"
+            for change, allowed in CHANGES.items()
+        ),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"

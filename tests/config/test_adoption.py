@@ -1,0 +1,194 @@
+"""Adoption: each gate by itself, the model line of an axis file, the history and the way back, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fffo_drive.cli import main
+from fffo_drive.config.adoption import (
+    compensation_gate,
+    gates,
+    held_out_gate,
+    interval_gate,
+    put_in_service,
+    read_history,
+    rename_model,
+    roll_back,
+    stability_gate,
+)
+from fffo_drive.config.axis import AxisFile, build_profile, model_of, read_axis
+from fffo_drive.config.effects import (
+    angle_slope_nm_per_rev,
+    compensated_terms,
+    compensation_table,
+    effect_problems,
+    services,
+)
+from fffo_drive.control.compensation import COUNT
+from fffo_drive.documents import DocumentError
+from fffo_drive.model.effects.table import Term
+from fffo_drive.model.parameters import EffectModel, Quantity, read_model, write_model
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+AXIS = read_axis(CONFIGS / "axis_simulated.yaml")
+MODEL = model_of(CONFIGS / "axis_simulated.yaml", AXIS)
+
+
+def effect(name="cogging", sd=2e-4, datum="absolute", **values):
+    values = values or {"cos_nm": 0.004, "sin_nm": 0.003, "order": 6.0}
+    held = ("order", "ratio")
+    parameters = {
+        key: Quantity(value=value, sd=None if key in held else sd, source="fitted") for key, value in values.items()
+    }
+    return EffectModel(name=name, parameters=parameters, datum=datum)
+
+
+def with_effects(*effects):
+    return MODEL.model_copy(update={"effects": list(effects)})
+
+
+def report_of(before=0.010, after=0.006, reach=0.001):
+    def figures(value):
+        return {"held_out": {"torque_rms_nm": value, "interval_95": {"torque_rms_nm": [value - reach, value + reach]}}}
+
+    return {"format": "fffo_drive/diagnosis/1", "verdict": "effects_found", "before": figures(before),
+            "after": figures(after), "effects": [{"name": "cogging", "accepted": True}]}  # fmt: skip
+
+
+def changed(axis, **effects_section):
+    data = axis.model_dump()
+    data["controller"]["effects"].update(effects_section)
+    return AxisFile.model_validate(data)
+
+
+def test_the_held_out_error_has_to_fall_for_sure():
+    assert held_out_gate(report_of()).passed
+    assert not held_out_gate(report_of(after=0.0101)).passed
+    assert not held_out_gate(report_of(after=0.0097, reach=0.001)).passed
+    assert "diagnose" in held_out_gate(None).text
+    assert "--held-out" in held_out_gate({"before": {}, "after": {}}).text
+
+
+def test_a_strength_has_to_be_told_from_zero():
+    assert interval_gate(effect()).passed
+    assert not interval_gate(effect(sd=5e-3)).passed
+    assert not interval_gate(effect(sd=None)).passed
+
+
+def test_what_cannot_be_given_ahead_is_left_out_with_its_reason():
+    model = with_effects(
+        effect(),
+        effect("elasticity", share=0.2, frequency_hz=40.0, damping=0.03),
+        effect("unbalance", datum="run", sin_nm=0.01, ratio=160.0),
+        effect("quadratic_drag", drag_nm_per_rps2=1e-4),
+    )
+    found = {s.effect.name: s.reason for s in services(AXIS, model)}
+    assert found["cogging"] is None
+    assert found["quadratic_drag"] is None
+    assert "not known ahead" in found["elasticity"]
+    assert "absolute_angle" in found["unbalance"]
+    assert [term.name for term in compensated_terms(AXIS, model)] == ["cogging", "quadratic_drag"]
+    assert compensation_table(AXIS, model)[COUNT] == 2.0
+    only = changed(AXIS, out_of_service=["cogging"])
+    assert [term.name for term in compensated_terms(only, model)] == ["quadratic_drag"]
+    assert compensation_table(changed(AXIS, compensate=False), model)[COUNT] == 0.0
+    assert compensation_gate(AXIS, model).passed
+    assert not compensation_gate(AXIS, with_effects(effect("elasticity", share=0.2, frequency_hz=40.0))).passed
+
+
+def test_the_slope_over_the_angle_is_that_of_the_wave():
+    config = MODEL.axis_config()
+    cogging = Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.003, "order": 6.0})
+    assert angle_slope_nm_per_rev(cogging, config, 0.1) == pytest.approx(0.005 * 2.0 * math.pi * 6.0, rel=1e-3)
+    unbalance = Term("unbalance", {"sin_nm": 0.01, "ratio": 160.0})
+    assert angle_slope_nm_per_rev(unbalance, config, 0.1) == pytest.approx(0.01 * 2.0 * math.pi / 160.0, rel=1e-3)
+    ripple = Term("friction_ripple", {"cos_share": 0.2, "order": 2.0})
+    assert angle_slope_nm_per_rev(ripple, config, 0.1) == pytest.approx(0.067 * 0.2 * 4.0 * math.pi, rel=1e-3)
+    assert angle_slope_nm_per_rev(Term("quadratic_drag", {"drag_nm_per_rps2": 1e-3}), config, 0.1) == 0.0
+
+
+def test_a_slope_that_breaks_the_proof_is_refused():
+    steep = with_effects(effect(cos_nm=0.02, order=40.0))
+    profile = build_profile(AXIS.profile, AXIS.loop.period_s)
+    assert effect_problems(AXIS, with_effects(effect()), profile, True) == []
+    assert "condition (14)" in effect_problems(AXIS, steep, profile, True)[0]
+    assert stability_gate(AXIS, with_effects(effect())).passed
+    assert not stability_gate(AXIS, steep).passed
+    assert effect_problems(AXIS, MODEL, profile, True) == []
+
+
+def test_no_model_is_exchanged_while_there_is_torque():
+    found = {torque: gates(AXIS, MODEL, with_effects(effect()), report_of(), torque) for torque in (True, False, None)}
+    assert [gate.name for gate in found[True] if not gate.passed] == ["drive disabled"]
+    assert all(gate.passed for torque in (False, None) for gate in found[torque])
+
+
+@pytest.fixture
+def axis_path(tmp_path):
+    text = (CONFIGS / "axis_simulated.yaml").read_text()
+    text = text.replace("model: models/table1.yaml", "model: table1.yaml   # as printed")
+    path = tmp_path / "axis.yaml"
+    path.write_text(text.replace("simulated_drive.yaml", str(CONFIGS / "simulated_drive.yaml")))
+    write_model(tmp_path / "table1.yaml", read_model(CONFIGS / "models" / "table1.yaml"))
+    (tmp_path / "found").mkdir()
+    write_model(tmp_path / "found" / "model.yaml", with_effects(effect()))
+    (tmp_path / "found" / "report.json").write_text(json.dumps(report_of()))
+    return path
+
+
+def test_the_model_line_is_replaced_and_nothing_else(axis_path):
+    before = axis_path.read_text()
+    rename_model(axis_path, "found/model.yaml")
+    after = axis_path.read_text()
+    assert "model: found/model.yaml   # as printed" in after
+    assert after.replace("found/model.yaml", "table1.yaml") == before
+    assert read_axis(axis_path).model == "found/model.yaml"
+
+
+def test_into_service_and_back(axis_path):
+    model_path = axis_path.parent / "found" / "model.yaml"
+    put_in_service(axis_path, model_path, [])
+    assert read_axis(axis_path).model == "found/model.yaml"
+    assert read_history(axis_path).adoptions[-1].former == "table1.yaml"
+    roll_back(axis_path)
+    assert read_axis(axis_path).model == "table1.yaml"
+    with pytest.raises(DocumentError, match="nothing was adopted"):
+        roll_back(axis_path)
+    put_in_service(axis_path, model_path, [])
+    rename_model(axis_path, "other.yaml")
+    with pytest.raises(DocumentError, match="edited since"):
+        roll_back(axis_path)
+
+
+def test_the_command_shows_its_gates_and_refuses_or_adopts(axis_path, capsys):
+    model_path = axis_path.parent / "found" / "model.yaml"
+    words = ["adopt", str(model_path), "--axis", str(axis_path)]
+    assert main([*words, "--dry-run"]) == 0
+    assert "held-out error" in capsys.readouterr().out
+    assert read_axis(axis_path).model == "table1.yaml"
+    (model_path.parent / "report.json").write_text(json.dumps(report_of(after=0.012)))
+    assert main([*words, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["adopted"] is False
+    (model_path.parent / "report.json").write_text(json.dumps(report_of()))
+    assert main(words) == 0
+    assert read_axis(axis_path).model == "found/model.yaml"
+    assert main(["adopt", "--rollback", "--axis", str(axis_path)]) == 0
+    assert read_axis(axis_path).model == "table1.yaml"
+    assert main(["adopt", "--axis", str(axis_path)]) == 78
+
+
+def test_what_is_wrong_with_a_report_is_said(axis_path, capsys):
+    model_path = axis_path.parent / "found" / "model.yaml"
+    report = model_path.parent / "report.json"
+    report.write_text("{")
+    assert main(["adopt", str(model_path), "--axis", str(axis_path)]) == 78
+    assert f"{report}:1: not JSON" in capsys.readouterr().err
+    other = yaml.safe_dump({"format": "other"})
+    report.write_text(json.dumps(yaml.safe_load(other)))
+    assert main(["adopt", str(model_path), "--axis", str(axis_path), "--report", str(report)]) == 78
+    assert main(["adopt", str(model_path), "--axis", str(axis_path)]) == 1  # somebody else's: as if there were none

@@ -1,0 +1,136 @@
+"""The fault table: what can happen to a moving axis, who notices, what happens, and within which time.
+
+`ROWS` is the contract: the bounds hold for tests/bad_days/axis.yaml at 2 kHz, on an axis that turns at 10 rps. Where a
+row names a script it is lived through in `fault_world`, on the simulated drive's own clock, and the measured times
+stand beside the bounds; a running daemon lives through the other rows in test_faults.py. `tools/fault_table` writes it.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from interpreted import hex_results
+
+TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "faults.md"
+COAST, QUICK = "coasts", "quick stop"
+GOES_ON = "goes on and reports"
+
+QUICK_MS = 255.0  # from 10 rps on the drive's quick stop ramp (0x6085)
+COAST_MS = 425.0  # by its friction alone
+
+
+class Row(NamedTuple):
+    """One fault."""
+
+    name: str
+    what: str
+    noticed_by: str
+    reaction: str
+    torque_ms: float | None = None  # bound until no torque of ours acts; None: the axis goes on
+    standstill_ms: float | None = None  # bound until the shaft stands
+    script: str | None = None  # of fault_world; None: a running daemon (test_faults.py)
+
+
+def stops(name: str, what: str, by: str, how: str, torque_ms: float, script: str | None = None) -> Row:
+    """A row in which the axis stops: what the reaction takes comes on top of what the noticing takes."""
+    longest = QUICK_MS if how.startswith(QUICK) else COAST_MS
+    return Row(name, what, by, how, torque_ms, torque_ms + longest, script or name)
+
+
+SILENT = "the drive: no command for command_timeout_ms (0x1400:5)"
+BY_DRIVE = f"{QUICK} by the drive (0x6007)"
+LATCHED = f"{QUICK}, fault latched"
+RELEASED = f"{COAST}, fault latched"
+
+ROWS: tuple[Row, ...] = (
+    stops("killed", "the daemon is killed (kill -9, out of memory, the watchdog's SIGABRT)", SILENT,
+          f"{BY_DRIVE}; the service manager starts the daemon again, which enables nothing", 21, "host_silent"),
+    stops("stopped", "the daemon is stopped (SIGSTOP, a debugger, swapping)", SILENT,
+          f"{BY_DRIVE}; goes on without torque, fault latched", 21, "host_silent"),
+    stops("loop_stalled", "the loop's thread hangs", f"{SILENT}; the supervisor and the watchdog",
+          f"{BY_DRIVE}; fault latched, the watchdog is not fed", 21, "host_silent"),
+    Row("host_pauses", "the daemon is held up for 5 ms", "the loop: deadlines missed", GOES_ON, script="host_pauses"),
+    stops("answers_missing", "velocity feedback (TPDO1) is missing", "the envelope: feedback_missing_ticks", LATCHED,
+          6),
+    stops("statusword_missing", "the statusword (TPDO2) is missing", "the envelope: status_missing_ticks", LATCHED, 51),
+    stops("sync_missing", "SYNC does not reach the drive",
+          "the envelope: no answers; the drive: SYNC missing (0x2010)", LATCHED, 51),
+    stops("commands_missing", "commands (RPDO) do not reach the drive", SILENT, f"{BY_DRIVE}; fault latched", 21),
+    stops("our_heartbeat_lost", "our heartbeat does not reach the drive",
+          "the drive: heartbeat_timeout_ms (0x1016)", f"{BY_DRIVE}; fault latched", 151),
+    stops("drive_heartbeat_lost", "the drive's heartbeat is missing", "the envelope: heartbeat_timeout_s", LATCHED,
+          501),
+    stops("drive_fault", "the drive trips (overcurrent)", "the drive; the envelope by statusword and EMCY",
+          f"{COAST} by the drive (0x605E), fault latched", 1),
+    stops("emergency", "EMCY without a fault state", "the envelope", RELEASED, 2),
+    stops("drive_rebooted", "the drive restarts", "the envelope: boot-up message", RELEASED, 1),
+    stops("supply_lost", "the DC link loses its supply", "the drive: undervoltage; the envelope by EMCY", RELEASED, 12),
+    stops("resolver_lost", "the resolver is lost", "the drive; the envelope by EMCY", RELEASED, 1),
+    stops("drive_bus_off", "the drive's CAN controller is off the bus", "the drive; the envelope", LATCHED, 1),
+    stops("bus_off", "our CAN controller is off the bus", f"the envelope: error frame; {SILENT}",
+          f"{BY_DRIVE}; nothing is sent, fault latched", 21),
+    stops("interface_gone", "the interface is down or gone", f"the envelope: errno of send; {SILENT}",
+          f"{BY_DRIVE}; fault latched", 21),
+    stops("following_error", "velocity error beyond following_error_rps for following_error_s", "the envelope", LATCHED,
+          1),
+    stops("overspeed", "velocity beyond speed_limit_rps", "the envelope", LATCHED, 1),
+    stops("position_window", "position outside position_window_rev", "the envelope", LATCHED, 1),
+    stops("i2t", "continuous current exceeded for too long", "the envelope", LATCHED, 1),
+    Row("clock_stepped", "the wall clock is stepped", "nobody: the loop reads CLOCK_MONOTONIC alone", "goes on",
+        script="clock_stepped"),
+    Row("sdo_timeout", "the drive does not answer SDO in bring-up", "the supervisor",
+        "offline, told once, tried again; SYNC and torque never begin"),
+    stops("supervisor_silent", "the supervisor's thread hangs",
+          "the loop: daemon.supervisor_timeout_s (here 150 ms); the watchdog",
+          f"{QUICK}, then the loop ends, and with it our heartbeat; fault latched", 152),
+    Row("holder_gone", "the client that holds the axis goes away", "the supervisor",
+        "client_loss: brakes to standstill and disables; or quick stop; or goes on"),
+    Row("recorder_dead", "the recorder's thread dies", "the supervisor", GOES_ON),
+    Row("disk_full", "the disk is full", "the recorder", GOES_ON),
+    Row("record_required", "the recording fails, record_required is true", "the supervisor",
+        "brakes to standstill and disables"),
+    Row("api_flooded", "twenty clients ask without a pause, some of them rubbish", "the server",
+        "goes on; each is read at 50 requests a second"),
+    Row("config_rubbish", "the axis file is replaced by rubbish and reloaded", "the supervisor", GOES_ON),
+)  # fmt: skip
+
+HEAD = """\
+# Faults
+
+Made by `tools/fault_table` from the rows of `tests/daemon/fault_table.py`; a test lives through each. The axis turns at
+10 rps at 2 kHz; limits and timeouts are those of `tests/bad_days/axis.yaml`. Times are on the simulated drive's own
+clock, from the fault's beginning: bound, and measured in brackets. Torque ends when none of ours acts any more: a quick
+stop brakes with the drive's own. Faults latch: only `reset_fault` leaves them, and torque needs another `enable`.
+
+| fault | who notices | what happens | torque ends, ms | standstill, ms |
+| --- | --- | --- | --- | --- |
+"""
+
+
+def line(row: Row, outcome: dict[str, Any] | None) -> str:
+    """One line of the table."""
+
+    def time(bound: float | None, key: str) -> str:
+        return "-" if bound is None or outcome is None else f"{bound:.0f} ({outcome[key]:.0f})"
+
+    times = time(row.torque_ms, "torque_ms"), time(row.standstill_ms, "standstill_ms")
+    return f"| {row.what} | {row.noticed_by} | {row.reaction} | {times[0]} | {times[1]} |"
+
+
+def measured() -> dict[str, dict[str, Any]]:
+    """Live through every script, in two interpreters without compilation."""
+    with ThreadPoolExecutor(2) as pool:
+        halves = pool.map(lambda half: hex_results("daemon.fault_world", half), ("run_even", "run_odd"))
+        found: list[Any] = [outcome for half in halves for outcome in half]
+    return {outcome["row"]: outcome for outcome in found}
+
+
+def markdown(outcomes: dict[str, dict[str, Any]]) -> str:
+    """The whole table."""
+    return HEAD + "\n".join(line(row, outcomes.get(row.script or "")) for row in ROWS) + "\n"
+
+
+if __name__ == "__main__":
+    TABLE.write_text(markdown(measured()), encoding="utf-8")

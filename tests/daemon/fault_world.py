@@ -1,0 +1,247 @@
+"""Faults of a moving axis, lived through on the simulated drive's own clock. `run_all` runs interpreted.
+
+Loop, law, envelope and port are the product's, the node is the simulated drive with its plant, the wire between them is
+a script (`bad_days.world`). The axis turns at 10 rps when the fault begins. Two times are measured from there: until no
+torque of ours acts any more (Operation Enabled has been left, or no current is asked for), and until the shaft stands.
+The drive's own braking current is not ours.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from bad_days.loop_days import ENETDOWN
+from bad_days.world import HEARTBEAT, NS_PER_MS, RPDO1, SYNC, TPDO1, TPDO2, Wire, World, live, ramp_to
+
+from fffo_drive.can.frame import ERROR_BUS_OFF, Frame
+from fffo_drive.control.envelope import EnvelopeConfig
+from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED, STATE_NAMES
+from fffo_drive.drive.simulated.node.config import NodeConfig
+from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+from fffo_drive.drive.simulated.node.simulated_plant import SimulatedPlant
+
+SPEED_RPS, STEP_RPS = 10.0, 0.05  # 100 rps^2
+BEGIN, TICKS, LONG = 300, 1250, 2000
+SLICE_NS = 500_000
+STANDSTILL_RPS = 0.05
+OUR_HEARTBEAT = 0x700 + 127
+
+
+class FaultWorld(World):
+    """A world that looks at the drive every half millisecond of its clock."""
+
+    def __init__(self) -> None:
+        self.began_ns = 0
+        self.ours_ns = 0  # when torque of ours acted last
+        self.moving_ns = 0  # when the shaft moved last
+        self.fastest_rps = 0.0
+        self.answers: list[int] = []  # error codes of the drive's EMCY, after the fault began
+        config = NodeConfig(sync_loss_tolerance_ms=50)
+        super().__init__(SimulatedPlant(config.plant), config)
+        deliver = self.to_host
+
+        def listening(frame: Any, raw: bytes, flight_ns: int) -> list[tuple[int, bytes]]:
+            if frame.can_id == 0x081 and self.began_ns:
+                code = int.from_bytes(frame.data[:2], "little")
+                self.answers += [code] if code else []
+            return deliver(frame, raw, flight_ns)
+
+        self.to_host = listening
+
+    def begin(self) -> None:
+        """The fault happens now."""
+        self.began_ns = self.ours_ns = self.moving_ns = self.now_ns
+
+    def advance_to(self, until_ns: int, readable: bool = False) -> None:
+        """As the base class, in slices; the plant is lived up to each of them."""
+        while True:
+            super().advance_to(min(until_ns, self.now_ns + SLICE_NS), readable)
+            if self.began_ns:
+                self._look()
+            if self.now_ns >= until_ns or (readable and self.wire_end_has_sent()):
+                return
+
+    def _look(self) -> None:
+        node = self.node
+        node.bus.now_ns = self.now_ns
+        node._advance()
+        node.drive.update()
+        drive, plant = node.drive, node.drive.plant
+        speed_rps = abs(plant.true_velocity_rps)
+        self.fastest_rps = max(self.fastest_rps, speed_rps)
+        if drive.state == OPERATION_ENABLED and not drive.braking and drive.current_command_a != 0.0:
+            self.ours_ns = self.now_ns
+        if speed_rps > STANDSTILL_RPS:
+            self.moving_ns = self.now_ns
+
+
+Prepare = Callable[[FaultWorld], None]
+Envelope = Callable[[EnvelopeConfig], EnvelopeConfig]
+
+
+class Script(NamedTuple):
+    """One fault: what happens at tick BEGIN, and the limits where they are not the file's."""
+
+    prepare: Prepare
+    envelope: Envelope = lambda config: config
+    ticks: int = TICKS
+    supervisor_ticks: int = 0
+
+
+def at_begin(what: Prepare) -> Prepare:
+    """At the SYNC of tick BEGIN."""
+
+    def prepare(world: FaultWorld) -> None:
+        def happen(w: World) -> None:
+            world.begin()
+            what(world)
+
+        world.at = [(BEGIN, happen)]
+
+    return prepare
+
+
+def frames_lost(*can_ids: int) -> Prepare:
+    """Frames with these identifiers no longer arrive, either way."""
+
+    def without(wire: Wire, world: FaultWorld) -> Wire:
+        def pass_on(frame: Frame, raw: bytes, flight_ns: int) -> list[tuple[int, bytes]]:
+            return [] if frame.can_id in can_ids and world.tick >= BEGIN else wire(frame, raw, flight_ns)
+
+        return pass_on
+
+    def prepare(world: FaultWorld) -> None:
+        world.to_host, world.to_drive = without(world.to_host, world), without(world.to_drive, world)
+        at_begin(lambda w: None)(world)
+
+    return prepare
+
+
+def host_stops(for_ns: int) -> Prepare:
+    """The whole process, or the loop's thread alone, does nothing any more for so long."""
+
+    def prepare(world: FaultWorld) -> None:
+        world.stalls = {BEGIN: for_ns}
+        begin_ns = world.sleep_until
+
+        def sleep_until(deadline_ns: int) -> None:
+            if world._sleeps == BEGIN:
+                world.advance_to(deadline_ns)
+                world.begin()
+            begin_ns(deadline_ns)
+
+        world.sleep_until = sleep_until  # type: ignore[method-assign]
+
+    return prepare
+
+
+def drive_fault(kind: FaultKind, **details: Any) -> Prepare:
+    """A fault of the drive's own."""
+    return at_begin(lambda world: world.node.faults.inject(Fault(kind, **details)))
+
+
+def host_bus_off(world: FaultWorld) -> None:
+    """Our CAN controller leaves the bus: nothing arrives any more, either way."""
+    world.say(ERROR_BUS_OFF, error=True)
+    world.to_host = world.to_drive = lambda frame, raw, flight_ns: []
+
+
+def interface_gone(world: FaultWorld) -> None:
+    """The kernel takes no frame any more, and none arrives."""
+    world.refusal = ENETDOWN
+    world.to_host = lambda frame, raw, flight_ns: []
+
+
+def wall_clock_gone(world: FaultWorld) -> None:
+    """Whoever reads the wall clock from now on has not understood: it may be stepped at any time."""
+
+    def read() -> int:
+        raise AssertionError("the loop read the wall clock")
+
+    time.time = time.time_ns = read  # type: ignore[assignment]
+
+
+def silent_from_the_beginning(world: FaultWorld) -> None:
+    """Nobody gives a sign of life to the loop, which runs for `supervisor_ticks` from its first tick."""
+    world.at = [(0, lambda w: world.begin())]
+
+
+def limit(**changes: Any) -> Script:
+    """A limit that this motion breaks, from its beginning on; the fault begins when the limit is broken."""
+    return Script(lambda world: None, lambda config: config._replace(**changes))
+
+
+SCRIPTS: dict[str, Script] = {
+    "host_silent": Script(host_stops(400 * NS_PER_MS)),
+    "host_pauses": Script(host_stops(5 * NS_PER_MS), ticks=600),
+    "clock_stepped": Script(at_begin(wall_clock_gone), ticks=600),
+    "answers_missing": Script(frames_lost(TPDO1)),
+    "statusword_missing": Script(frames_lost(TPDO2, 0x381)),
+    "sync_missing": Script(frames_lost(SYNC)),
+    "commands_missing": Script(frames_lost(RPDO1)),
+    "our_heartbeat_lost": Script(frames_lost(OUR_HEARTBEAT)),
+    "drive_heartbeat_lost": Script(frames_lost(HEARTBEAT), ticks=LONG),
+    "drive_fault": Script(drive_fault(FaultKind.OVERCURRENT)),
+    "emergency": Script(drive_fault(FaultKind.EMCY_STORM, duration_s=0.005)),
+    "drive_rebooted": Script(drive_fault(FaultKind.REBOOT, duration_s=0.002)),
+    "supply_lost": Script(drive_fault(FaultKind.DC_LINK_LOSS)),
+    "resolver_lost": Script(drive_fault(FaultKind.RESOLVER_LOSS)),
+    "drive_bus_off": Script(drive_fault(FaultKind.BUS_OFF)),
+    "bus_off": Script(at_begin(host_bus_off)),
+    "interface_gone": Script(at_begin(interface_gone)),
+    "supervisor_silent": Script(silent_from_the_beginning, supervisor_ticks=BEGIN),
+    "following_error": limit(following_error_rps=0.2, following_error_s=0.01),
+    "overspeed": limit(speed_limit_rps=9.0),
+    "position_window": limit(position_high_rev=0.5),
+    "i2t": limit(continuous_current_a=0.1, i2t_time_s=0.0003),
+}
+
+
+class Outcome(NamedTuple):
+    """What came of it, in milliseconds of the drive's clock."""
+
+    row: str
+    trip: int
+    emcy: list[int]
+    torque_ms: float
+    standstill_ms: float
+    drive_state: str
+    goes_on: bool  # the axis is enabled and turns at the end
+
+
+def live_through(name: str) -> Outcome:
+    """One fault, from a turning axis to its end."""
+    script = SCRIPTS[name]
+    world = FaultWorld()
+    script.prepare(world)
+    by_a_limit = not (world.at or world.stalls)
+    if by_a_limit:  # looked at from the beginning; the fault begins with the row that breaks the limit
+        world.begin()
+    clocks = time.time, time.time_ns
+    try:
+        profile = ramp_to(SPEED_RPS, STEP_RPS, 2 * script.ticks)
+        day = live(world, script.ticks, profile=profile, change=script.envelope, silence=script.supervisor_ticks)
+    finally:
+        time.time, time.time_ns = clocks
+    began_ns = int(day.rows["deadline_ns"][(day.rows["trip"] != 0).argmax()]) if by_a_limit else world.began_ns
+    return Outcome(
+        name,
+        day.trip,
+        world.answers,
+        max(0.0, (world.ours_ns - began_ns) / NS_PER_MS),
+        max(0.0, (world.moving_ns - began_ns) / NS_PER_MS),
+        STATE_NAMES[world.node.drive.state],
+        world.node.drive.state == OPERATION_ENABLED,
+    )
+
+
+def run_even() -> list[dict[str, Any]]:
+    """Every other fault."""
+    return [live_through(name)._asdict() for name in list(SCRIPTS)[::2]]
+
+
+def run_odd() -> list[dict[str, Any]]:
+    """The others."""
+    return [live_through(name)._asdict() for name in list(SCRIPTS)[1::2]]

@@ -1,0 +1,82 @@
+"""The fault table, row by row: who notices, and within which time, on the simulated drive's own clock."""
+
+from __future__ import annotations
+
+import pytest
+from daemon.fault_table import GOES_ON, QUICK, ROWS, TABLE, markdown, measured
+
+from fffo_drive.control import envelope as env
+from fffo_drive.drive.simulated.node import emcy
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+SCRIPTED = [row for row in ROWS if row.script is not None]
+STOPPING = [row for row in SCRIPTED if row.torque_ms is not None]
+
+# script -> the trip of the envelope, and EMCY of the drive that must be among what it sent
+NOTICED = {
+    "host_silent": (env.TRIP_EMERGENCY, [emcy.RPDO_TIMEOUT, emcy.HEARTBEAT_LOSS]),
+    "host_pauses": (env.TRIP_NONE, []),
+    "clock_stepped": (env.TRIP_NONE, []),
+    "answers_missing": (env.TRIP_FEEDBACK_MISSING, []),
+    "statusword_missing": (env.TRIP_STATUS_MISSING, []),
+    "sync_missing": (env.TRIP_FEEDBACK_MISSING, [emcy.SYNC_LOSS]),
+    "commands_missing": (env.TRIP_EMERGENCY, [emcy.RPDO_TIMEOUT]),
+    "our_heartbeat_lost": (env.TRIP_EMERGENCY, [emcy.HEARTBEAT_LOSS]),
+    "drive_heartbeat_lost": (env.TRIP_HEARTBEAT, []),
+    "drive_fault": (env.TRIP_EMERGENCY, [emcy.OVERCURRENT]),
+    "emergency": (env.TRIP_EMERGENCY, [emcy.MANUFACTURER]),
+    "drive_rebooted": (env.TRIP_REBOOT, []),
+    "supply_lost": (env.TRIP_EMERGENCY, []),
+    "resolver_lost": (env.TRIP_EMERGENCY, [emcy.RESOLVER]),
+    "drive_bus_off": (env.TRIP_BUS_OFF, []),
+    "bus_off": (env.TRIP_BUS_OFF, []),
+    "interface_gone": (env.TRIP_BUS_OFF, []),
+    "supervisor_silent": (env.TRIP_NONE, []),
+    "following_error": (env.TRIP_FOLLOWING_ERROR, []),
+    "overspeed": (env.TRIP_OVERSPEED, []),
+    "position_window": (env.TRIP_POSITION_WINDOW, []),
+    "i2t": (env.TRIP_I2T, []),
+}
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    return measured()
+
+
+def test_every_script_has_its_expectation(outcomes):
+    assert set(outcomes) == set(NOTICED) == {row.script for row in SCRIPTED}
+
+
+@pytest.mark.parametrize("row", STOPPING, ids=lambda row: row.name)
+def test_no_torque_of_ours_acts_and_the_shaft_stands_within_the_bounds(outcomes, row):
+    outcome = outcomes[row.script]
+    assert not outcome["goes_on"]
+    assert outcome["torque_ms"] <= row.torque_ms
+    assert outcome["standstill_ms"] <= row.standstill_ms
+    assert row.standstill_ms < 1.5 * outcome["standstill_ms"]  # a bound, not a wish
+
+
+@pytest.mark.parametrize("row", SCRIPTED, ids=lambda row: row.name)
+def test_it_is_noticed_by_whom_the_row_says(outcomes, row):
+    trip, codes = NOTICED[row.script]
+    assert outcomes[row.script]["trip"] == trip
+    assert set(codes) <= set(outcomes[row.script]["emcy"])
+
+
+@pytest.mark.parametrize("row", [row for row in SCRIPTED if row.torque_ms is None], ids=lambda row: row.name)
+def test_what_is_no_reason_to_stop_does_not_stop(outcomes, row):
+    assert outcomes[row.script]["goes_on"]
+    assert row.reaction in (GOES_ON, "goes on")
+
+
+def test_a_quick_stop_is_shorter_than_coasting(outcomes):
+    quick = [outcomes[row.script] for row in STOPPING if row.reaction.startswith(QUICK)]
+    coasting = [outcomes[row.script] for row in STOPPING if not row.reaction.startswith(QUICK)]
+    braking = [outcome["standstill_ms"] - outcome["torque_ms"] for outcome in quick]
+    assert max(braking) < min(outcome["standstill_ms"] - outcome["torque_ms"] for outcome in coasting)
+
+
+def test_the_written_table_is_what_is_measured(outcomes):
+    assert TABLE.read_text(encoding="utf-8") == markdown(outcomes), "write it again: tools/fault_table"

@@ -1,0 +1,173 @@
+"""The state machine's table: what the README shows is what the code interprets, and no way leads around a reset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from fffo_drive.runtime.states import (
+    AT_REST,
+    CHANGES,
+    EVENTS,
+    MEANINGS,
+    TABLE,
+    TORQUE_STATES,
+    Action,
+    Change,
+    Event,
+    RefusedError,
+    State,
+    markdown,
+    require_change,
+    states_with,
+    step,
+)
+
+WRITTEN = Path(__file__).resolve().parents[2] / "tools" / "tables" / "daemon_states.md"
+RESETS = (Event.RESET, Event.RESET_AWAY)
+ASKED = [event for event, happening in EVENTS.items() if happening.asked]
+OBSERVED = [event for event, happening in EVENTS.items() if not happening.asked]
+
+
+def test_the_written_table_is_the_code():
+    assert WRITTEN.read_text(encoding="utf-8") == markdown(), "write it again: tools/daemon_states"
+
+
+def test_every_state_event_and_change_has_its_words():
+    assert set(MEANINGS) == set(State)
+    assert set(EVENTS) == set(Event)
+    assert set(CHANGES) == set(Change)
+    assert {event for _, event in TABLE} == set(Event)
+    assert {action for row in TABLE.values() for action in row.actions} == set(Action)
+
+
+def test_every_state_can_be_reached_and_left():
+    reached = {State.OFFLINE}
+    while (more := reached | {row.to for (state, _), row in TABLE.items() if state in reached}) != reached:
+        reached = more
+    assert reached == set(State)
+    assert {state for (state, _), row in TABLE.items() if row.to is not state} == set(State)
+
+
+def test_a_fault_is_left_by_a_reset_alone_and_not_into_torque():
+    leaving = {(event, row.to) for (state, event), row in TABLE.items() if state is State.FAULT and row.to is not state}
+    assert leaving == {(Event.RESET, State.CONNECTED), (Event.RESET_AWAY, State.OFFLINE)}
+
+
+def test_torque_is_asked_for_by_enable_alone():
+    entering = {(state, event) for (state, event), row in TABLE.items() if Action.ENABLE in row.actions}
+    assert entering == {(State.READY, Event.ENABLE)}
+    for (state, event), row in TABLE.items():
+        if state in AT_REST and row.to in TORQUE_STATES:
+            assert event is Event.ENABLE, (state, event)
+
+
+@pytest.mark.parametrize("state", list(TORQUE_STATES))
+def test_an_axis_with_torque_can_always_be_stopped_and_always_falls_into_fault(state):
+    for event in (Event.DISABLE, Event.STOP, Event.QUICK_STOP):
+        assert (state, event) in TABLE
+    for event in (Event.TRIPPED, Event.DRIVE_LOST, Event.LOOP_ENDED):
+        assert TABLE[state, event].to is State.FAULT
+
+
+@pytest.mark.parametrize("state", [s for s in State if s is not State.OFFLINE])
+def test_a_stop_is_never_refused_where_there_is_a_drive(state):
+    assert step(state, Event.DISABLE) is not None
+    assert step(state, Event.QUICK_STOP) is not None
+
+
+@given(st.sampled_from(list(State)), st.sampled_from(ASKED))
+def test_what_is_asked_for_without_a_row_is_refused_with_the_states_that_allow_it(state, event):
+    if (state, event) in TABLE:
+        assert step(state, event) == TABLE[state, event]
+        return
+    with pytest.raises(RefusedError) as refused:
+        step(state, event)
+    assert refused.value.state is state
+    assert refused.value.allowed == states_with(event)
+    assert state.value in str(refused.value)
+    assert all(allowed.value in str(refused.value) for allowed in refused.value.allowed)
+
+
+@given(st.sampled_from(list(State)), st.sampled_from(OBSERVED))
+def test_an_observation_without_a_row_is_passed_over(state, event):
+    assert step(state, event) == TABLE.get((state, event))
+
+
+def test_the_model_changes_only_without_torque_and_gains_always():
+    for state in State:
+        for change in Change:
+            if state in CHANGES[change]:
+                require_change(state, change)
+                continue
+            with pytest.raises(RefusedError, match=change.value.split()[0]):
+                require_change(state, change)
+    assert CHANGES[Change.MODEL] == AT_REST
+    assert CHANGES[Change.GAINS] == CHANGES[Change.TOGGLE] == CHANGES[Change.RECORD] == frozenset(State)
+
+
+class Axis(RuleBasedStateMachine):
+    """Any events in any order, and a small model of what the loop would have been asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.state = State.OFFLINE
+        self.wants_torque = False
+        self.enabled_since_fault = True
+        self.reset_since_fault = True
+        self.fault_seen = False
+
+    def happen(self, event: Event) -> None:
+        row = step(self.state, event)
+        if row is None:
+            return
+        if row.to is State.FAULT and self.state is not State.FAULT:
+            self.fault_seen, self.enabled_since_fault, self.reset_since_fault = True, False, False
+        if event in RESETS:
+            self.reset_since_fault = True
+        if event is Event.ENABLE and self.state is State.READY:
+            self.enabled_since_fault = True
+            assert self.reset_since_fault
+        for action in row.actions:
+            if action is Action.ENABLE:
+                self.wants_torque = True
+            elif action in (Action.DISABLE, Action.QUICK_STOP, Action.FORGET, Action.RELEASE):
+                self.wants_torque = False
+        self.state = row.to
+
+    @rule(event=st.sampled_from(OBSERVED))
+    def observe(self, event: Event) -> None:
+        self.happen(event)
+
+    @rule(event=st.sampled_from(ASKED))
+    def ask(self, event: Event) -> None:
+        try:
+            self.happen(event)
+        except RefusedError:
+            assert (self.state, event) not in TABLE
+
+    @precondition(lambda self: self.state is State.FAULT)
+    @rule(event=st.sampled_from([e for e in Event if e not in RESETS]))
+    def a_fault_stays(self, event: Event) -> None:
+        self.ask(event) if EVENTS[event].asked else self.observe(event)
+        assert self.state is State.FAULT
+
+    @invariant()
+    def torque_is_wanted_only_where_the_state_says_so(self) -> None:
+        assert not self.wants_torque or self.state in TORQUE_STATES
+        if self.state in (State.ENABLED, State.RUNNING):
+            assert self.wants_torque
+
+    @invariant()
+    def torque_after_a_fault_needs_a_reset_and_an_enable(self) -> None:
+        if self.fault_seen and self.wants_torque:
+            assert self.reset_since_fault
+            assert self.enabled_since_fault
+
+
+TestAxis = Axis.TestCase
+TestAxis.settings = settings(max_examples=300, stateful_step_count=40, deadline=None)

@@ -1,0 +1,212 @@
+"""The daemon on a drive: states, motion, live changes, faults, recording, and who is in charge. In real time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from daemon.rig import Rig, edit
+
+from fffo_drive.daemon.client import CallError
+from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
+from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
+from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+from fffo_drive.recording.reader import read_run
+from fffo_drive.runtime import blocks as b
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
+
+
+def refused(call, *words, code=REFUSED):
+    with pytest.raises(CallError) as error:
+        call()
+    assert error.value.code == code, error.value
+    for word in words:
+        assert word in str(error.value)
+    return error.value
+
+
+def test_from_offline_to_a_profile_and_back(tmp_path):
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        status = rig.until("ready", client)
+        assert status["drive"]["state"] == "switch on disabled"
+        assert client.call("info")["protocol"] == 1
+        refused(lambda: client.call("start", profile="default"), "start", "ready", "enabled")
+        assert client.call("enable") == {"state": "enabled", "reached": True}
+        assert client.call("status")["drive"]["state"] == "operation enabled"
+        assert client.call("record", to="on")["on"]
+        client.call("start", profile="default")
+        rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
+        assert client.call("stop") == {"state": "enabled", "reached": True}
+        client.call("start", profile={"kind": "points", "points": [[0, 0], [0.2, 1], [0.4, 0]]}, wait_s=30)
+        assert client.call("status")["state"] == "enabled"
+        client.call("start", profile="default")
+        rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
+        assert client.call("disable") == {"state": "ready", "reached": True}
+        (file,) = client.call("record", to="off")["files"]
+        assert rig.node is not None
+        assert not any(rig.node.plant.torque_seen[-3:])
+    run = read_run(file)
+    assert run.complete
+    kinds = [event.data["kind"] for event in run.events if event.source == "supervisor"]
+    assert kinds.count("state") >= 5
+    assert (run.rows["trip"] == 0).all()
+    # an ordered stop has no step in the reference
+    moving = run.rows[run.rows["mode"] == 1]
+    assert np.abs(np.diff(moving["reference_rps"])).max() < 0.7
+
+
+RATE_SAMPLES = 60
+
+
+def test_an_axis_without_its_commissioning_record_is_connected_and_not_more(tmp_path):
+    with Rig(tmp_path, uncommissioned=False) as rig:
+        client = rig.client()
+        status = rig.until_status(lambda s: s["state"] == "connected" and s["loop"] and s["loop"]["rows"] > 100, client)
+        assert "commission" in status["obstacles"][0]
+        refused(lambda: client.call("enable"), "commission")
+        assert rig.node is not None
+    assert rig.node.provocations() == []
+
+
+def test_gains_and_toggle_change_while_a_profile_runs_and_the_model_does_not(tmp_path):
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        client.call("start", profile="default")
+        key = "controller.proportional_a_per_rps"
+        before = rig.do(lambda: rig.supervisor.connection.session.status(b.PARAMETERS_IN_USE))
+        assert client.call("set", key=key, value=0.9) == {"key": key, "value": 0.9}
+        assert client.call("info")["keys"][key] == 0.9
+        for toggle in ("fb", "off", "ff"):
+            assert client.call("toggle", to=toggle) == {"toggle": toggle}
+        rig.until_status(lambda s: s["loop"]["tick"] > 0 and rig.do(in_use(rig)) > before, client)
+        model = (rig.path.parent / "model.yaml").read_text()
+        refused(lambda: client.call("model", text=model), "model", "running", "ready")
+        refused(lambda: client.call("set", key="controller.feedforward.inertia", value=True), "feed-forward")
+        # a law that is not stable is refused, and the old one stays
+        refused(lambda: client.call("set", key=key, value=50), "phase margin", code=BAD_DOCUMENT)
+        refused(lambda: client.call("set", key=key, value=-1), "greater than 0", code=BAD_DOCUMENT)
+        wrong = "controller.observer.gain"
+        refused(lambda: client.call("set", key=wrong, value=1), "gain_nm_per_rev", code=BAD_DOCUMENT)
+        assert client.call("info")["keys"][key] == 0.9
+        client.call("disable")
+        changed = model.replace("name: table1", "name: other")
+        assert client.call("model", text=changed, name="m.yaml")["name"] == "other"
+        refused(lambda: client.call("model", text="rubbish: [", name="m.yaml"), "m.yaml", code=BAD_DOCUMENT)
+        other_kt = changed.replace("torque_constant_nm_per_a: 0.148", "torque_constant_nm_per_a: 0.3")
+        refused(lambda: client.call("model", text=other_kt), "torque_constant_nm_per_a", code=BAD_DOCUMENT)
+        assert client.call("status")["model"]["name"] == "other"
+
+
+def in_use(rig):
+    return lambda: rig.supervisor.connection.session.status(b.PARAMETERS_IN_USE)
+
+
+def test_a_fault_of_the_drive_latches_until_it_is_reset_and_enabled_again(tmp_path):
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        assert rig.node is not None
+        rig.node.tell(lambda node: node.drive.injected.add(OVERCURRENT))
+        status = rig.until("fault", client)
+        assert status["fault"]["name"] in ("drive_fault", "emergency")
+        refused(lambda: client.call("enable"), "fault")
+        refused(lambda: client.call("start", profile="default"), "fault")
+        refused(lambda: client.call("reset_fault", wait_s=5), "fault", code=NOT_REACHED)  # its cause is still there
+        rig.node.tell(lambda node: node.drive.injected.clear())
+        assert client.call("reset_fault") == {"state": "ready", "reached": True}
+        refused(lambda: client.call("reset_fault"), "ready", "fault")
+        assert not any(rig.node.plant.torque_seen[-3:])  # a reset is no enable
+        client.call("enable")
+        client.call("quick_stop")
+        rig.until("ready", client)
+        assert [event["data"]["name"] for event in rig.events("fault")].count(status["fault"]["name"]) >= 1
+
+
+def test_a_drive_that_goes_away_at_rest_is_looked_for_again_and_under_torque_it_is_a_fault(tmp_path):
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        assert rig.node is not None
+        rig.node.tell(lambda node: node.faults.inject(Fault(FaultKind.REBOOT, duration_s=0.01)))
+        rig.until_status(lambda s: s["loop"] is None or s["loop"]["connection"] > 1, client)
+        rig.until("ready", client)
+        client.call("enable")
+        rig.node.tell(lambda node: node.faults.inject(Fault(FaultKind.REBOOT, duration_s=0.01)))
+        status = rig.until("fault", client)
+        assert status["fault"]["name"] == "reboot"
+        assert client.call("reset_fault", wait_s=60) == {"state": "ready", "reached": True}  # brought up again
+        assert client.call("status")["loop"]["connection"] >= 3
+
+
+def test_a_drive_that_comes_later_is_found(tmp_path):
+    with Rig(tmp_path, drive=False) as rig:
+        client = rig.client()
+        status = rig.until_status(lambda s: "does not answer" in str(s["obstacles"]), client)
+        assert status["state"] == "offline"
+        refused(lambda: client.call("enable"), "offline")
+        assert len(rig.events("drive")) == 1  # told once, not at each attempt
+        rig.node = rig.new_node().__enter__()
+        rig.until("ready", client)
+
+
+@pytest.mark.parametrize(("loss", "state"), [("stop", "ready"), ("quick_stop", "ready"), ("go_on", "running")])
+def test_who_holds_the_axis_and_goes_away_does_not_leave_it_moving_unless_told_so(tmp_path, loss, state):
+    with Rig(tmp_path, client_loss=loss, in_charge="connection") as rig:
+        watcher = rig.client()
+        rig.until("ready", watcher)
+        refused(lambda: watcher.call("enable"), "hold")
+        holder = rig.client()
+        holder.call("enable", hold=True)
+        holder.call("start", profile="default")
+        rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, watcher)
+        assert "pid" in watcher.call("status")["held_by"]
+        holder.close()
+        rig.until_status(lambda s: s["state"] == state and s["held_by"] is None, watcher)
+
+
+def test_a_supervisor_that_is_silent_is_noticed_by_the_loop_which_stops_the_drive(tmp_path):
+    with Rig(tmp_path, supervisor_timeout_s=0.5) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        connection = rig.do(lambda: rig.supervisor.connection)
+        rig.do(lambda: connection.session._thread.join(60.0))  # the supervisor's thread is held up as long as it takes
+        assert connection.session.status(b.ABANDONED) == 1
+        status = rig.until("fault", client)
+        assert status["fault"]["name"] == "abandoned"
+        assert rig.node is not None
+        assert not any(rig.node.plant.torque_seen[-3:])
+        assert client.call("reset_fault", wait_s=60)["state"] == "ready"
+
+
+def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+
+        def change(axis):
+            axis["controller"]["proportional_a_per_rps"] = 0.9
+            axis["controller"]["observer"]["toggle"] = "off"
+            axis["loop"]["rate_hz"] = 1000
+            axis["envelope"]["speed_limit_rps"] = 20
+            gentle = {"kind": "sine", "duration_s": 1, "amplitude": 0.5, "frequency_hz": 1}
+            axis["daemon"]["profiles"] = {"gentle": gentle}
+
+        edit(rig.path, change)
+        done = client.call("reload")
+        assert set(done["applied"]) == {"controller", "daemon"}
+        assert set(done["restart"]) == {"loop", "envelope"}
+        info = client.call("info")
+        assert info["rate_hz"] == 500
+        assert info["keys"]["controller.proportional_a_per_rps"] == 0.9
+        assert client.call("status")["toggle"] == "off"
+        client.call("start", profile="gentle", wait_s=60)
+        rig.path.write_text("rubbish: [")
+        refused(lambda: client.call("reload"), "axis.yaml", code=BAD_DOCUMENT)
+        assert client.call("status")["state"] == "enabled"
+        assert client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.9
