@@ -39,7 +39,9 @@ def run(config, toggles, references, velocities, state=None):
     state = state or controller_at_rest()
     terms_list = []
     for toggle, reference, velocity in zip(toggles, references, velocities, strict=True):
-        terms, state = controller_step(config, state, int(toggle), steady_reference(float(reference)), float(velocity))
+        terms, state = controller_step(
+            config, state, int(toggle), steady_reference(float(reference)), float(velocity), 0.0
+        )
         terms_list.append(terms)
     return terms_list, state
 
@@ -68,7 +70,7 @@ def test_no_overshoot_of_the_command_after_a_long_saturation():
     peak = 0.0
     config = CONFIG._replace(current_limit_a=1.0)
     for _ in range(4000):
-        terms, state = controller_step(config, state, TOGGLE_OFF, steady_reference(10.0), velocity)
+        terms, state = controller_step(config, state, TOGGLE_OFF, steady_reference(10.0), velocity, 0.0)
         velocity += PERIOD_S / inertia * KT * terms.command_a
         peak = max(peak, velocity)
     assert peak < 10.0 * 1.35  # the zero's overshoot; with wind-up it is beyond 2
@@ -95,14 +97,14 @@ def test_a_persistent_error_is_learned_as_friction_up_to_the_clamp():
 
 def test_observation_is_frozen_while_the_command_is_limited():
     creep = steady_reference(CREEP_RPS)
-    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, creep, -0.5)
+    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
     assert terms.observation_nm_per_s == pytest.approx(2.5)
-    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, creep, -0.5)
+    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
     assert terms.observation_nm_per_s == 0.0
     saturated = CONFIG._replace(current_limit_a=0.1)
-    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
+    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
     assert first.limited
-    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0)
+    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
     assert second.observation_nm_per_s == 0.0
 
 
@@ -126,16 +128,18 @@ def test_switching_while_running_makes_no_bump(before, after, reference_rps):
     velocities = np.full(n, reference_rps * 0.98)
     references = np.full(n, reference_rps)
     _, state = run(CONFIG, [before] * n, references, velocities)
-    unswitched, _ = controller_step(CONFIG, state, before, steady_reference(reference_rps), reference_rps * 0.98)
-    switched, after_state = controller_step(CONFIG, state, after, steady_reference(reference_rps), reference_rps * 0.98)
+    unswitched, _ = controller_step(CONFIG, state, before, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
+    switched, after_state = controller_step(
+        CONFIG, state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0
+    )
     assert abs(switched.command_a - unswitched.command_a) < 0.02
-    second, _ = controller_step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98)
+    second, _ = controller_step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
     assert abs(second.command_a - switched.command_a) < 0.02
 
 
 def test_off_hands_the_estimate_to_the_integrator():
     _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 2000, [1.0] * 2000, [1.0] * 2000)
-    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, steady_reference(1.0), 1.0)
+    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, steady_reference(1.0), 1.0, 0.0)
     assert terms.friction_nm == 0.0
     assert after.integral_a == pytest.approx(state.integral_a + state.friction.torque_nm / KT)
 
@@ -143,8 +147,8 @@ def test_off_hands_the_estimate_to_the_integrator():
 def test_feedback_reverses_only_beyond_the_band():
     n = 2000
     _, state = run(CONFIG, [TOGGLE_FEEDBACK] * n, [1.0] * n, [1.0] * n)
-    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.09)
-    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.11)
+    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.09, 0.0)
+    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.11, 0.0)
     assert inside.friction.direction == 1.0
     assert outside.friction.direction == -1.0
 

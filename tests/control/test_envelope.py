@@ -13,7 +13,7 @@ PERIOD_S = 5e-4
 CONFIG = env.EnvelopeConfig(
     10.0, 4000.0, 20.0, 5.0, 2.0, True, -3.0, 3.0, 2.0, 0.01, 10, 100, 500_000_000, PERIOD_S, env.default_reactions()
 )
-HEALTHY = env.EnvelopeInputs(1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, 0, True, True, True)
+HEALTHY = env.EnvelopeInputs(1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, 0, True, True, True, 0)
 
 
 def step(config=CONFIG, state=None, **changes):
@@ -59,6 +59,7 @@ def test_slew_limits_the_step_both_ways():
         ({"velocity_rps": math.nan}, env.TRIP_NOT_A_NUMBER),
         ({"requested_a": math.nan}, env.TRIP_NOT_A_NUMBER),
         ({"position_rev": math.inf}, env.TRIP_NOT_A_NUMBER),
+        ({"error_rps": math.nan}, env.TRIP_NOT_A_NUMBER),
         ({"statusword": 0x0218}, env.TRIP_DRIVE_FAULT),
         ({"emergencies": 1}, env.TRIP_EMERGENCY),
         ({"reboots": 1}, env.TRIP_REBOOT),
@@ -101,8 +102,8 @@ def test_a_following_error_trips_only_when_it_lasts():
     assert step(CONFIG, env.envelope_at_rest()._replace(following_s=1.0), error_rps=9.0, closed_loop=False)[2] == 0
 
 
-def i2t_ticks(current_a: float, config=CONFIG) -> int:
-    state = env.envelope_at_rest()._replace(last_command_a=current_a)
+def i2t_ticks(current_a: float, config=CONFIG, start=None) -> int:
+    state = (start or env.envelope_at_rest())._replace(last_command_a=current_a)
     for tick in range(40_000):
         command_a, limits, trip, state = step(config, state, requested_a=current_a)
         if trip == env.TRIP_I2T or limits & env.LIMIT_I2T:
@@ -115,6 +116,14 @@ def test_i2t_lets_the_limit_flow_for_its_time_and_the_continuous_current_for_eve
     # at 7.5 A: (100 - 25) * 2 / (56.25 - 25) seconds
     assert i2t_ticks(7.5) * PERIOD_S == pytest.approx(4.8, rel=0.01)
     assert i2t_ticks(5.0) == -1
+
+
+def test_a_reset_does_not_cool_the_motor():
+    state = env.envelope_at_rest()._replace(last_command_a=10.0, i2t_a2s=149.0, following_s=0.005, was_enabled=True)
+    assert env.envelope_after_reset(state) == env.EnvelopeState(0.0, 149.0, 0.0, False)
+    # peak current cannot be had again by resetting: the time that it takes is that which it takes to cool
+    ticks = [i2t_ticks(10.0, start=env.envelope_after_reset(state)), i2t_ticks(10.0)]
+    assert ticks[0] < 0.02 * ticks[1]
 
 
 def test_i2t_can_limit_instead_of_trip():

@@ -1,0 +1,90 @@
+"""Look over this machine for what stands in the way of a loop on it: kernel, limits, CPU, interrupts, CAN interface.
+
+fffo-drive doctor                 with the defaults of an axis file, and every CAN interface
+fffo-drive doctor AXIS            for one axis: its rate, priority, CPU, bus and bit rate
+fffo-drive doctor --record DIR    also write what was read to DIR; `--root DIR` looks at it again, on any machine
+
+Each line is ok, a warning or a failure, and says what to type. Changes nothing by itself. It measures for a few seconds
+how late a thread with the loop's properties wakes: under the load of the day, let it measure for longer.
+
+exit codes: 0 no failure, 1 at least one, 74 no such record, 78 bad axis file
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+from pathlib import Path
+
+from ..system.doctor import as_json, as_text, counts, examine
+from ..system.findings import Finding, Level, Wanted
+from ..system.host import Host
+
+EXIT_FAILURES = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("axis", metavar="AXIS", nargs="?", help="axis file; without one its defaults are assumed")
+    parser.add_argument("--bus", help="socketcan:can0 in place of the file's bus")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=3.0, metavar="S", help="measure lateness for so long (3; 0: not)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--root", default="/", metavar="DIR", help="look at a record of another machine; nothing is measured"
+    )
+    parser.add_argument("--record", metavar="DIR", help="write everything that was read to DIR")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    if not Path(options.root).is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "no such directory: it is what `doctor --record` wrote", options.root)
+    wanted = wanted_of(options.axis, options.bus)
+    host = Host(options.root)
+    findings = examine(host, wanted)
+    if host.live:
+        findings += _of_this_process(wanted, options.seconds)
+    if options.record:
+        host.write_record(Path(options.record))
+    print(as_json(findings) if options.json else as_text(findings))
+    return EXIT_FAILURES if counts(findings)[Level.FAILURE] else 0
+
+
+def wanted_of(path: str | None, bus: str | None) -> Wanted:
+    """What an axis file asks of the machine. Raises DocumentError."""
+    if path is None:
+        return Wanted(bus=bus)
+    from ..config.axis import CanopenDriveSection, loop_config, read_axis, realtime_request
+
+    axis = read_axis(path)
+    request = realtime_request(axis)
+    drive = axis.drive if isinstance(axis.drive, CanopenDriveSection) else None
+    return Wanted(
+        axis.loop.rate_hz,
+        request.priority,
+        request.cpu,
+        request.lock_memory,
+        bus or (drive.bus if drive else None),
+        drive.bitrate_hz if drive else Wanted().bitrate_hz,
+        loop_config(axis).late_ns / loop_config(axis).period_ns,
+    )
+
+
+def _of_this_process(wanted: Wanted, seconds: float) -> list[Finding]:
+    from ..jit import CACHE_DIRECTORY, kernel_digest
+    from ..system.compiled import cache_findings
+    from ..system.lateness import lateness_findings, measure_lateness
+
+    findings = cache_findings(CACHE_DIRECTORY, kernel_digest())
+    if seconds > 0.0:
+        findings += lateness_findings(measure_lateness(wanted, seconds), wanted)
+    return findings
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.0 <= seconds <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"{text} is outside 0 .. 86400")
+    return seconds
