@@ -1,0 +1,98 @@
+"""Tests that need something of the machine: what it is, whether it is here, and a word about what was left out.
+
+A test with one of the markers in `NEEDS` is left out where the need is not met; the last lines of a run say so, and
+why. FFFO_REQUIRE=NAME,NAME (or `all`) makes it an error instead.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+import socket
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+VCAN = "vcan0"
+LEFT_OUT = "left_out"  # key of the counts that a worker of pytest-xdist hands over
+SEARCHED = os.environ.get("PATH", "") + ":/usr/local/sbin:/usr/sbin:/sbin"
+
+
+def vcan_missing() -> str | None:
+    """AF_CAN, an interface that is up, and the right to take it down."""
+    in_uml = "tools/uml/test runs them, in a user-mode kernel where need be"
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as probe:
+            probe.bind((VCAN,))
+    except OSError as error:
+        what = (
+            f"no interface {VCAN}" if isinstance(error, OSError) and error.errno == 19 else "no AF_CAN in this kernel"
+        )
+        return f"{what} ({error.strerror}); {in_uml}"
+    return None if os.geteuid() == 0 else f"not root, so {VCAN} cannot be taken down; {in_uml}"
+
+
+def program_missing(name: str, package: str) -> str | None:
+    """A program of a Debian package."""
+    return None if shutil.which(name, path=SEARCHED) else f"no {name}; on Debian: apt install {package}"
+
+
+def node_canopen_missing() -> str | None:
+    """The npm package `canopen`."""
+    if shutil.which("node") is None:
+        return "no node; on Debian: apt install nodejs npm"
+    if not (ROOT / ".venv" / "counterparts" / "node_modules" / "canopen").is_dir():
+        return "npm's canopen is not installed; tools/counterparts installs it where that is possible"
+    return None
+
+
+NEEDS: dict[str, Callable[[], str | None]] = {
+    "vcan": vcan_missing,
+    "uml": lambda: program_missing("linux.uml", "user-mode-linux"),
+    "systemd": lambda: None if Path("/lib/systemd/systemd-udevd").exists() else "on Debian: apt install systemd udev",
+    "tshark": lambda: program_missing("tshark", "tshark"),
+    "can_utils": lambda: program_missing("candump", "can-utils"),
+    "node_canopen": node_canopen_missing,
+}
+missing = functools.cache(lambda name: NEEDS[name]())
+
+
+def _unmet(item: pytest.Item) -> list[str]:
+    return [name for name in NEEDS if item.get_closest_marker(name) is not None and missing(name) is not None]
+
+
+@pytest.hookimpl(trylast=True)  # after -k and -m
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what cannot run here."""
+    unmet = {item: _unmet(item) for item in items}
+    counts = Counter(names[0] for names in unmet.values() if names)
+    required = os.environ.get("FFFO_REQUIRE", "").split(",")
+    if refused := sorted({name for names in unmet.values() for name in names if {name, "all"} & set(required)}):
+        raise pytest.UsageError("; ".join(f"{name} is required: {missing(name)}" for name in refused))
+    left_out = [item for item in items if unmet[item]]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not unmet[item]]
+    config.stash[COUNTS] = dict(counts)
+    if hasattr(config, "workeroutput"):
+        config.workeroutput[LEFT_OUT] = dict(counts)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """A worker of pytest-xdist has ended: every one of them has collected the same."""
+    node.config.stash[COUNTS] = getattr(node, "workeroutput", {}).get(LEFT_OUT, {})
+
+
+def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
+    """What was left out, and why."""
+    for name, count in sorted(config.stash.get(COUNTS, {}).items()):
+        terminalreporter.write_line(f"left out: {count} tests marked {name}: {missing(name)}")
+
+
+COUNTS = pytest.StashKey[dict[str, int]]()
