@@ -1,118 +1,27 @@
-"""An axis file into a connected drive, a session and the header of its runs; shared by the subcommands."""
+"""What the subcommands take from `config.plan`: an axis file into a drive, a session and the header of its runs."""
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
-from typing import NamedTuple
-
-from ..config.axis import (
-    TOGGLES,
-    AxisFile,
-    CanopenDriveSection,
-    beside,
-    build_profile,
-    model_of,
-    read_axis,
-    session_config,
+from ..config.plan import (
+    YAML_TYPE,
+    Plan,
+    connect,
+    effect_monitor,
+    make_plan,
+    open_drive,
+    plan_session,
+    run_header,
+    toggle_name,
 )
-from ..config.checks import bus_problems, law_problems, motion_problems, profile_problems, require
-from ..config.commissioning import Permission, require_identity
-from ..config.simulated import read_simulated
-from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
-from ..control.reference import Profile
-from ..drive.port import Drive, DriveIdentity, DriveRefusedError
-from ..model.parameters import ModelFile
-from ..recording.settings import RunHeader
-from ..runtime.runs import run_metadata
-from ..runtime.session import SessionConfig
-from ..units import NS_PER_S
 
-YAML_TYPE = "application/yaml"
-
-
-class Plan(NamedTuple):
-    """A checked axis file with all that it names."""
-
-    path: Path
-    axis: AxisFile
-    model: ModelFile
-    profile: Profile
-
-    @property
-    def toggle(self) -> int:
-        """The toggle of the file."""
-        return TOGGLES[self.axis.controller.observer.toggle]
-
-
-def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None) -> Plan:
-    """Read an axis file and everything that it names, and check that it may run with these toggles (None: its own).
-
-    Raises DocumentError with every problem found.
-    """
-    path = Path(path)
-    axis = read_axis(path)
-    model = model_of(path, axis)
-    profile = build_profile(axis.profile, axis.loop.period_s)
-    problems = profile_problems(axis, profile) + motion_problems(axis, profile, model) + bus_problems(axis, model)
-    if not axis.controller.accept_unproven:
-        in_use = toggles or (TOGGLES[axis.controller.observer.toggle],)
-        for observer_on in sorted({toggle != TOGGLE_OFF for toggle in in_use}):
-            problems += [text for text in law_problems(axis, model, observer_on) if text not in problems]
-    require(path, problems)
-    return Plan(path, axis, model, profile)
-
-
-def open_drive(plan: Plan, bus: str | None = None) -> Drive:
-    """The drive of an axis file, not yet connected. `bus` replaces the bus of the file."""
-    section = plan.axis.drive
-    period_ns = NS_PER_S // plan.axis.loop.rate_hz
-    if isinstance(section, CanopenDriveSection):
-        from ..drive.canopen.drive import CanopenDrive
-
-        on_bus = section.drive_config(plan.model.torque_constant_nm_per_a, period_ns, bus)
-        if on_bus.eds is not None:
-            on_bus = dataclasses.replace(on_bus, eds=str(beside(plan.path, on_bus.eds)))
-        return CanopenDrive(on_bus)
-    from ..drive.simulated.in_process import SimulatedDrive
-
-    if bus is not None:
-        require(plan.path, [f"drive.kind: simulated runs in process and has no bus: leave --bus {bus} out"])
-
-    config = read_simulated(beside(plan.path, section.file))
-    return SimulatedDrive(config.plant, config.device)
-
-
-def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
-    """The session of a plan."""
-    return session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
-
-
-def connect(drive: Drive, given: Permission) -> DriveIdentity:
-    """Bring a drive up that is to be enabled. Raises DriveError, also when it is not the one that was commissioned."""
-    identity = drive.connect()
-    try:
-        require_identity(given, identity)
-    except DriveRefusedError:
-        drive.close()
-        raise
-    return identity
-
-
-def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permission | None = None) -> RunHeader:
-    """Metadata and attachments: the file as it was read, the model, the record of commissioning where there is one."""
-    extra = {"commissioning": given.note} if given else None
-    metadata = run_metadata(plan.axis.name, identity, toggle, plan.profile, extra)
-    model_path = beside(plan.path, plan.axis.model)
-    attachments: tuple[tuple[str, str, bytes], ...] = (
-        (plan.path.name, YAML_TYPE, plan.path.read_bytes()),
-        (model_path.name, YAML_TYPE, model_path.read_bytes()),
-    )
-    if given is not None and given.file is not None:
-        attachments += ((given.file.name, YAML_TYPE, given.file.read_bytes()),)
-    return RunHeader(metadata, attachments)
-
-
-def toggle_name(toggle: int) -> str:
-    """off, ff or fb."""
-    return TOGGLE_NAMES[toggle]
+__all__ = [
+    "YAML_TYPE",
+    "Plan",
+    "connect",
+    "effect_monitor",
+    "make_plan",
+    "open_drive",
+    "plan_session",
+    "run_header",
+    "toggle_name",
+]

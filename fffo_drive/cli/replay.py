@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from ..config.axis import AxisFile, controller_config, envelope_config, model_of, read_axis
+from ..config.effects import compensation_table
 from ..documents import DocumentError
 from ..evaluation.replay import ReplayReport, replay
 from ..model.parameters import ModelFile
@@ -37,7 +38,7 @@ def execute(options: argparse.Namespace) -> int:
         model = model_of(options.other, axis)
     else:
         axis, model = recorded_files(run)
-    report = replay(run.rows, controller_config(axis, model), envelope_config(axis))
+    report = replay(run.rows, controller_config(axis, model), envelope_config(axis), compensation_table(axis, model))
     if options.json:
         print(json.dumps({**report._asdict(), "replayed": None, "exact": report.exact}, indent=2))
     else:

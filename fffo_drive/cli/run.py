@@ -19,7 +19,7 @@ from ..drive.port import Drive, ExchangeCounts
 from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
 from ..runtime.session import Session
-from .drives import Plan, connect, make_plan, open_drive, plan_session, run_header, toggle_name
+from .drives import Plan, connect, effect_monitor, make_plan, open_drive, plan_session, run_header, toggle_name
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 from .recordings import claim, recorded_rows, recorder_hooks
@@ -49,7 +49,7 @@ def execute(options: argparse.Namespace) -> int:
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    outcome = _run(plan, drive, toggle, out, given, quiet=options.json)
+    outcome = record_run(plan, drive, toggle, out, given, quiet=options.json)
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))
@@ -66,7 +66,8 @@ def _default_path(plan: Plan) -> Path:
     return Path(plan.axis.recording.directory) / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
 
 
-def _run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool) -> RunOutcome:
+def record_run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool) -> RunOutcome:
+    """Connect, run the profile of the plan and record it. Raises DriveError."""
     identity = connect(drive, given)
     header = run_header(plan, identity, toggle, given)
     settings, hooks = recorder_settings(plan.axis), recorder_hooks()
@@ -79,7 +80,8 @@ def _run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, qu
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
         with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", quiet) as progress:
-            return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress)
+            monitor = effect_monitor(plan)
+            return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
 
 
 def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + F / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
+i = Kp e + Ki int(e) + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
+                                        E from the effects of the model (control/compensation)
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class ControllerTerms(NamedTuple):
     integral_a: float
     friction_nm: float
     inertia_nm: float
+    effects_nm: float
     observation_nm_per_s: float
     requested_a: float  # sum of the terms, not limited
     command_a: float  # limited
@@ -96,9 +98,12 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 
 @njit
 def controller_step(
-    config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
-) -> tuple[ControllerTerms, ControllerState]:
-    """One period of the law. The observation is frozen (lambda = 0) while the last command was limited, and at rest.
+    config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
+    effects_nm: float,
+) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
+    """One period of the law; `effects_nm` is the torque for the model's effects.
+
+    The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
     While the reference stands at zero the estimate has no decay: lambda would make it a second integrator, four times
     as strong as the PI's, and an axis with stiction would hunt. What the axis needs at rest the PI's integral finds.
@@ -118,7 +123,7 @@ def controller_step(
         friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)
 
     inertia_nm = config.feedforward.inertia_nm_s2_per_rev * reference.ahead_derivative
-    feedforward_a = (friction.torque_nm + inertia_nm) / config.torque_constant_nm_per_a
+    feedforward_a = (friction.torque_nm + inertia_nm + effects_nm) / config.torque_constant_nm_per_a
     limit_a = config.current_limit_a
     proportional_a, integral_a = pi_step(
         config.pi, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
@@ -133,6 +138,7 @@ def controller_step(
         integral_a,
         friction.torque_nm,
         inertia_nm,
+        effects_nm,
         observation_nm_per_s,
         requested_a,
         command_a,
@@ -146,6 +152,22 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, told whether the envelope cut the command as well."""
     either = state.limited or limited
     return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either)
+
+
+@njit
+def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
+    """What the proportional term loses by new gains the integrator gains, so that the command does not jump."""
+    change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
+    return ControllerState(
+        state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited
+    )
+
+
+@njit
+def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
+    """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
+    integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
+    return ControllerState(integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited)
 
 
 def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:

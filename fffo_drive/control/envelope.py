@@ -83,7 +83,7 @@ class EnvelopeState(NamedTuple):
     """Memory of the envelope."""
 
     last_command_a: float
-    i2t_a2s: float  # heat above the continuous current, A^2 s
+    i2t_a2s: float  # heat above the continuous current, A^2 s; a reset does not cool the motor
     following_s: float  # how long the velocity error has been too large
     was_enabled: bool
 
@@ -105,12 +105,19 @@ class EnvelopeInputs(NamedTuple):
     wanted: bool  # torque is wanted in this tick
     enabled: bool  # the drive is in Operation Enabled
     closed_loop: bool  # the error means something
+    skipped_ticks: int  # since the last step: deadlines missed, with the last command held
 
 
 @njit
 def envelope_at_rest() -> EnvelopeState:
-    """Memory before the first tick and after a reset."""
+    """Memory before the first tick."""
     return EnvelopeState(0.0, 0.0, 0.0, False)
+
+
+@njit
+def envelope_after_reset(state: EnvelopeState) -> EnvelopeState:
+    """Memory after a reset: at rest, but as warm as it was, or peak current could be had again with every reset."""
+    return EnvelopeState(0.0, state.i2t_a2s, 0.0, False)
 
 
 @njit
@@ -131,7 +138,9 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
     # from here on: reasons that only a driven axis has
     if state.was_enabled and not seen.enabled:
         return TRIP_DRIVE_LEFT
-    if not (math.isfinite(seen.requested_a) and math.isfinite(seen.velocity_rps) and math.isfinite(seen.position_rev)):
+    if not (math.isfinite(seen.requested_a) and math.isfinite(seen.error_rps)):
+        return TRIP_NOT_A_NUMBER
+    if not (math.isfinite(seen.velocity_rps) and math.isfinite(seen.position_rev)):
         return TRIP_NOT_A_NUMBER
     if seen.feedback_age >= config.feedback_missing_ticks:
         return TRIP_FEEDBACK_MISSING
@@ -157,7 +166,10 @@ def i2t_capacity_a2s(config: EnvelopeConfig) -> float:
 
 @njit
 def clamp_command(config: EnvelopeConfig, state: EnvelopeState, requested_a: float) -> tuple[float, int]:
-    """Current, I2t and slew limits. Returns (command_a, LIMIT_* bits)."""
+    """Current, I2t and slew limits. Returns (command_a, LIMIT_* bits).
+
+    The current limit is the last word: one that has been lowered while running acts at once, however slow the slew.
+    """
     limits = 0
     limit_a = config.current_limit_a
     if not config.i2t_trips and state.i2t_a2s > i2t_capacity_a2s(config):
@@ -171,7 +183,14 @@ def clamp_command(config: EnvelopeConfig, state: EnvelopeState, requested_a: flo
     slewed_a = min(max(command_a, state.last_command_a - step_a), state.last_command_a + step_a)
     if slewed_a != command_a:
         limits |= LIMIT_SLEW
-    return slewed_a, limits
+    return min(max(slewed_a, -config.current_limit_a), config.current_limit_a), limits
+
+
+@njit
+def heat_after(config: EnvelopeConfig, heat_a2s: float, current_a: float, time_s: float) -> float:
+    """Heat above the continuous current after a current has flown for a time, A^2 s; below it the motor cools."""
+    excess_a2 = current_a * current_a - config.continuous_current_a * config.continuous_current_a
+    return max(0.0, heat_a2s + excess_a2 * time_s)
 
 
 @njit
@@ -179,10 +198,12 @@ def envelope_step(
     config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
 ) -> tuple[float, int, int, EnvelopeState]:
     """Returns (command_a, limits, trip, state). With a trip, or when no torque is wanted, the command is 0."""
+    held_s = seen.skipped_ticks * config.period_s
+    heat_a2s = heat_after(config, state.i2t_a2s, state.last_command_a, held_s)
     following_s = 0.0
     if seen.wanted and seen.closed_loop and abs(seen.error_rps) > config.following_error_rps:
-        following_s = state.following_s + config.period_s
-    state = EnvelopeState(state.last_command_a, state.i2t_a2s, following_s, state.was_enabled)
+        following_s = state.following_s + held_s + config.period_s
+    state = EnvelopeState(state.last_command_a, heat_a2s, following_s, state.was_enabled)
 
     trip = find_trip(config, state, seen)
     command_a = 0.0
@@ -192,10 +213,8 @@ def envelope_step(
         if seen.statusword & STATUS_INTERNAL_LIMIT:
             limits |= LIMIT_DRIVE
 
-    excess_a2 = command_a * command_a - config.continuous_current_a * config.continuous_current_a
-    i2t_a2s = max(0.0, state.i2t_a2s + excess_a2 * config.period_s)
-    was_enabled = seen.wanted and seen.enabled
-    return command_a, limits, trip, EnvelopeState(command_a, i2t_a2s, following_s, was_enabled)
+    heat_a2s = heat_after(config, heat_a2s, command_a, config.period_s)
+    return command_a, limits, trip, EnvelopeState(command_a, heat_a2s, following_s, seen.wanted and seen.enabled)
 
 
 def default_reactions() -> np.ndarray[Any, np.dtype[np.int64]]:

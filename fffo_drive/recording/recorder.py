@@ -98,6 +98,11 @@ class Recorder:
         """The kernel's id of the recorder's thread; None before `start`."""
         return self._thread.native_id if self._thread else None
 
+    @property
+    def alive(self) -> bool:
+        """The thread runs; False before `start` and after the end."""
+        return self._thread is not None and self._thread.is_alive()
+
     def start(self) -> None:
         """Start the thread; returns when it runs, with ordinary priority."""
         running = threading.Event()

@@ -60,7 +60,7 @@ static void controller_step(const struct controller_config *c, struct controller
         clamp_estimate(&c->observer, &state->friction);
     }
     double inertia_nm = c->feedforward.inertia_nm_s2_per_rev * reference->ahead_derivative;
-    double feedforward_a = (state->friction.torque_nm + inertia_nm) / c->torque_constant_nm_per_a;
+    double feedforward_a = (state->friction.torque_nm + inertia_nm + 0.0) / c->torque_constant_nm_per_a;
     double limit_a = c->current_limit_a;
     double proportional_a = c->pi.proportional_a_per_rps * driving_rps;
     double candidate_a = state->integral_a + c->pi.integral_a_per_rev * driving_rps * c->period_s;
@@ -72,7 +72,7 @@ static void controller_step(const struct controller_config *c, struct controller
     state->limited = command_a != requested_a;
     *terms = (struct controller_terms){
         .error_rps = error_rps, .filtered_error_rps = driving_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
-        .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm,
+        .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm, .effects_nm = 0.0,
         .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
         .limited = state->limited,
     };
@@ -118,7 +118,9 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
         return TRIP_NONE;
     if (state->was_enabled && !seen->enabled)
         return TRIP_DRIVE_LEFT;
-    if (!(isfinite(seen->requested_a) && isfinite(seen->velocity_rps) && isfinite(seen->position_rev)))
+    if (!(isfinite(seen->requested_a) && isfinite(seen->error_rps)))
+        return TRIP_NOT_A_NUMBER;
+    if (!(isfinite(seen->velocity_rps) && isfinite(seen->position_rev)))
         return TRIP_NOT_A_NUMBER;
     if (seen->feedback_age >= c->feedback_missing_ticks)
         return TRIP_FEEDBACK_MISSING;
@@ -151,15 +153,23 @@ static double clamp_command(const struct envelope_config *c, const struct envelo
     double slewed_a = smaller(larger(command_a, state->last_command_a - step_a), state->last_command_a + step_a);
     if (slewed_a != command_a)
         *limits |= LIMIT_SLEW;
-    return slewed_a;
+    return smaller(larger(slewed_a, -c->current_limit_a), c->current_limit_a);
+}
+
+static double heat_after(const struct envelope_config *c, double heat_a2s, double current_a, double time_s)
+{
+    double excess_a2 = current_a * current_a - c->continuous_current_a * c->continuous_current_a;
+    return larger(0.0, heat_a2s + excess_a2 * time_s);
 }
 
 static double envelope_step(const struct envelope_config *c, struct envelope_state *state,
                             const struct envelope_inputs *seen, int64_t *limits, int64_t *trip)
 {
+    double held_s = (double)seen->skipped_ticks * c->period_s;
+    state->i2t_a2s = heat_after(c, state->i2t_a2s, state->last_command_a, held_s);
     double following_s = 0.0;
     if (seen->wanted && seen->closed_loop && fabs(seen->error_rps) > c->following_error_rps)
-        following_s = state->following_s + c->period_s;
+        following_s = state->following_s + held_s + c->period_s;
     state->following_s = following_s;
     *trip = find_trip(c, state, seen);
     *limits = 0;
@@ -169,8 +179,7 @@ static double envelope_step(const struct envelope_config *c, struct envelope_sta
         if (seen->statusword & STATUS_INTERNAL_LIMIT)
             *limits |= LIMIT_DRIVE;
     }
-    double excess_a2 = command_a * command_a - c->continuous_current_a * c->continuous_current_a;
-    state->i2t_a2s = larger(0.0, state->i2t_a2s + excess_a2 * c->period_s);
+    state->i2t_a2s = heat_after(c, state->i2t_a2s, command_a, c->period_s);
     state->last_command_a = command_a;
     state->was_enabled = seen->wanted && seen->enabled;
     return command_a;

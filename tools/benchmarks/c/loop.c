@@ -159,7 +159,8 @@ static struct law apply_law(const struct controller_config *config, struct contr
 }
 
 static struct envelope_inputs look(const struct feedback *feedback, const struct timing *timing,
-                                   const struct baseline *baseline, const struct law *law, bool wanted, bool enabled)
+                                   const struct baseline *baseline, const struct law *law, bool wanted, bool enabled,
+                                   int64_t skipped_ticks)
 {
     return (struct envelope_inputs){
         .requested_a = law->terms.command_a,
@@ -171,11 +172,12 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .statusword = feedback->statusword,
         .emergencies = feedback->emergency_count - baseline->emergencies,
         .reboots = feedback->boot_count - baseline->boots,
-        .bus_off = feedback->bus_off != 0,
+        .bus_off = feedback->bus_off != 0 || feedback->bus_losses != baseline->bus_losses,
         .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
         .wanted = wanted,
         .enabled = enabled,
         .closed_loop = law->mode == MODE_VELOCITY,
+        .skipped_ticks = skipped_ticks,
     };
 }
 
@@ -188,7 +190,8 @@ static void write_row(struct row *row, const struct timing *timing, const struct
     row->lateness_ns = lateness_ns;
     row->turnaround_ns = timing->turnaround_ns;
     row->late = lateness_ns > config->late_ns;
-    row->reserved = 0;
+    row->effects = 0; /* a loop without effects */
+    row->effects_nm = law->terms.effects_nm;
     row->reference_rps = law->reference.value;
     row->reference_rps2 = law->reference.derivative;
     row->reference_ahead_rps = law->reference.ahead;
@@ -234,7 +237,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct controller_state controller = {.toggle = TOGGLE_OFF};
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
-    struct baseline baseline = {feedback->emergency_count, feedback->boot_count};
+    struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses};
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
@@ -270,8 +273,8 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             reset_number = number;
             reset_ticks = FAULT_RESET_TICKS;
             trip = TRIP_NONE;
-            envelope = (struct envelope_state){.was_enabled = 0};
-            baseline = (struct baseline){feedback->emergency_count, feedback->boot_count};
+            envelope = (struct envelope_state){.i2t_a2s = envelope.i2t_a2s};
+            baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses};
         }
         int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
         if (stopping_ticks > 0)
@@ -291,7 +294,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
                                    toggle, wanted && enabled);
 
-        struct envelope_inputs seen = look(feedback, &timing, &baseline, &law, wanted, enabled);
+        struct envelope_inputs seen = look(feedback, &timing, &baseline, &law, wanted, enabled, timing.tick - tick);
         int64_t limits, found;
         double command_a = envelope_step(envelope_config, &envelope, &seen, &limits, &found);
         if (limits != 0)

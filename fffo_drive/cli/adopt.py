@@ -1,0 +1,101 @@
+"""Put a diagnosed model in service on an axis: shows its gates, and names it in the axis file when all of them pass.
+
+The drive must have no torque. The former model stays in AXIS.adoptions.yaml; --rollback names it again. The controller
+gives torque for every effect that can be compensated, from the next start on (or `fffo-drive ctl reload` of a daemon).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ..config.adoption import Gate, gates, put_in_service, read_report, roll_back
+from ..config.axis import model_of, read_axis
+from ..daemon.client import CallError, ClientError, DaemonClient
+from ..daemon.places import SYSTEM_DIRECTORY, WATCH, user_directory
+from ..documents import DocumentError
+from ..model.parameters import read_model
+
+EXIT_REFUSED = 1
+TORQUE_STATES = ("enabled", "running", "stopping")
+ANSWER_S = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("model", metavar="MODEL", nargs="?", help="model file that `fffo-drive diagnose` wrote")
+    parser.add_argument("--axis", metavar="AXIS", required=True, help="axis file in which it is named")
+    parser.add_argument("--report", metavar="FILE", help="report of the diagnosis (default: report.json beside MODEL)")
+    parser.add_argument("--dry-run", action="store_true", help="show the gates, change nothing")
+    parser.add_argument("--rollback", action="store_true", help="name the model that was in service before")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    axis_path = Path(options.axis)
+    if options.rollback:
+        if options.model:
+            raise DocumentError("--rollback names the former model by itself: leave MODEL out")
+        return _roll_back(axis_path, options.json)
+    if not options.model:
+        raise DocumentError("a model file is needed, or --rollback: fffo-drive adopt MODEL --axis AXIS")
+    model_path = Path(options.model)
+    axis = read_axis(axis_path)
+    report = read_report(model_path, Path(options.report) if options.report else None)
+    model = read_model(model_path)
+    found = gates(axis, model_of(axis_path, axis), model, report, torque_on(axis.name))
+    passed = all(gate.passed for gate in found)
+    adopted = None
+    if passed and not options.dry_run:
+        adopted = put_in_service(axis_path, model_path, found)
+    if options.json:
+        print(json.dumps({
+            "adopted": adopted is not None, "passed": passed, "gates": [gate._asdict() for gate in found],
+            "former": adopted.former if adopted else None, "model": str(model_path), "axis": str(axis_path),
+        }, indent=2))  # fmt: skip
+    else:
+        print_gates(found)
+        if adopted is not None:
+            print(f"{axis_path}: model: {adopted.model}, before: {adopted.former} (back with --rollback)")
+        elif not passed:
+            print(f"not adopted: {', '.join(gate.name for gate in found if not gate.passed)}", file=sys.stderr)
+    return 0 if passed else EXIT_REFUSED
+
+
+def torque_on(name: str) -> bool | None:
+    """Whether the axis' daemon has torque on; None where no daemon answers."""
+    for home in (SYSTEM_DIRECTORY, user_directory()):
+        path = home / name / WATCH
+        if not path.exists():
+            continue
+        try:
+            with DaemonClient(path, ANSWER_S) as client:
+                return str(client.call("status")["state"]) in TORQUE_STATES
+        except (ClientError, CallError):
+            continue
+    return None
+
+
+def print_gates(found: list[Gate]) -> None:
+    """The gates as a table."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("gate", "", "found"):
+        table.add_column(column)
+    for gate in found:
+        table.add_row(gate.name, "[green]passed[/]" if gate.passed else "[red]REFUSED[/]", gate.text)
+    Console(soft_wrap=False).print(table)
+
+
+def _roll_back(axis_path: Path, as_json: bool) -> int:
+    last = roll_back(axis_path)
+    if as_json:
+        print(json.dumps({"rolled_back": last.model, "model": last.former, "axis": str(axis_path)}, indent=2))
+    else:
+        print(f"{axis_path}: model: {last.former}; {last.model}, adopted {last.date}, is out of service")
+    return 0

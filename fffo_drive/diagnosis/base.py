@@ -1,0 +1,166 @@
+"""The base model in torque: its residual at the rows, and how it changes with each of its parameters.
+
+    r = Kt u(t - Td) - J a - F(2SEP along the measured path) - sensor lag
+
+Friction is evaluated along the measured path and not along an observer's: an observer that lacks an effect leans
+against it with a wrong velocity, and near the Stribeck speed that is a wrong friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.coordinates import MODEL_PARAMETERS, PARAMETERS, axis_of
+from ..identification.kinematics import low_pass
+from ..identification.prediction import THREADS
+from ..model.axis import AxisConfig
+from .kernels import friction_along
+from .paths import Rows, Stretch, second_difference, thinning
+
+Floats = npt.NDArray[np.float64]
+
+BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # what is refitted with every effect; no offset: that is an effect
+NAMES = tuple(PARAMETERS)
+RELATIVE_STEP = 0.02  # of the numeric sensitivities: of a positive parameter, by its logarithm
+EXPONENT_STEP = 0.02
+BALANCE_HZ = 30.0
+
+
+class Along(NamedTuple):
+    """The base model along one stretch."""
+
+    torque_nm: Floats  # (n,) Kt times the delayed command, at the record's rate
+    friction_nm: Floats  # (l,) at the laws' rate
+    travel_rev: Floats  # (l,)
+    direction: Floats  # (l,)
+
+
+def delayed(values: Floats, delay_samples: float) -> Floats:
+    """A held, sampled command as it acts `delay_samples` late, averaged over the period around each sample. (n,)
+
+    The mean from -1/2 to +1/2 sample around k - d: parts of three held values.
+    """
+    begin = -0.5 - delay_samples
+    first = int(np.floor(begin))
+    share = 1.0 - (begin - first)  # of the first held value
+    padded = np.concatenate([np.zeros(max(0, -first) + 1), values, np.full(2, values[-1])])
+    offset = max(0, -first) + 1 + first
+    n = values.size
+    return np.asarray(share * padded[offset : offset + n] + (1.0 - share) * padded[offset + 1 : offset + 1 + n])
+
+
+def along(stretch: Stretch, physical: Floats) -> Along:
+    """The base model along a stretch."""
+    axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
+    torque = stretch.torque_constant_nm_per_a * delayed(stretch.current_a, axis.delay_s / stretch.period_s)
+    path = _friction_path(stretch, axis)
+    return Along(torque, path[:, 0].copy(), path[:, 1].copy(), path[:, 2].copy())
+
+
+def models_along(stretches: Sequence[Stretch], physical: Floats) -> list[Along]:
+    """The base model along every stretch."""
+    return [along(stretch, physical) for stretch in stretches]
+
+
+def residual_rows(
+    stretches: Sequence[Stretch], physical: Floats, rows: Rows, models: Sequence[Along] | None = None
+) -> Floats:
+    """Torque residual of the base model at all rows. (m,)"""
+    models = models if models is not None else models_along(stretches, physical)
+    joined = np.concatenate([rows.filter.rows(m.torque_nm) - rows.laws.rows(m.friction_nm) for m in models])
+    lag = _value(physical, "sensor_lag_s2")
+    inertia = _value(physical, "inertia_nm_s2_per_rev")
+    return np.asarray(joined - inertia * (rows.acceleration_rps2 + lag * snap_rows(rows)))
+
+
+def snap_rows(rows: Rows) -> Floats:
+    """Second derivative of the acceleration at the rows, stretch by stretch. (m,)"""
+    found = np.zeros(rows.time_s.size)
+    for begin, end in rows.bounds:
+        found[begin:end] = second_difference(rows.acceleration_rps2[begin:end], rows.filter.row_period_s)
+    return found
+
+
+def _value(physical: Floats, name: str) -> float:
+    return float(physical[NAMES.index(name)])
+
+
+def moved(physical: Floats, name: str, step: float) -> Floats:
+    """Parameters with one coordinate moved: positive ones by their logarithm, others by themselves."""
+    changed = physical.copy()
+    k = NAMES.index(name)
+    changed[k] = physical[k] * np.exp(step) if PARAMETERS[name][0] else physical[k] + step
+    return changed
+
+
+def step_of(name: str, period_s: float) -> float:
+    """Size of a numeric step, in the coordinate of `moved`."""
+    sizes = {"delay_s": 0.2 * period_s, "stribeck_exponent": EXPONENT_STEP, "sensor_lag_s2": period_s * period_s}
+    return sizes.get(name, RELATIVE_STEP)
+
+
+def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) -> Floats:
+    """d(what the base model explains)/d(coordinate) of BASE at the rows: minus that of the residual. (m, len(BASE))"""
+    period_s = rows.filter.period_s
+    matrix = np.empty((rows.time_s.size, len(BASE)))
+
+    def column(k: int) -> None:
+        name = BASE[k]
+        if name == "inertia_nm_s2_per_rev":
+            matrix[:, k] = _value(physical, name) * rows.acceleration_rps2
+        elif name == "sensor_lag_s2":
+            matrix[:, k] = _value(physical, "inertia_nm_s2_per_rev") * snap_rows(rows)
+        else:
+            step = step_of(name, period_s)
+            high, low = moved(physical, name, step), moved(physical, name, -step)
+            parts = []
+            for stretch in stretches:
+                if name == "delay_s":
+                    # the torque is taken away from the residual: the sign turns
+                    kt = stretch.torque_constant_nm_per_a
+                    at = [_value(p, "delay_s") / stretch.period_s for p in (high, low)]
+                    change = -kt * (delayed(stretch.current_a, at[0]) - delayed(stretch.current_a, at[1]))
+                    parts.append(rows.filter.rows(change))
+                else:
+                    parts.append(rows.laws.rows(_friction(stretch, high) - _friction(stretch, low)))
+            matrix[:, k] = np.concatenate(parts) / (2.0 * step)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(column, range(len(BASE))))
+    return matrix
+
+
+def _friction(stretch: Stretch, physical: Floats) -> Floats:
+    axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
+    return np.ascontiguousarray(_friction_path(stretch, axis)[:, 0])
+
+
+def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
+    path = np.empty((stretch.samples, 3))
+    friction_along(axis.friction, stretch.path_rev, stretch.rest, stretch.balance_nm, stretch.law_period_s, path)
+    return path
+
+
+def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:
+    """The stretches with the torque that friction balances at rest, by these parameters."""
+    found = []
+    for stretch in stretches:
+        axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
+        torque = stretch.torque_constant_nm_per_a * delayed(stretch.current_a, axis.delay_s / stretch.period_s)
+        inertia = axis.inertia_nm_s2_per_rev * stretch.acceleration_rps2
+        cutoff_hz = min(BALANCE_HZ, 0.2 / stretch.period_s)
+        thin = thinning(stretch.period_s)
+        smooth = low_pass(torque, cutoff_hz, stretch.period_s)[::thin]
+        balance = smooth - low_pass(inertia, cutoff_hz, stretch.law_period_s)
+        found.append(stretch._replace(balance_nm=np.ascontiguousarray(balance)))
+    return found
+
+
+def axis_config(physical: Floats, torque_constant_nm_per_a: float) -> AxisConfig:
+    """Constants of the axis without the nuisances."""
+    return axis_of(physical, torque_constant_nm_per_a)[0]

@@ -1,0 +1,160 @@
+"""Effects along the measured motion: torque columns of laws at the rows, filtered like everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.axis import AxisConfig
+from ..model.effects import slots
+from ..model.effects.registry import law_of
+from ..model.effects.table import Term, effects_along
+from .base import Along, axis_config
+from .paths import Filter, Rows, Stretch, second_difference, thinning
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A law with its numbers. Strengths with a datum per run have one value a run; all others one in all."""
+
+    name: str
+    shapes: Mapping[str, float]
+    strengths: Mapping[str, Floats]  # (1,) or (runs,)
+    per_run: frozenset[str] = field(default_factory=frozenset)
+
+    def values(self, run: int) -> dict[str, float]:
+        """Parameters as they are in one run."""
+        found = {name: float(v[run if v.size > 1 else 0]) for name, v in self.strengths.items()}
+        return {**self.shapes, **found}
+
+    def with_shape(self, name: str, value: float) -> Effect:
+        """The same with one shape changed."""
+        return replace(self, shapes={**self.shapes, name: value})
+
+
+# these act between command and torque: they see the command itself
+COMMANDED = frozenset({"voltage_limit", "delay", "current_lag"})
+
+
+class Scene(NamedTuple):
+    """Motion of one stretch as laws see it, with the axis that it was made for.
+
+    A torque that stands in a regressor carries the residual itself: u = J a + F + E + r. With the base projected out,
+    nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see the model's torque,
+    u - r, and only those that act on the command see the command.
+    """
+
+    stretch: Stretch
+    motion: Floats  # (n, slots.N_MOTION), with the model's torque
+    commanded: Floats  # (n,) current as commanded
+    axis: AxisConfig
+    moving: Floats  # (n,) 1, or 0 at rest: there friction balances whatever acts
+
+
+def scenes_of(
+    stretches: Sequence[Stretch], physical: Floats, models: Sequence[Along],
+    loads_nm: Sequence[Floats] | None = None,
+) -> list[Scene]:  # fmt: skip
+    """Motion of all stretches under these base parameters; `loads_nm` are the torques of accepted effects along them.
+
+    Time is that of the log's clock: runs follow one another.
+    """
+    found = []
+    for number, (stretch, model) in enumerate(zip(stretches, models, strict=True)):
+        axis = axis_config(physical, stretch.torque_constant_nm_per_a)
+        motion = np.empty((stretch.samples, slots.N_MOTION))
+        torque_nm = axis.inertia_nm_s2_per_rev * stretch.acceleration_rps2 + model.friction_nm
+        if loads_nm is not None:
+            torque_nm = torque_nm + loads_nm[number]
+        motion[:, slots.TIME_S] = stretch.begin_s + np.arange(stretch.samples) * stretch.law_period_s
+        motion[:, slots.VELOCITY_RPS] = stretch.velocity_rps
+        motion[:, slots.ACCELERATION_RPS2] = stretch.acceleration_rps2
+        motion[:, slots.MOTOR_ANGLE_REV] = stretch.smooth_rev
+        motion[:, slots.SENSOR_ANGLE_REV] = stretch.smooth_rev
+        motion[:, slots.CURRENT_A] = torque_nm / stretch.torque_constant_nm_per_a
+        motion[:, slots.FRICTION_NM] = model.friction_nm
+        motion[:, slots.TRAVEL_REV] = model.travel_rev
+        motion[:, slots.DIRECTION] = model.direction
+        commanded = model.torque_nm[:: thinning(stretch.period_s)] / stretch.torque_constant_nm_per_a
+        found.append(Scene(stretch, motion, commanded, axis, (~stretch.rest).astype(np.float64)))
+    return found
+
+
+def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
+    """What an effect adds to the torque residual of one stretch, at full rate: E, and -J e'' of a sensor's error."""
+    motion = scene.motion
+    if name in COMMANDED:
+        motion = motion.copy()
+        motion[:, slots.CURRENT_A] = scene.commanded
+    period_s = scene.stretch.law_period_s
+    load_nm, sensor_rev = effects_along([Term(name, values)], motion, scene.axis, period_s)
+    if sensor_rev.any():
+        load_nm = load_nm - scene.axis.inertia_nm_s2_per_rev * second_difference(sensor_rev, period_s)
+    return np.asarray(load_nm * scene.moving)
+
+
+def torque_rows(scene: Scene, name: str, values: Mapping[str, float], filter_: Filter) -> Floats:
+    """`load_along` at the rows."""
+    return filter_.rows(load_along(scene, name, values))
+
+
+def effect_rows(scenes: Sequence[Scene], effect: Effect, filter_: Filter) -> Floats:
+    """What an effect adds to the torque residual at all rows. (m,)"""
+    return np.concatenate([torque_rows(s, effect.name, effect.values(s.stretch.run), filter_) for s in scenes])
+
+
+class Columns(NamedTuple):
+    """Torque per unit of strength, with the names of the strengths and the run of each (-1: all). (m, k)"""
+
+    names: tuple[str, ...]
+    runs: tuple[int, ...]
+    values: Floats
+
+
+def strength_columns(
+    scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], rows: Rows, absolute: bool
+) -> Columns:
+    """Regressors of a law at a shape, strength by strength; one column a run for what has a datum per run."""
+    law = law_of(name)
+    runs = sorted({scene.stretch.run for scene in scenes})
+    names: list[str] = []
+    numbers: list[int] = []
+    columns: list[Floats] = []
+    for strength in law.strengths:
+        probe = strength.typical
+        parts = [torque_rows(scene, name, {**shapes, strength.name: probe}, rows.laws) / probe for scene in scenes]
+        column = np.concatenate(parts)
+        if not column.any():
+            continue
+        if strength.name in law.per_run and not absolute and len(runs) > 1:
+            for run in runs:
+                inside = np.where(rows.run == run, column, 0.0)
+                if inside.any():
+                    names.append(strength.name)
+                    numbers.append(run)
+                    columns.append(inside)
+        else:
+            names.append(strength.name)
+            numbers.append(-1)
+            columns.append(column)
+    values = np.stack(columns, axis=1) if columns else np.zeros((rows.time_s.size, 0))
+    return Columns(tuple(names), tuple(numbers), values)
+
+
+def effect_of(name: str, shapes: Mapping[str, float], columns: Columns, strengths: Floats, runs: int) -> Effect:
+    """An effect from least-squares strengths in the order of its columns."""
+    found: dict[str, Floats] = {}
+    per_run = set()
+    for label, run, value in zip(columns.names, columns.runs, strengths, strict=True):
+        if run < 0:
+            found[label] = np.array([value])
+        else:
+            per_run.add(label)
+            found.setdefault(label, np.zeros(runs))[run] = value
+    return Effect(name, dict(shapes), found, frozenset(per_run))

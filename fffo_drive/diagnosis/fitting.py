@@ -1,0 +1,237 @@
+"""Refit of everything together: base parameters, strengths and shapes of all effects, on the rows in torque.
+
+Gauss-Newton with damping on the white residual. The sensitivities of the base change little between rivals and are
+shared; those of the effects are made anew at every step, and the model's torque that laws see follows the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
+from ..model.effects.registry import law_of
+from .base import BASE, NAMES, models_along, moved, residual_rows
+from .candidates import Effect, Scene, load_along, scenes_of
+from .evidence import Whitening, whiten
+from .paths import Rows, Stretch
+
+Floats = npt.NDArray[np.float64]
+
+FIXED = frozenset({"pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count"})  # shapes that stay
+# laws whose torque depends on the model's own torque: they are evaluated with their effect in it
+OF_TORQUE = frozenset(
+    {"load_dependent_friction", "torque_saturation", "torque_ripple", "dead_zone", "elasticity", "backlash"}
+)
+LOOKUP = "lookup"  # a free curve: its knots stay
+HUBER = 4.0
+CONVERGED = 3e-4
+LARGEST_LOG = 0.5  # of a positive parameter in one step
+
+
+class Data(NamedTuple):
+    """What a fit is made on."""
+
+    stretches: Sequence[Stretch]
+    rows: Rows
+    whitening: Whitening
+    runs: int
+
+
+class Fitted(NamedTuple):
+    """A fitted model: base and effects."""
+
+    physical: Floats
+    effects: tuple[Effect, ...]
+    loss: float  # mean Huber loss of the white residual
+    residual_nm: Floats  # (m,)
+    white: Floats  # (q,)
+
+
+class Slot(NamedTuple):
+    """One number of an effect that is fitted."""
+
+    effect: int
+    name: str
+    run: int  # -1: no datum per run
+    step: float  # of the numeric derivative
+    logarithmic: bool
+
+
+def huber_loss(white: Floats) -> float:
+    """Mean Huber loss at unit variance."""
+    magnitude = np.abs(white)
+    inner = np.minimum(magnitude, HUBER)
+    return float(np.mean(inner * (2.0 * magnitude - inner)))
+
+
+def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
+    """Torque of effects along each stretch at full rate."""
+    found = []
+    for scene in scenes:
+        total = np.zeros(scene.stretch.samples)
+        for effect in effects:
+            total += load_along(scene, effect.name, effect.values(scene.stretch.run))
+        found.append(total)
+    return found
+
+
+def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:
+    """Residual of a model on the rows, and the scenes that its effects see.
+
+    The torque in the scenes has the effects in it: one pass, which is enough as effects are small beside the torque.
+    """
+    models = models_along(data.stretches, physical)
+    residual = residual_rows(data.stretches, physical, data.rows, models)
+    scenes = scenes_of(data.stretches, physical, models)
+    if effects:
+        if any(law_of(effect.name).name in OF_TORQUE for effect in effects):
+            scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, effects))
+        residual = residual - np.concatenate([data.rows.laws.rows(load) for load in loads_of(scenes, effects)])
+    white = whiten(data.rows, data.whitening, residual)
+    return Fitted(physical, tuple(effects), huber_loss(white), residual, white), scenes
+
+
+def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -> list[Scene]:
+    """Scenes whose torque has the effects in it."""
+    models = models_along(data.stretches, physical)
+    scenes = scenes_of(data.stretches, physical, models)
+    return scenes_of(data.stretches, physical, models, loads_of(scenes, effects)) if effects else scenes
+
+
+def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot]:
+    """Every number of the effects that is fitted."""
+    found = []
+    for number, effect in enumerate(effects):
+        law = law_of(effect.name)
+        for p in law.strengths:
+            values = effect.strengths.get(p.name)
+            if values is not None:
+                runs = range(values.size) if p.name in effect.per_run else [-1]
+                found += [Slot(number, p.name, run, 0.05 * p.typical, False) for run in runs]
+        for p in law.shapes if shapes and law.name != LOOKUP else ():
+            value = effect.shapes.get(p.name, 0.0)
+            if value == 0.0 and p.name != "centre_rev" or p.name in FIXED:
+                continue
+            if p.name == "order":
+                found.append(Slot(number, p.name, -1, 0.01 / max(turns, 1.0), False))
+            elif p.name == "centre_rev":
+                width = effect.shapes.get("width_rev", 0.0)
+                if width > 0.0:
+                    found.append(Slot(number, p.name, -1, 0.05 * width, False))
+            elif p.name == "frequency_hz" and effect.name == "periodic_disturbance":
+                found.append(Slot(number, p.name, -1, 2e-4, False))
+            else:
+                found.append(Slot(number, p.name, -1, 0.02, True))
+    return found
+
+
+def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:
+    """Effects with one number moved."""
+    found = list(effects)
+    effect = found[slot.effect]
+    if slot.name in effect.strengths:
+        values = effect.strengths[slot.name].copy()
+        values[max(slot.run, 0)] += step
+        found[slot.effect] = replace(effect, strengths={**effect.strengths, slot.name: values})
+    else:
+        value = effect.shapes[slot.name]
+        value = value * float(np.exp(step)) if slot.logarithmic else value + step
+        p = next(p for p in law_of(effect.name).shapes if p.name == slot.name)
+        found[slot.effect] = effect.with_shape(slot.name, min(max(value, p.low), p.high))
+    return found
+
+
+def effect_jacobian(data: Data, effects: Sequence[Effect], slots: Sequence[Slot], scenes: Sequence[Scene]) -> Floats:
+    """d(torque of the effects)/d(each number) at the rows. (m, slots)"""
+    matrix = np.zeros((data.rows.time_s.size, len(slots)))
+    filter_ = data.rows.laws
+    base: dict[tuple[int, int], Floats] = {}
+    for column, slot in enumerate(slots):
+        moved_effect = changed(effects, slot, slot.step)[slot.effect]
+        for (begin, end), (number, scene) in zip(data.rows.bounds, enumerate(scenes), strict=True):
+            run = scene.stretch.run
+            if slot.run >= 0 and slot.run != run:
+                continue
+            key = (slot.effect, number)
+            if key not in base:
+                effect = effects[slot.effect]
+                base[key] = load_along(scene, effect.name, effect.values(run))
+            difference = load_along(scene, moved_effect.name, moved_effect.values(run)) - base[key]
+            matrix[begin:end, column] = filter_.rows(difference / slot.step)
+    return matrix
+
+
+def refit(
+    data: Data, sensitivities: Floats, start: Floats, effects: Sequence[Effect], iterations: int = 4,
+    shapes: bool = True, free_base: bool = True,
+) -> Fitted:  # fmt: skip
+    """Fit base and effects from a start. `sensitivities` (m, len(BASE)) may be those of a near model."""
+    best, scenes = evaluate(data, start, effects)
+    turns = float(np.ptp(data.rows.position_rev))
+    slots = slots_of(effects, shapes, turns)
+    base_white = whiten(data.rows, data.whitening, sensitivities) if free_base else np.zeros((best.white.size, 0))
+    damping = 1e-4
+    for _ in range(iterations):
+        columns = whiten(data.rows, data.whitening, effect_jacobian(data, best.effects, slots, scenes))
+        matrix = np.concatenate([base_white, columns], axis=1)
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
+        gradient = matrix.T @ (weight * best.white)
+        hessian = matrix.T @ (weight[:, None] * matrix)
+        accepted = None
+        for _ in range(4):
+            step = _solve(hessian, gradient, damping)
+            physical = stepped(best.physical, step[: base_white.shape[1]]) if free_base else best.physical
+            moved_effects: Sequence[Effect] = best.effects
+            for slot, size in zip(slots, step[base_white.shape[1] :], strict=True):
+                limit = LARGEST_LOG if slot.logarithmic else np.inf
+                if slot.name == "order":
+                    limit = 0.25 / max(turns, 1.0)
+                moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
+            trial, trial_scenes = evaluate(data, physical, moved_effects)
+            if np.isfinite(trial.loss) and trial.loss < best.loss:
+                accepted = trial
+                break
+            damping = max(1e-3, 30.0 * damping)
+        if accepted is None:
+            break
+        fall = (best.loss - accepted.loss) / best.loss
+        best, scenes = accepted, trial_scenes
+        damping = max(1e-6, 0.1 * damping)
+        if fall < CONVERGED:
+            break
+    return best
+
+
+def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    use = np.diag(hessian) > 1e-12 * float(np.diag(hessian).max(initial=1e-300))
+    found = np.zeros(gradient.size)
+    part = hessian[np.ix_(use, use)] / np.outer(scale[use], scale[use])
+    values, vectors = np.linalg.eigh(part)
+    inverse = 1.0 / (np.maximum(values, 0.0) + damping + 1e-9)
+    found[use] = (vectors @ (inverse * (vectors.T @ (gradient[use] / scale[use])))) / scale[use]
+    return found
+
+
+def stepped(physical: Floats, step: Floats) -> Floats:
+    """Base parameters after a step in their coordinates, within bounds."""
+    found = physical
+    for name, size in zip(BASE, step, strict=True):
+        found = moved(found, name, float(np.clip(size, -LARGEST_LOG, LARGEST_LOG)))
+    found = found.copy()
+    for name, (low, high) in (("delay_s", (0.0, LONGEST_DELAY_S)), ("stribeck_exponent", STRIBECK_EXPONENTS)):
+        k = NAMES.index(name)
+        found[k] = min(max(found[k], low), high)
+    coulomb, static = NAMES.index("coulomb_nm"), NAMES.index("static_nm")
+    found[static] = max(found[static], found[coulomb])
+    return found
+
+
+def strengths_of(effects: Sequence[Effect]) -> Mapping[str, Floats]:
+    """All strengths by `effect.strength`."""
+    return {f"{e.name}.{name}": values for e in effects for name, values in e.strengths.items()}

@@ -1,0 +1,133 @@
+"""What is in no list: free curves over every axis, as torque and as friction, and over memory.
+
+Each curve is a table of the library's `lookup` law, so that what is found here is a law that can be refitted, written to
+a model file and, over an axis that a feed-forward knows, compensated. Knots lie where the data are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.facts import DriveFacts
+from ..identification.prediction import THREADS
+from ..model.effects.laws.lookup import UNKNOWN
+from .candidates import Columns, Scene, effect_of, load_along
+from .evidence import Evidence, score
+from .screening import Trial
+
+Floats = npt.NDArray[np.float64]
+
+KNOTS = 12
+TORQUE, FRICTION = 0.0, 1.0
+FAR = 1e6
+
+
+class Axis(NamedTuple):
+    """One axis of the search."""
+
+    word: str
+    kind: float  # of the lookup: a torque, or friction with its sign
+    scale: float  # period of an angle in rev, or time constant of a memory in s
+
+
+def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
+    """All axes that the data and the facts allow."""
+    found = [
+        Axis("time", FRICTION, 0.0), Axis("velocity", TORQUE, 0.0), Axis("acceleration", TORQUE, 0.0),
+        Axis("current", TORQUE, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
+        Axis("memory", FRICTION, 0.5), Axis("memory", FRICTION, 3.0), Axis("memory", FRICTION, 12.0),
+    ]  # fmt: skip
+    if turns > 3.0:
+        found += [Axis("motor_angle", TORQUE, 1.0), Axis("motor_angle", FRICTION, 1.0)]
+    found += [Axis("output_angle", TORQUE, 0.0), Axis("output_angle", FRICTION, 0.0)]
+    return found
+
+
+def free_trials(
+    evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts, told: Callable[[float], None] | None = None
+) -> list[Trial]:
+    """The best curve of every axis word, what explains most first."""
+    turns = float(np.ptp(evidence.rows.position_rev))
+    axes = axes_of(facts, turns)
+    with ThreadPoolExecutor(THREADS) as pool:
+        found = list(pool.map(lambda axis: _trial(evidence, scenes, axis), axes))
+    best: dict[str, Trial] = {}
+    for trial in found:
+        if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
+            best[trial.name] = trial
+    if told is not None:
+        told(1.0)
+    return sorted(best.values(), key=lambda t: -t.explained)
+
+
+def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | None:
+    rows = evidence.rows
+    name = UNKNOWN + axis.word
+    places = abscissa(scenes, axis)
+    knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
+    if knots.size < 4:
+        return None
+    shapes = {"kind": axis.kind, "scale": axis.scale, "count": float(knots.size)}
+    shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    columns = []
+    for k in range(knots.size):
+        unit = np.zeros(knots.size)
+        unit[k] = 1.0
+        parts = []
+        for place, scene in zip(places, scenes, strict=True):
+            curve = np.interp(place, knots, unit)
+            if axis.kind == FRICTION:
+                curve = curve * grip(scene)
+            parts.append(rows.laws.rows(curve * scene.moving))
+        columns.append(np.concatenate(parts))
+    joined = Columns(tuple(f"y{k:02d}" for k in range(knots.size)), (-1,) * knots.size, np.stack(columns, axis=1))
+    found = score(evidence, joined.values)
+    if found.rank == 0:
+        return None
+    effect = effect_of(name, shapes, joined, found.strengths, 1)
+    return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+
+
+def grip(scene: Scene) -> Floats:
+    """How far presliding is crossed, and which way: -1 to 1, as the laws see it. (l,)"""
+    friction = scene.axis.friction
+    contact = scene.motion[:, 6] - friction.viscous_nm_per_rps * scene.motion[:, 1]
+    return np.asarray(np.clip(contact / friction.coulomb_nm, -1.0, 1.0))
+
+
+def abscissa(scenes: Sequence[Scene], axis: Axis) -> list[Floats]:
+    """Where on an axis the motion is, stretch by stretch: the lookup's own, from a curve that is the identity."""
+    identity = {
+        "kind": TORQUE, "scale": axis.scale, "count": 2.0, "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,
+    }  # fmt: skip
+    return [
+        load_along(
+            Scene(s.stretch, s.motion, s.commanded, s.axis, np.ones(s.moving.size)), UNKNOWN + axis.word, identity
+        )
+        for s in scenes
+    ]
+
+
+def knots_of(places: Floats, axis: Axis) -> Floats:
+    """Knots where the data are: between even steps of the range and even shares of the samples."""
+    low, high = (float(x) for x in np.quantile(places, (0.002, 0.998)))
+    if not high > low:
+        return np.zeros(0)
+    if axis.scale > 0.0 and axis.word in ("motor_angle", "output_angle"):
+        return np.linspace(0.0, axis.scale, KNOTS)
+    shares = np.linspace(0.0, 1.0, KNOTS)
+    if axis.word in ("dwell", "travel_since_reversal"):
+        small = max(float(np.quantile(places[places > 0.0], 0.05)), 1e-3 * high) if (places > 0.0).any() else low
+        found = np.geomspace(small, high, KNOTS)
+    else:
+        found = 0.5 * (np.quantile(places, 0.002 + 0.996 * shares) + low + (high - low) * shares)
+    distinct = [float(found[0])]
+    for x in found[1:]:
+        if x - distinct[-1] > 0.01 * (high - low):
+            distinct.append(float(x))
+    return np.array(distinct)

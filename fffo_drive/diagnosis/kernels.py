@@ -1,0 +1,106 @@
+"""Kernels of the diagnosis: one filter for everything, the path that friction sees, and friction along it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..jit import njit
+from ..model.friction import FrictionConfig, FrictionState, friction_step
+
+Floats = npt.NDArray[np.float64]
+
+
+@njit
+def filter_rows(values: Floats, taps: Floats, step: int, output: Any) -> None:
+    """A symmetric (zero-phase) filter, evaluated at every `step`-th sample: row j is centred on sample j*step.
+
+    `values` (n,), `taps` (2h+1,), `output` (rows,). Beyond the ends the values stay as they are there.
+    """
+    last = values.size - 1
+    half = taps.size // 2
+    for row in range(output.size):
+        centre = row * step
+        total = taps[half] * values[centre]
+        if centre >= half and centre + half <= last:
+            for k in range(1, half + 1):
+                total += taps[half + k] * (values[centre - k] + values[centre + k])
+        else:
+            for k in range(1, half + 1):
+                total += taps[half + k] * (values[max(0, centre - k)] + values[min(last, centre + k)])
+        output[row] = total
+
+
+@njit
+def play_path(position_rev: Floats, half_width_rev: float, output: Any) -> None:
+    """Position behind a play of +-`half_width_rev`: what noise does at rest is no motion. Shapes (n,)."""
+    held = position_rev[0]
+    for k in range(position_rev.size):
+        if position_rev[k] > held + half_width_rev:
+            held = position_rev[k] - half_width_rev
+        elif position_rev[k] < held - half_width_rev:
+            held = position_rev[k] + half_width_rev
+        output[k] = held
+
+
+@njit
+def friction_along(
+    config: FrictionConfig, path_rev: Floats, rest: Any, balance_nm: Floats, period_s: float, output: Any
+) -> None:
+    """2SEP friction along a path. `path_rev` (n,); `output` (n, 3): torque Nm, travel since reversal rev, direction.
+
+    Where `rest` (n,) is true, friction is what balances the other torques, `balance_nm` (n,): motions that no sensor
+    sees let it creep there. The next motion begins from it as after a reversal.
+    """
+    state = FrictionState(0.0, 0.0, 0.0, 0.0)
+    limit_nm = max(config.static_nm, config.coulomb_nm)
+    output[0, 0] = 0.0
+    output[0, 1] = 0.0
+    output[0, 2] = 0.0
+    for k in range(1, path_rev.size):
+        if rest[k]:
+            torque_nm = min(limit_nm, max(-limit_nm, balance_nm[k]))
+            state = FrictionState(torque_nm, 0.0, 0.0, 0.0)
+        else:
+            velocity_rps = (path_rev[k] - path_rev[k - 1]) / period_s
+            if velocity_rps != 0.0:
+                state = friction_step(config, state, velocity_rps, 0.0, period_s)
+        output[k, 0] = state.torque_nm
+        output[k, 1] = state.travel_rev
+        output[k, 2] = state.direction
+
+
+@njit
+def wave_sums(
+    angle_rev: Floats, weighted: Floats, gain: Floats, first_order: float, order_step: float, output: Any
+) -> None:
+    """Least-squares periodogram over orders: five sums an order, `output` (orders, 5).
+
+    `angle_rev` (n,) where the samples lie, `weighted` (n,) their values, `gain` (n,) how much of a wave is left there.
+    Columns: sum(y c), sum(y s), sum(c c), sum(c s), sum(s s), with c, s the cosine and sine times the gain.
+    """
+    turn = 2.0 * math.pi
+    for k in range(output.shape[0]):
+        order = first_order + k * order_step
+        yc = 0.0
+        ys = 0.0
+        cc = 0.0
+        cs = 0.0
+        ss = 0.0
+        for j in range(angle_rev.size):
+            phase = turn * order * angle_rev[j]
+            c = math.cos(phase) * gain[j]
+            s = math.sin(phase) * gain[j]
+            yc += weighted[j] * c
+            ys += weighted[j] * s
+            cc += c * c
+            cs += c * s
+            ss += s * s
+        output[k, 0] = yc
+        output[k, 1] = ys
+        output[k, 2] = cc
+        output[k, 3] = cs
+        output[k, 4] = ss

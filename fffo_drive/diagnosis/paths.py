@@ -1,0 +1,217 @@
+"""Runs as the diagnosis sees them: the path at full rate, and rows at the rate of the one filter that all share.
+
+Residual and regressors go through the same symmetric filter and are taken at every `step`-th sample, so that a relation
+between signals is a relation between their rows, whatever the filter does. Derivatives are central differences before
+the filter: filter and difference commute.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, signal
+
+from ..identification.dataset import Record
+from ..identification.kinematics import low_pass
+from .kernels import filter_rows, play_path
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+CUTOFF_HZ = 45.0  # of the filter that all signals share
+ROW_SHARE = 2.8  # rows a second over the cut-off
+TAPS_PERIODS = 1.9  # half length of the filter, in periods of the cut-off
+LAW_HZ = 1000.0  # at which friction and effects are evaluated
+PATH_HZ = 200.0  # of the position that friction and effects are evaluated on
+PLAY_LSB = 0.2
+WINDOW_S = 0.5  # what is inside one window counts as one piece of evidence
+EDGE_S = 0.15  # at the ends of a stretch, where filters see no data
+SHORTEST_S = 2.0
+REST_S = 0.1  # rest: the low-pass position stays for so long ...
+REST_LSB = 20.0  # ... within so many counts
+
+
+class Filter(NamedTuple):
+    """The one filter: symmetric taps at the rate of the records, and how many samples there are to a row."""
+
+    taps: Floats
+    step: int
+    cutoff_hz: float
+    period_s: float
+
+    @property
+    def row_period_s(self) -> float:
+        """Time between rows."""
+        return self.step * self.period_s
+
+    def rows(self, values: Floats) -> Floats:
+        """One signal (n,) filtered, at the rows."""
+        output = np.empty(-(-values.size // self.step))
+        filter_rows(np.ascontiguousarray(values, dtype=np.float64), self.taps, self.step, output)
+        return output
+
+    def thinned(self) -> Filter:
+        """The same filter for signals at the rate of the laws."""
+        thin = thinning(self.period_s)
+        if thin == 1:
+            return self
+        half = self.taps.size // 2 // thin
+        taps = signal.firwin(2 * half + 1, self.cutoff_hz, fs=1.0 / (thin * self.period_s), window="hamming")
+        return Filter(np.asarray(taps, dtype=np.float64), self.step // thin, self.cutoff_hz, thin * self.period_s)
+
+    def gain(self, frequency_hz: Floats) -> Floats:
+        """What is left of a sine, by its frequency."""
+        k = np.arange(self.taps.size) - self.taps.size // 2
+        grid = np.linspace(0.0, 0.5 / self.period_s, 512)
+        response = np.cos(2.0 * math.pi * np.outer(grid, k) * self.period_s) @ self.taps
+        return np.asarray(np.interp(np.abs(frequency_hz), grid, response))
+
+
+def thinning(period_s: float) -> int:
+    """Samples to one of the laws: friction and effects are evaluated at `LAW_HZ`, however fast the record is."""
+    return max(1, round(1.0 / (LAW_HZ * period_s)))
+
+
+def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
+    """Windowed-sinc low-pass, half at the cut-off, next to nothing at half the rate of the rows."""
+    cutoff_hz = min(cutoff_hz, 0.2 / period_s)
+    half = max(2, round(TAPS_PERIODS / (cutoff_hz * period_s)))
+    taps = signal.firwin(2 * half + 1, cutoff_hz, fs=1.0 / period_s, window="hamming")
+    thin = thinning(period_s)
+    step = thin * max(1, int(1.0 / (ROW_SHARE * cutoff_hz * period_s * thin) + 1e-9))
+    return Filter(np.asarray(taps, dtype=np.float64), step, cutoff_hz, period_s)
+
+
+class Stretch(NamedTuple):
+    """One stretch of a record without a gap. Sensors and command at the record's rate, (n,); motion at the laws', (l,)."""
+
+    run: int
+    name: str
+    begin_s: float  # on the clock of the log
+    period_s: float
+    torque_constant_nm_per_a: float
+    lsb_rev: float
+    position_rev: Floats  # (n,) measured
+    current_a: Floats  # (n,) command
+    measured_a: Floats | None  # (n,)
+    reference_rps: Floats | None  # (n,)
+    law_period_s: float
+    smooth_rev: Floats  # (l,) low-pass position
+    velocity_rps: Floats  # (l,) its derivative; zero at rest
+    acceleration_rps2: Floats  # (l,)
+    path_rev: Floats  # (l,) behind a play: moves where the axis moves
+    rest: Mask  # (l,) no motion that the sensor is sure of
+    balance_nm: Floats  # (l,) motor torque minus inertia, by the base model at hand: what friction is at rest
+
+    @property
+    def samples(self) -> int:
+        """Number of samples at the laws' rate."""
+        return int(self.smooth_rev.size)
+
+
+def stretches_of(records: Sequence[Record]) -> list[Stretch]:
+    """All stretches that are long enough, in the order of the records."""
+    found = []
+    for number, record in enumerate(records):
+        for part in record.segments():
+            if (part.stop - part.start) * record.period_s >= SHORTEST_S:
+                found.append(_stretch(number, record, part))
+    return found
+
+
+def _stretch(number: int, record: Record, part: slice) -> Stretch:
+    origin = record.position_rev[part.start]
+    period_s = record.period_s
+    position = np.ascontiguousarray(record.position_rev[part])
+    smooth = low_pass(position - origin, min(PATH_HZ, 0.2 / period_s), period_s) + origin
+    path = np.empty(smooth.size)
+    play_path(smooth, PLAY_LSB * record.lsb_rev, path)
+    velocity = np.gradient(smooth, period_s)
+    acceleration = np.gradient(velocity, period_s)
+    rest = resting(smooth, record.lsb_rev, period_s)
+    velocity[rest] = 0.0
+    thin = thinning(period_s)
+
+    def cut(values: Floats | None) -> Floats | None:
+        return None if values is None else np.ascontiguousarray(values[part])
+
+    def slow(values: Floats) -> Floats:
+        return np.ascontiguousarray(values[::thin])
+
+    return Stretch(
+        number, record.name, record.begin_s + part.start * period_s, period_s, record.torque_constant_nm_per_a,
+        record.lsb_rev, position, np.ascontiguousarray(record.current_a[part]), cut(record.measured_current_a),
+        cut(record.reference_rps), thin * period_s, slow(smooth), slow(velocity), slow(acceleration), slow(path),
+        np.ascontiguousarray(rest[::thin]), np.zeros(-(-smooth.size // thin)),
+    )  # fmt: skip
+
+
+class Rows(NamedTuple):
+    """What the rows of all stretches are, joined; (m,) each."""
+
+    filter: Filter  # for signals at the record's rate
+    laws: Filter  # the same for signals at the laws' rate
+    bounds: tuple[tuple[int, int], ...]  # rows of each stretch
+    run: Integers
+    window: Integers  # rising
+    time_s: Floats  # on the clock of the log
+    velocity_rps: Floats
+    acceleration_rps2: Floats
+    position_rev: Floats
+    kept: Mask  # neither at rest nor at the ends
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return int(self.window[-1]) + 1 if self.window.size else 0
+
+
+def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
+    """Labels and kinematics of the rows."""
+    laws = filter_.thinned()
+    columns: dict[str, list[npt.NDArray[np.generic]]] = {}
+    bounds, begin, window = [], 0, 0
+    length = max(1, round(WINDOW_S / filter_.row_period_s))
+    for stretch in stretches:
+        position = filter_.rows(stretch.position_rev)
+        count = position.size
+        number = np.arange(count) // length
+        edge = round(EDGE_S / filter_.row_period_s)
+        kept = ~stretch.rest[:: laws.step]
+        kept[:edge] = False
+        kept[count - edge :] = False
+        for name, values in (
+            ("run", np.full(count, stretch.run)),
+            ("window", window + number),
+            ("time_s", stretch.begin_s + np.arange(count) * filter_.row_period_s),
+            ("velocity_rps", laws.rows(stretch.velocity_rps)),
+            ("acceleration_rps2", filter_.rows(second_difference(stretch.position_rev, stretch.period_s))),
+            ("position_rev", position),
+            ("kept", kept),
+        ):
+            columns.setdefault(name, []).append(values)
+        bounds.append((begin, begin + count))
+        begin += count
+        window += int(number[-1]) + 1
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return Rows(filter_, laws, tuple(bounds), **joined)  # type: ignore[arg-type]
+
+
+def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:
+    """True where the position stays within some counts for a while. (n,)"""
+    half = max(1, round(0.5 * REST_S / period_s))
+    high = ndimage.maximum_filter1d(smooth_rev, 2 * half + 1)
+    low = ndimage.minimum_filter1d(smooth_rev, 2 * half + 1)
+    return np.asarray(high - low < REST_LSB * lsb_rev)
+
+
+def second_difference(values: Floats, period_s: float) -> Floats:
+    """Central second difference; zero at the two ends."""
+    found = np.zeros(values.size)
+    found[1:-1] = (values[2:] - 2.0 * values[1:-1] + values[:-2]) / (period_s * period_s)
+    return found

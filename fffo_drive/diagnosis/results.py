@@ -1,0 +1,227 @@
+"""What a diagnosis says: findings with their evidence, errors before and after, and the report of part 7 as plain data.
+
+For a linear axis revolutions stand for m, rps for m/s and Nm for N; the report's `units` says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.parameters import ModelFile
+
+Floats = npt.NDArray[np.float64]
+
+REPORT_FORMAT = "fffo_drive/diagnosis/1"
+VerdictWord = Literal["effects_found", "no_effect_found", "unexplained"]
+
+
+class Interval(NamedTuple):
+    """A number with its 95 % interval, from whole windows that are drawn again."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """How wrong a model is on a set of runs."""
+
+    torque_rms_nm: Interval
+    torque_relative_percent: Interval  # of the filtered motor torque
+    velocity_rms_rps: Interval  # of free simulation over short windows
+    seconds: float  # of motion that counted
+
+
+@dataclass(frozen=True)
+class Number:
+    """One parameter of a finding."""
+
+    name: str
+    value: float
+    sd: float | None  # None: at a bound, or not fitted
+    unit: str
+    per_run: str | None = None  # name of the run that it belongs to
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line or a cloud of binned means of a picture, (n,) each."""
+
+    label: str
+    x: Floats
+    y: Floats
+    low: Floats | None = None  # 95 % interval of y
+    high: Floats | None = None
+    kind: Literal["points", "line"] = "points"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The plot that convinces: residual torque over the axis on which the effect lives, and what the effect says."""
+
+    title: str
+    x_label: str
+    x_unit: str
+    y_label: str
+    y_unit: str
+    curves: tuple[Curve, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that was refitted in the place of a finding."""
+
+    name: str
+    loss_ratio: float  # its loss over that of the finding, all parameters refitted: above 1 is worse
+    collinearity: float  # with the finding's torque, base sensitivities projected out: 0 to 1
+    same_family: bool  # the data do not tell it from the finding
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that was found, or looked at closely and not accepted."""
+
+    name: str  # of the library, or unknown:AXIS
+    alternatives: tuple[str, ...]  # at most two: with the name a family of at most three
+    axis: str
+    parameters: tuple[Number, ...]
+    explained_fraction: float  # of the squared torque residual of the fit runs, as an addition to what stands above it
+    false_alarm_probability: float  # over the whole search
+    accepted: bool
+    reason: str  # why it was accepted, or not
+    regime: str  # where it acts
+    experiment: str  # what would tell it from its alternatives
+    compensable: bool
+    strength_percent: float  # rms of its torque over rms of the friction torque, fit runs
+    rivals: tuple[Rival, ...] = ()
+    picture: Picture | None = None
+    regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
+    regime_after: ErrorFigures | None = None
+
+
+@dataclass(frozen=True)
+class RunFigure:
+    """The residual of one run for a plot: envelope over time before and after, thinned. (n,) each."""
+
+    name: str
+    role: Literal["fit", "held_out"]
+    time_s: Floats
+    before_low_nm: Floats
+    before_high_nm: Floats
+    after_low_nm: Floats
+    after_high_nm: Floats
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where the residual lives: what a free curve over one axis explains of it, before and after."""
+
+    name: str  # an axis word, or an event such as break_away
+    explained_before: float  # share of the squared residual
+    explained_after: float
+    significant_before: bool  # against surrogates of the same search
+    significant_after: bool
+    samples: int
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """What any model could explain: from repeats of a profile. All None where nothing was repeated."""
+
+    repeatable_fraction: float | None  # of the squared residual of the base model that repeats
+    noise_rms_nm: float | None  # what does not repeat
+    explained_of_explainable: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that the page and the report are made of."""
+
+    verdict: VerdictWord
+    headline: str
+    findings: tuple[Finding, ...]  # accepted ones first, in the order of what they explain
+    before: ErrorFigures | None  # held-out; None where no held-out run was given
+    after: ErrorFigures | None
+    fit_before: ErrorFigures
+    fit_after: ErrorFigures
+    ceiling: Ceiling
+    channels: tuple[Channel, ...]
+    runs: tuple[RunFigure, ...]
+    model_before: ModelFile
+    model_after: ModelFile
+    false_alarm_rate: float  # that the thresholds are made for, over the whole search
+    units: Literal["rotary", "linear"]
+    cautions: tuple[str, ...] = ()
+    tried: tuple[dict[str, Any], ...] = ()  # every law with its best shape and score in the first search
+    settings: dict[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+    fit_names: tuple[str, ...] = ()
+    held_out_names: tuple[str, ...] = ()
+
+
+def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:
+    """The numbers of part 7, and their intervals beside them."""
+    if figures is None:
+        return None
+    keys = ("torque_rms_nm", "torque_relative_percent", "velocity_rms_rps")
+    return {
+        **{key: getattr(figures, key).value for key in keys},
+        "interval_95": {key: list(getattr(figures, key)[1:]) for key in keys},
+        "seconds": figures.seconds,
+    }
+
+
+def report(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The report: stable keys first, then the evidence."""
+    return {
+        "format": REPORT_FORMAT,
+        "verdict": diagnosis.verdict,
+        "headline": diagnosis.headline,
+        "effects": [_effect(finding) for finding in diagnosis.findings],
+        "before": {"held_out": figures_json(diagnosis.before), "fit": figures_json(diagnosis.fit_before)},
+        "after": {"held_out": figures_json(diagnosis.after), "fit": figures_json(diagnosis.fit_after)},
+        "ceiling": vars(diagnosis.ceiling),
+        "units": diagnosis.units,
+        "false_alarm_rate": diagnosis.false_alarm_rate,
+        "runs": {"fit": list(diagnosis.fit_names), "held_out": list(diagnosis.held_out_names)},
+        "channels": [vars(channel) for channel in diagnosis.channels],
+        "tried": list(diagnosis.tried),
+        "cautions": list(diagnosis.cautions),
+        "settings": diagnosis.settings,
+        "seconds": diagnosis.seconds,
+    }
+
+
+def _effect(finding: Finding) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for number in finding.parameters:
+        if number.per_run is None:
+            values[number.name] = number.value
+        else:
+            values.setdefault(number.name, {})[number.per_run] = number.value
+    return {
+        "name": finding.name,
+        "alternatives": list(finding.alternatives),
+        "axis": finding.axis,
+        "parameters": values,
+        "explained_fraction": finding.explained_fraction,
+        "false_alarm_probability": finding.false_alarm_probability,
+        "accepted": finding.accepted,
+        "reason": finding.reason,
+        "regime": finding.regime,
+        "experiment": finding.experiment,
+        "compensable": finding.compensable,
+        "strength_percent": finding.strength_percent,
+        "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None},
+        "units": {n.name: n.unit for n in finding.parameters},
+        "rivals": [vars(rival) for rival in finding.rivals],
+        "before": {"held_out_regime": figures_json(finding.regime_before)},
+        "after": {"held_out_regime": figures_json(finding.regime_after)},
+    }

@@ -1,0 +1,339 @@
+"""Which effects: forward one at a time, every rival refitted with all parameters before one is chosen, then backward.
+
+A regressor that explains most in the search need not be right: a base that was fitted without the effect is bent, and
+several laws look alike until the base is free again. Rivals are therefore refitted first and compared after. What is
+chosen has to be significant over the whole search (by surrogates of the residual that is left after it), material, and
+worth its parameters; an earlier choice is tried against its rivals again once the later ones are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.facts import DriveFacts
+from ..identification.prediction import THREADS
+from ..model.effects.registry import law_of
+from .base import sensitivities
+from .candidates import Effect, Scene
+from .evidence import Evidence, make_evidence, whiten
+from .fitting import Data, Fitted, consistent_scenes, effect_jacobian, evaluate, loads_of, refit, slots_of
+from .free_curves import free_trials
+from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
+from .startup import noise_model
+
+Floats = npt.NDArray[np.float64]
+
+MOST_EFFECTS = 3
+CONTENDERS = 6
+LEAST_SHARE = 0.1  # of what the best trial explains, for a rival to be refitted
+MATERIAL_SHARE = 0.03  # of the white sum of squares that an effect has to take away ...
+MATERIAL_PERCENT = 1.5  # ... and rms of its torque over that of friction, where it acts
+FAMILY_SHARE = 0.85  # of the gain of the chosen one, for a rival to be of its family
+CURVE_SHARE = 0.5  # of what the best law explains, for a free curve to be refitted
+CURVE_MARGIN = 0.8  # a law that explains this share of what a free curve explains is preferred to it
+PENALTY = 2.0  # on the logarithm of the number of rows, a free number
+
+
+@dataclass(frozen=True)
+class Contest:
+    """One round: the chosen effect and those that were refitted in its place."""
+
+    chosen: str
+    gains: dict[str, float]  # fall of the white loss times rows, by name, all parameters refitted
+    trials: dict[str, Trial]
+
+
+class Selection(NamedTuple):
+    """What was selected, and on what grounds."""
+
+    data: Data
+    base: Fitted  # without effects, at the final noise model
+    fitted: Fitted  # with them
+    sensitivities: Floats
+    contests: tuple[Contest, ...]  # one an effect, in the order of `fitted.effects`
+    probabilities: tuple[float, ...]  # false alarm, over the whole search
+    screenings: tuple[Screening, ...]
+    curves: tuple[tuple[Trial, ...], ...]  # free curves of each round
+    left: tuple[str, float, float] | None  # significant and material, but refused: name, share, probability
+
+
+class Search(NamedTuple):
+    """What does not change from round to round."""
+
+    facts: DriveFacts
+    false_alarm_rate: float
+    told: Callable[[float, str], None]
+
+
+def cost(fitted: Fitted, data: Data) -> float:
+    """Deviance: rows times log loss, plus what the free numbers cost. Smaller is better."""
+    q = fitted.white.size
+    free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
+    return float(q * np.log(max(fitted.loss, 1e-12)) + PENALTY * free * np.log(q))
+
+
+def known_columns(data: Data, matrix: Floats, fitted: Fitted, scenes: Sequence[Scene]) -> Floats:
+    """Sensitivities of everything that is refitted anyway: base, and numbers of the accepted effects."""
+    if not fitted.effects:
+        return matrix
+    slots = slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev)))
+    return np.concatenate([matrix, effect_jacobian(data, fitted.effects, slots, scenes)], axis=1)
+
+
+def evidence_of(data: Data, matrix: Floats, fitted: Fitted) -> tuple[Evidence, list[Scene]]:
+    """What is left to explain beside a fitted model."""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    known = known_columns(data, matrix, fitted, scenes)
+    return make_evidence(data.rows, data.whitening, fitted.residual_nm, known), scenes
+
+
+def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selection:
+    """Add effects until nothing significant and material is left, then remove and exchange."""
+    fitted = base
+    contests: list[Contest] = []
+    probabilities: list[float] = []
+    screenings: list[Screening] = []
+    curves: list[tuple[Trial, ...]] = []
+    left: tuple[str, float, float] | None = None
+    pending: tuple[float, int] | None = None
+    span = 0.9 / (MOST_EFFECTS + 1)
+    for number in range(MOST_EFFECTS + 1):
+        evidence, scenes = evidence_of(data, matrix, fitted)
+        context = search_context(data.rows, scenes, fitted.physical, fitted.residual_nm, search.facts)
+        begin = number * span
+        screening = screen(
+            evidence, scenes, context, search.facts.absolute_angle, search.false_alarm_rate,
+            told=partial(_part_told, search, begin, 0.6 * span),
+        )  # fmt: skip
+        screenings.append(screening)
+        if pending is not None:
+            # noise of what is left after the last one was taken out: the surrogates of its own significance
+            probabilities.append(false_alarm_probability(pending[0], screening.surrogate_maxima))
+        if number == MOST_EFFECTS or not screening.trials:
+            break
+        search.told(begin + 0.6 * span, "refit")
+        free = free_trials(evidence, scenes, search.facts)
+        curves.append(tuple(free))
+        contest, best = contend(data, matrix, fitted, evidence, screening, free)
+        if best is None or not material(data, fitted, best, len(best.effects) - 1):
+            if best is not None:
+                left = _left(data, fitted, best, contest, screening, evidence)
+            break
+        gain = best_gain(fitted, best)
+        rank = contest.trials[contest.chosen].rank
+        variance = best.loss
+        pending = (float(comparable(np.array([gain / variance]), rank)[0]), rank)
+        contests.append(contest)
+        fitted = best
+        data, base, fitted, matrix = renewed(data, base, fitted)
+        if len(contests) > 1:
+            fitted, contests = exchange(data, matrix, fitted, contests)
+    fitted, contests, probabilities = _backward(data, matrix, fitted, contests, probabilities, base)
+    return Selection(
+        data, base, fitted, matrix, tuple(contests), tuple(probabilities), tuple(screenings), tuple(curves), left
+    )
+
+
+def _part_told(search: Search, begin: float, span: float, share: float) -> None:
+    search.told(begin + span * share, "search")
+
+
+def best_gain(before: Fitted, after: Fitted) -> float:
+    """Fall of the white loss times the number of rows."""
+    return (before.loss - after.loss) * before.white.size
+
+
+def contend(
+    data: Data, matrix: Floats, fitted: Fitted, evidence: Evidence, screening: Screening, free: Sequence[Trial]
+) -> tuple[Contest, Fitted | None]:
+    """Refit every rival beside what is accepted; the cheapest is chosen.
+
+    A free curve is chosen only where it explains what no law of the library explains, by a margin.
+    """
+    trials = list(screening.trials)
+    top = max(penalised(t, evidence) for t in trials)
+    picked = [t for t in trials if penalised(t, evidence) >= LEAST_SHARE * top][:CONTENDERS]
+    alike = {name for t in picked[:1] for name in law_of(t.name).lookalikes}
+    picked += [t for t in trials if t.name in alike and t not in picked and t.explained > 0.02 * top][:3]
+
+    taken = {e.name for e in fitted.effects}
+    laws = len(picked)
+    picked += [t for t in free if t.name not in taken and t.explained >= CURVE_SHARE * top][:2]
+
+    def one(trial: Trial) -> Fitted:
+        return refit(data, matrix, fitted.physical, [*fitted.effects, trial.effect], iterations=3)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        results = list(pool.map(one, picked))
+    gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, results, strict=True)}
+    if not results:
+        return Contest("", gains, {}), None
+    costs = [cost(r, data) for r in results]
+    order = int(np.argmin(costs[:laws])) if laws else 0
+    if len(picked) > laws:
+        curve = laws + int(np.argmin(costs[laws:]))
+        own = best_gain(fitted, results[order]) if laws else 0.0
+        if costs[curve] < costs[order] and own < CURVE_MARGIN * best_gain(fitted, results[curve]):
+            order = curve
+    found = {t.name: replace_effect(t, r.effects[-1]) for t, r in zip(picked, results, strict=True)}
+    return Contest(picked[order].name, gains, found), results[order]
+
+
+def replace_effect(trial: Trial, effect: Effect) -> Trial:
+    """The trial with its refitted numbers."""
+    return trial._replace(effect=effect, shapes=dict(effect.shapes))
+
+
+def effect_rms(data: Data, fitted: Fitted, number: int, matrix: Floats | None = None) -> tuple[float, float]:
+    """Rms torque of one effect over the rms friction torque, in percent: over all kept rows, and where it acts."""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    loads = loads_of(scenes, [fitted.effects[number]])
+    load = np.concatenate([data.rows.laws.rows(x) for x in loads])
+    friction = np.concatenate([data.rows.laws.rows(s.motion[:, 6]) for s in scenes])
+    kept = data.rows.kept
+    if matrix is not None:
+        coefficients, *_ = np.linalg.lstsq(matrix[kept], load[kept], rcond=None)
+        load = load - matrix @ coefficients
+    scale = max(float(np.sqrt(np.mean(friction[kept] ** 2))), 1e-300)
+    acting = acting_rows(load, kept)
+    whole = float(np.sqrt(np.mean(load[kept] ** 2)))
+    there = float(np.sqrt(np.mean(load[acting] ** 2))) if acting.any() else 0.0
+    return 100.0 * whole / scale, 100.0 * there / scale
+
+
+def acting_rows(load_nm: Floats, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Rows at which an effect acts: where its torque is a quarter and more of nearly the largest. (m,)"""
+    if not kept.any():
+        return kept
+    high = float(np.quantile(np.abs(load_nm[kept]), 0.995))
+    return np.asarray(kept & (np.abs(load_nm) >= 0.25 * high)) if high > 0.0 else np.zeros_like(kept)
+
+
+def material(data: Data, before: Fitted, after: Fitted, number: int) -> bool:
+    """Large enough to matter, in the white residual and in torque."""
+    share = 1.0 - after.loss / before.loss
+    _, there = effect_rms(data, after, number)
+    return share >= MATERIAL_SHARE and there >= MATERIAL_PERCENT
+
+
+def _left(
+    data: Data, fitted: Fitted, best: Fitted, contest: Contest, screening: Screening, evidence: Evidence
+) -> tuple[str, float, float] | None:
+    trial = contest.trials[contest.chosen]
+    variance = evidence.energy / max(1, evidence.residual.size)
+    statistic = float(comparable(np.array([trial.explained / variance]), trial.rank)[0])
+    probability = false_alarm_probability(statistic, screening.surrogate_maxima)
+    return contest.chosen, 1.0 - best.loss / fitted.loss, probability
+
+
+def renewed(data: Data, base: Fitted, fitted: Fitted) -> tuple[Data, Fitted, Fitted, Floats]:
+    """Noise model and sensitivities at the new model, and both models there."""
+    data = noise_model(data, fitted.physical, fitted.residual_nm)
+    matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+    again = refit(data, matrix, fitted.physical, fitted.effects, iterations=2)
+    plain = refit(data, matrix, base.physical, (), iterations=3)
+    return data, plain, again, matrix
+
+
+def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]) -> tuple[Fitted, list[Contest]]:
+    """Try each accepted effect against its rivals again, now that the others are there."""
+    for number, contest in enumerate(contests):
+        others = [e for k, e in enumerate(fitted.effects) if k != number]
+        taken = {e.name for e in others}
+        rivals = [t for name, t in contest.trials.items() if name != contest.chosen and name not in taken][:4]
+        without = refit(data, matrix, fitted.physical, others, iterations=3)
+
+        sets = [[*fitted.effects[:number], t.effect, *fitted.effects[number + 1 :]] for t in rivals]
+        start = fitted.physical
+        with ThreadPoolExecutor(THREADS) as pool:
+            results = list(pool.map(partial(refit, data, matrix, start), sets))
+        gains = {t.name: best_gain(without, r) for t, r in zip(rivals, results, strict=True)}
+        gains[contest.chosen] = best_gain(without, fitted)
+        trials = dict(contest.trials)
+        for t, r in zip(rivals, results, strict=True):
+            trials[t.name] = replace_effect(t, r.effects[number])
+        trials[contest.chosen] = replace_effect(trials[contest.chosen], fitted.effects[number])
+        costs = [cost(r, data) for r in results]
+        if costs and min(costs) < cost(fitted, data):
+            k = int(np.argmin(costs))
+            fitted = results[k]
+            contests[number] = Contest(rivals[k].name, gains, trials)
+        else:
+            contests[number] = replace(contest, gains=gains, trials=trials)
+    return fitted, contests
+
+
+def _backward(
+    data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest], probabilities: list[float], base: Fitted
+) -> tuple[Fitted, list[Contest], list[float]]:
+    """Remove what is no longer worth its numbers."""
+    while len(fitted.effects) > 1:
+        for number in range(len(fitted.effects)):
+            others = [e for k, e in enumerate(fitted.effects) if k != number]
+            without = refit(data, matrix, fitted.physical, others, iterations=3)
+            if 1.0 - fitted.loss / without.loss < MATERIAL_SHARE:
+                fitted = without
+                contests = [c for k, c in enumerate(contests) if k != number]
+                probabilities = [p for k, p in enumerate(probabilities) if k != number]
+                break
+        else:
+            break
+    return fitted, contests, probabilities
+
+
+def family(contest: Contest) -> list[str]:
+    """At most two rivals that explain nearly as much as the chosen one."""
+    own = contest.gains[contest.chosen]
+    near = [(g, name) for name, g in contest.gains.items() if name != contest.chosen and g >= FAMILY_SHARE * own]
+    return [name for _, name in sorted(near, reverse=True)[:2]]
+
+
+def merged_datum(data: Data, matrix: Floats, fitted: Fitted) -> Fitted:
+    """One datum for all runs where that costs no more than its numbers save."""
+    for number, effect in enumerate(fitted.effects):
+        if not effect.per_run:
+            continue
+        common = {
+            name: np.array([float(values.mean())]) if name in effect.per_run else values
+            for name, values in effect.strengths.items()
+        }
+        effects = list(fitted.effects)
+        effects[number] = replace(effect, strengths=common, per_run=frozenset())
+        trial = refit(data, matrix, fitted.physical, effects)
+        if cost(trial, data) < cost(fitted, data) or trial.loss < 1.02 * fitted.loss:
+            fitted = trial
+    return fitted
+
+
+def standard_deviations(data: Data, matrix: Floats, fitted: Fitted) -> tuple[Floats, dict[tuple[int, str, int], float]]:
+    """Standard deviations by windows (sandwich): of the base coordinates, and of every number of the effects."""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    slots = slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev)))
+    columns = np.concatenate([matrix, effect_jacobian(data, fitted.effects, slots, scenes)], axis=1)
+    white = whiten(data.rows, data.whitening, columns)
+    norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", white, white)), 1e-300)
+    white = white / norms
+    inverse = np.linalg.pinv(white.T @ white, rcond=1e-10)
+    window = data.rows.window[data.whitening.kept]
+    products = white * np.clip(fitted.white, -6.0, 6.0)[:, None]
+    scores = np.stack([np.bincount(window, products[:, k]) for k in range(products.shape[1])], axis=1)
+    meat = scores.T @ scores
+    for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
+        cross = scores[:-lag].T @ scores[lag:]
+        meat = meat + weight * (cross + cross.T)
+    sd = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / norms
+    base_count = matrix.shape[1]
+    found = {(s.effect, s.name, s.run): float(v) for s, v in zip(slots, sd[base_count:], strict=True)}
+    return sd[:base_count], found
+
+
+def model_residual(data: Data, fitted: Fitted) -> Fitted:
+    """A fitted model evaluated on other data."""
+    return evaluate(data, fitted.physical, fitted.effects)[0]

@@ -1,0 +1,101 @@
+"""Orders of the motor angle and frequencies at which the residual stands out: periodograms over angle and over time.
+
+Runs have reversals, so a wave in angle is no line over time. Residuals are gathered in bins of angle, class of speed by
+class (the filter leaves less of a wave the faster it is passed), and the classes' spectra are added with what the
+filter leaves in each. Phases of different runs are not compared: the datum may differ.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from .paths import Rows
+
+Floats = npt.NDArray[np.float64]
+
+BINS_PER_TURN = 128
+HIGHEST_ORDER = 50.0
+SPEED_CLASSES = 8
+LEVEL_BLOCKS = 16  # in which the level of a spectrum is taken
+NEIGHBOURS = 40  # bins to each side that are the same line
+OUTSTANDING = 9.0  # times the level
+LONGEST_BINS = 1 << 18
+
+
+class Peak(NamedTuple):
+    """A line of a periodogram."""
+
+    place: float  # order or frequency
+    strength: float  # power over its neighbourhood's level
+
+
+def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
+    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
+    turns = float(np.ptp(rows.position_rev))
+    if turns < 2.0:
+        return []
+    bins_per_turn = BINS_PER_TURN
+    length = min(LONGEST_BINS, 1 << int(np.ceil(np.log2(2.0 * turns * bins_per_turn))))
+    orders = np.fft.rfftfreq(length, 1.0 / bins_per_turn)
+    use = orders <= HIGHEST_ORDER
+    power = np.zeros(int(use.sum()))
+    weight = np.full(power.size, 1e-300)
+    for run in np.unique(rows.run):
+        inside = rows.kept & (rows.run == run)
+        if inside.sum() < 100:
+            continue
+        angle = rows.position_rev[inside] - rows.position_rev[inside].min()
+        if np.ptp(angle) < 2.0:
+            continue
+        speed = np.abs(rows.velocity_rps[inside])
+        total = np.zeros(power.size, complex)
+        norm = np.zeros(power.size)
+        edges = np.quantile(speed, np.linspace(0.0, 1.0, SPEED_CLASSES + 1))
+        for low, high in itertools.pairwise(edges):
+            part = (speed >= low) & (speed <= high)
+            index = np.minimum((angle[part] * bins_per_turn).astype(np.int64), length - 1)
+            sums = np.bincount(index, (values[inside][part] - values[inside].mean()), length)
+            gain = rows.filter.gain(orders[use] * 0.5 * (low + high))
+            total += gain * np.fft.rfft(sums)[use]
+            norm += gain * gain * part.sum()
+        power += np.abs(total) ** 2 / np.maximum(norm, 1.0)
+        weight += 1.0
+    return _peaks(orders[use], power / weight, count, least=1.0 / turns)
+
+
+def frequency_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
+    """Strongest frequencies of values (m,) over time."""
+    period_s = rows.filter.row_period_s
+    longest = max(end - begin for begin, end in rows.bounds)
+    length = 1 << int(np.ceil(np.log2(4 * longest)))
+    frequency = np.fft.rfftfreq(length, period_s)
+    power = np.zeros(frequency.size)
+    for begin, end in rows.bounds:
+        part = np.where(rows.kept[begin:end], values[begin:end], 0.0)
+        power += np.abs(np.fft.rfft(part - part.mean() * rows.kept[begin:end], length)) ** 2
+    use = frequency < rows.filter.cutoff_hz
+    return _peaks(frequency[use], power[use], count, least=4.0 / (longest * period_s))
+
+
+def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak]:
+    """Lines above the level, which is the median of blocks of a constant ratio: a strong line's sides are broad."""
+    edges = np.geomspace(max(least, places[1]), places[-1], LEVEL_BLOCKS + 1)
+    centres, levels = [], []
+    for low, high in itertools.pairwise(edges):
+        inside = (places >= low) & (places < high)
+        if inside.sum() >= 4:
+            centres.append(np.log(low * high) / 2.0)
+            levels.append(np.log(max(float(np.median(power[inside])), 1e-300)))
+    if len(levels) < 3:
+        return []
+    smooth = ndimage.median_filter(np.array(levels), 3, mode="nearest")
+    level = np.exp(np.interp(np.log(np.maximum(places, places[1])), centres, smooth))
+    ratio = np.where(places >= least, power / level, 0.0)
+    top = (ratio == ndimage.maximum_filter1d(ratio, 2 * NEIGHBOURS + 1)) & (ratio > OUTSTANDING)
+    found = [Peak(float(places[k]), float(ratio[k])) for k in np.flatnonzero(top)]
+    return sorted(found, key=lambda p: -p.strength)[:count]

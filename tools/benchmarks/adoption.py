@@ -1,0 +1,263 @@
+"""What it buys to adopt an effect: each compensable one on the simulated axis, found in records and fed forward."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import ROOT, Report, finish, main, parser, passes_of, shown
+
+sys.path.insert(0, str(ROOT / "tests" / "identification"))
+
+from rig import PERIOD_S, TABLE_1, record
+
+from fffo_drive.config.axis import AxisFile, build_profile, session_config
+from fffo_drive.config.effects import compensated_terms, effect_problems
+from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
+from fffo_drive.control.reference import Profile
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, paper_plant
+from fffo_drive.evaluation.metrics import true_metrics
+from fffo_drive.identification.coordinates import MODEL_PARAMETERS, PARAMETERS
+from fffo_drive.identification.dataset import Record
+from fffo_drive.identification.effects_fit import EffectsFit, fit_effects
+from fffo_drive.identification.excitation import identification_sequence, separating_recipe
+from fffo_drive.identification.layout import EffectStart
+from fffo_drive.identification.prediction import Problem, make_problem
+from fffo_drive.model.parameters import ModelFile, Quantity, read_model
+from fffo_drive.recording.ring_reader import RingReader
+from fffo_drive.runtime.runs import simulated_ring_rows
+from fffo_drive.runtime.session import Session
+from fffo_drive.units import inertia_kg_m2
+
+NAME = "adoption"
+PURPOSE = (
+    "Each compensable effect, 30 % of the Coulomb friction strong, on the simulated axis under PI+FFFO+: an "
+    "identification current and the separating recipe are recorded, the model is refitted without and with the effect "
+    "(its name and orders given, everything else from the data), and the paper's reference is run with both models and "
+    "on the axis without the effect. Excess: squared velocity error of the shaft beyond that of the axis without it."
+)
+LEAST_FALL = 0.70
+MOST_WORSE_PERCENT = 2.0
+SIGNIFICANT = 2.0  # standard errors of the excess over the seeds
+BANDWIDTH_HZ = 40.0
+GEAR_RATIO = 160.0
+
+
+class Trial(NamedTuple):
+    """An effect of the plant, and where the refit of the law begins."""
+
+    plant: tuple[str, Mapping[str, float]]
+    start: EffectStart
+
+
+def _trial(name: str, plant: Mapping[str, float], start: Mapping[str, float]) -> Trial:
+    return Trial((name, plant), EffectStart(name, start))
+
+
+TRIALS = (
+    _trial("torque_offset", {"torque_nm": 0.0075}, {}),
+    _trial("asymmetric_coulomb", {"share": 0.3}, {}),
+    _trial("asymmetric_viscous", {"share": 0.36}, {}),
+    _trial("stribeck_shape", {"rise_share": 0.18, "velocity_share": 1.0}, {"speed_rps": 2.0}),
+    _trial("presliding_shape", {"stiffness_share": -0.7}, {"length_ratio": 5.0}),
+    _trial("frictional_lag", {"length_share": 3.0}, {"length_rev": 0.1}),
+    _trial("dwell_stiction", {"rise_share": 0.3}, {"tau_s": 1.0, "release_rev": 0.05}),
+    _trial("load_dependent_friction", {"share": 0.05}, {}),
+    _trial("position_dependent_friction", {"wave_share": 0.3, "period_rev": 8.0}, {"period_rev": 8.0}),
+    _trial("friction_ripple", {"share": 0.3, "order": 2.0}, {"order": 2.0}),
+    _trial("coulomb_drift", {"share": 0.3, "time_constant_s": 15.0}, {"tau_s": 25.0}),
+    _trial("viscous_drift", {"share": 0.36, "time_constant_s": 15.0}, {"tau_s": 25.0}),
+    _trial("quadratic_drag", {"drag_nm_per_rps2": 1.5e-4}, {}),
+    _trial("cogging", {"amplitude_nm": 0.0075, "order": 6.0}, {"order": 6.0}),
+    _trial("torque_ripple", {"share": 0.05, "order": 6.0}, {"order": 6.0}),
+    _trial("unbalance", {"amplitude_nm": 0.0075}, {"ratio": GEAR_RATIO}),
+    _trial("torque_saturation", {"share": 5.0}, {"knee_a": 4.0}),
+    _trial("dead_zone", {"width_a": 0.05}, {"width_a": 0.08}),
+    _trial("current_lag", {"time_constant_s": 0.002}, {"tau_s": 0.003}),
+)
+SAMPLE = ("cogging", "quadratic_drag")
+FRICTIONS: dict[str, PlantConfig] = {"single surface": paper_plant(), "five surfaces": PlantConfig()}
+
+
+class Outcome(NamedTuple):
+    """One effect on one kind of friction, (seeds,) each: ISE without the effect, before and after the adoption."""
+
+    name: str
+    clean: np.ndarray[Any, Any]
+    before: np.ndarray[Any, Any]
+    after: np.ndarray[Any, Any]
+    problems: tuple[str, ...]
+
+    @property
+    def excess(self) -> float:
+        """Mean excess before the adoption."""
+        return float(np.mean(self.before - self.clean))
+
+    @property
+    def significant(self) -> bool:
+        """The excess is one, by its spread over the seeds."""
+        spread = np.std(self.before - self.clean, ddof=1) if self.clean.size > 1 else 0.0
+        return self.excess > SIGNIFICANT * float(spread) / np.sqrt(self.clean.size) and self.excess > 0.0
+
+    @property
+    def fall(self) -> float:
+        """Share of the excess that the adoption takes away."""
+        return 1.0 - float(np.mean(self.after - self.clean)) / self.excess
+
+    @property
+    def worse_percent(self) -> float:
+        """Change of the squared error by the adoption, mean over paired seeds."""
+        return 100.0 * float(np.mean(self.after / self.before) - 1.0)
+
+
+def axis_file(seed: int, duration_s: float) -> AxisFile:
+    """PI+FFFO+ on the simulated drive."""
+    return AxisFile.model_validate({
+        "name": "adoption", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
+        "controller": {
+            "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 12,
+            "feedforward": {"inertia": True, "preview": True, "delay_aware": True}, "error_filter_s": 0.0002,
+        },
+        "envelope": {
+            "current_limit_a": 14, "continuous_current_a": 14, "speed_limit_rps": 25, "following_error_rps": 8,
+        },
+        "profile": {"kind": "paper", "duration_s": duration_s, "seed": seed},
+    })  # fmt: skip
+
+
+def ise(plant: PlantConfig, model: ModelFile, seed: int, duration_s: float) -> tuple[float, list[str]]:
+    """Squared velocity error of the shaft over the reference of a seed, and what speaks against the compensation."""
+    axis = axis_file(seed, duration_s)
+    profile: Profile = build_profile(axis.profile, axis.loop.period_s)
+    drive = SimulatedDrive(replace(plant, seed=seed))
+    drive.connect()
+    rows = simulated_ring_rows(profile, axis.loop.tail_s)
+    with Session(drive, session_config(axis, model, profile.values.size, rows)) as session:
+        session.run_profile(profile, TOGGLE_FEEDFORWARD)
+        measured = RingReader(session.ring).read().rows
+    metrics = true_metrics(measured, axis.loop.period_s, profile.values.size)
+    return float(metrics.ise), effect_problems(axis, model, profile, True)
+
+
+def records_of(plant: PlantConfig) -> list[Record]:
+    """What is recorded for the fit."""
+    current = identification_sequence(30.0, PERIOD_S, 0.3, 1.1, 0.05, 10.0)
+    recipe = separating_recipe(PERIOD_S, 14.0, 150.0, 1)
+    return [record(plant, current, "identify"), record(plant, recipe, "recipe")]
+
+
+def model_of(fit: EffectsFit, declared: ModelFile) -> ModelFile:
+    """The fitted model as the controller runs it; the sensor's delay stays declared."""
+    value = dict(zip(PARAMETERS, (float(x) for x in fit.base), strict=True))
+    friction = {name: Quantity(value=value[name]) for name in MODEL_PARAMETERS[2:]}
+    return declared.model_copy(update={
+        "inertia_kg_m2": Quantity(value=inertia_kg_m2(value["inertia_nm_s2_per_rev"])),
+        "delay_s": Quantity(value=value["delay_s"] + declared.sensor_delay_s.value),
+        "friction": declared.friction.model_copy(update=friction),
+        "effects": [effect.model() for effect in fit.effects],
+    })  # fmt: skip
+
+
+def start_of(declared: ModelFile) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The declared model as the start of the fits."""
+    axis = declared.axis_config()
+    f = axis.friction
+    return np.array([
+        axis.inertia_nm_s2_per_rev, axis.delay_s - declared.sensor_delay_s.value, f.viscous_nm_per_rps, f.coulomb_nm,
+        f.static_nm, f.stribeck_velocity_rps, f.stribeck_exponent, f.stiffness_per_rev, f.attraction_nm_per_rev,
+        0.0, 0.0,
+    ])  # fmt: skip
+
+
+def fitted(plant: PlantConfig, declared: ModelFile, start: EffectStart | None) -> tuple[ModelFile, ModelFile]:
+    """Models from records of a plant: without the effect, and with it."""
+    problem: Problem = make_problem(records_of(plant), BANDWIDTH_HZ)
+    base = fit_effects(problem, start_of(declared), [], with_jacobian=False)
+    if start is None:
+        return model_of(base, declared), model_of(base, declared)
+    found = fit_effects(problem, base.base, [start], iterations=20, with_jacobian=False)
+    return model_of(base, declared), model_of(found, declared)
+
+
+def try_effect(
+    trial: Trial, plant: PlantConfig, clean: np.ndarray[Any, Any], seeds: Sequence[int], duration_s: float
+) -> Outcome:
+    """One effect: record, fit, adopt, run."""
+    declared = read_model(TABLE_1)
+    name, values = trial.plant
+    loaded = replace(plant, effects=(EffectConfig(name, dict(values)),))
+    without, with_effect = fitted(loaded, declared, trial.start)
+    before, after, problems = [], [], set()
+    for seed in seeds:
+        before.append(ise(loaded, without, seed, duration_s)[0])
+        found, against = ise(loaded, with_effect, seed, duration_s)
+        after.append(found)
+        problems |= set(against)
+    if not compensated_terms(axis_file(1, duration_s), with_effect):
+        problems.add("not compensated")
+    return Outcome(name, clean, np.array(before), np.array(after), tuple(sorted(problems)))
+
+
+def table_of(report: Report, kind: str, outcomes: Sequence[Outcome]) -> None:
+    """The table of one kind of friction."""
+    rows = []
+    for o in outcomes:
+        fall = f"{100.0 * o.fall:.1f} %" if o.significant else "no excess"
+        change = f"{o.worse_percent:+.1f} %"
+        cells = (f"{np.mean(x):.6f}" for x in (o.clean, o.before, o.after))
+        rows.append((f"`{o.name}`", *cells, fall, change, "; ".join(o.problems) or "-"))
+    header = ("effect", "ISE without it", "before adoption", "after", "excess falls by", "ISE after/before", "gates")
+    report.table((f"{kind}: {header[0]}", *header[1:]), rows)
+    worst = [o for o in outcomes if o.significant]
+    if worst:
+        report.figure(
+            f"{kind}: smallest fall of a significant excess, missing to 1", 1.0 - min(o.fall for o in worst), "",
+            1.0 - LEAST_FALL,
+        )  # fmt: skip
+    report.figure(
+        f"{kind}: largest rise of the squared error by an adoption", max(o.worse_percent for o in outcomes), "%",
+        MOST_WORSE_PERCENT,
+    )  # fmt: skip
+
+
+def run() -> int:
+    """The command."""
+    options = parser(NAME, PURPOSE, 6, 2)
+    options.add_argument("--only", action="append", help="an effect (may be given more than once)")
+    options.add_argument("--duration-s", type=float, default=60.0, help="of the reference")
+    chosen = options.parse_args()
+    names = chosen.only or (SAMPLE if chosen.sample else [trial.plant[0] for trial in TRIALS])
+    seeds = range(1, passes_of(chosen) + 1)
+    duration_s = min(chosen.duration_s, 20.0) if chosen.sample else chosen.duration_s
+    kinds = {"single surface": FRICTIONS["single surface"]} if chosen.sample else FRICTIONS
+    report = Report(NAME, PURPOSE)
+    trials = [trial for trial in TRIALS if trial.plant[0] in names]
+    with shown(NAME) as progress:
+        for number, (kind, plant) in enumerate(kinds.items()):
+            model, _ = fitted(plant, read_model(TABLE_1), None)
+            clean = np.array([ise(plant, model, seed, duration_s)[0] for seed in seeds])
+            outcomes = []
+            for k, trial in enumerate(trials):
+                outcomes.append(try_effect(trial, plant, clean, seeds, duration_s))
+                o = outcomes[-1]
+                facts = {"excess": o.excess, "fall": o.fall, "worse_percent": o.worse_percent}
+                report.facts[f"{kind}: {o.name}"] = facts
+                if progress is not None:
+                    progress((number * len(trials) + k + 1) / (len(kinds) * len(trials)))
+                else:
+                    print(f"{kind}: {o.name}: {facts}", file=sys.stderr)
+            table_of(report, kind, outcomes)
+    report.notes += [
+        f"{len(seeds)} seeds of reference and noise, {duration_s:g} s each; the first is that of the records.",
+        f"An excess counts where it is beyond {SIGNIFICANT:g} standard errors of its mean over the seeds.",
+        "Where a refit of the model's own parameters takes an effect in, nothing is left to adopt.",
+    ]
+    return finish(report, chosen)
+
+
+if __name__ == "__main__":
+    main(run)

@@ -1,0 +1,109 @@
+"""Hand blind drives to the diagnosis, which sees a folder of logs and nothing else, and keep what it says.
+
+A process a drive, two at a time; each report is a file, so an interrupted run goes on where it stopped. Beside it the
+floor: the held-out torque error of the base model on the twin of the drive, simulated without the effects under the
+same noise. An oracle that is told the true effects leaves no less than that.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fffo_drive.diagnosis.results import report
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig, ThermalConfig
+from fffo_drive.drive.simulated.surfaces import FrictionConfig, SingleSurface, Surface
+from fffo_drive.identification.dataset import Record, load_records
+from fffo_drive.identification.facts import DriveFacts, read_facts
+
+from .draw import chirp_current_a, gains_of
+from .generate import DECIMALS, BlindDrive
+from .profiles import HELD_OUT, PERIOD_S, profiles
+from .simulate import Run
+
+FITTED = ("identify", "track", "recipe")
+
+
+def diagnose_folder(folder: Path, answer: Path) -> None:
+    """Diagnose one drive by its logs and declared facts; the report goes to `answer`. An answer that exists is kept."""
+    if answer.exists():
+        return
+    from fffo_drive.diagnosis.diagnose import diagnose  # loads slowly, and only in the processes that need it
+
+    facts = read_facts(folder / "drive.yaml")
+    fit = load_records([folder / f"{name}.csv.gz" for name in FITTED], facts)
+    held_out = load_records([folder / f"{HELD_OUT}.csv.gz"], facts)
+    _write(answer, report(diagnose(fit, held_out, facts)))
+
+
+def floor_of(truth_path: Path, answer: Path) -> None:
+    """Held-out torque error (rms, Nm) of the base model on the twin without effects, to `answer`."""
+    if answer.exists():
+        return
+    from fffo_drive.diagnosis.diagnose import base_figures
+
+    truth = json.loads(truth_path.read_text())
+    drive = drive_from_truth(truth)
+    facts = DriveFacts.model_validate(drive.facts())
+    records = {run.profile.name: record_of(run, facts) for run in drive.runs(with_effects=False)}
+    figures = base_figures([records[name] for name in FITTED], [records[HELD_OUT]], facts)
+    _write(answer, {"torque_rms_nm": figures.torque_rms_nm.value})
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(content, default=_plain, indent=1) + "\n")
+    part.replace(path)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)
+
+
+def drive_from_truth(truth: dict[str, Any]) -> BlindDrive:
+    """The drive again from its file of truth, without finding strengths anew."""
+    content = dict(truth["plant"])
+    friction = dict(content.pop("friction"))
+    surfaces = tuple(Surface(**surface) for surface in friction.pop("surfaces"))
+    single = SingleSurface(**friction.pop("single"))
+    known = {field.name for field in fields(PlantConfig)}
+    plant = PlantConfig(
+        **{
+            **{key: value for key, value in content.items() if key in known},
+            "resolver": ResolverConfig(**content["resolver"]),
+            "thermal": ThermalConfig(**content["thermal"]),
+            "friction": FrictionConfig(surfaces=surfaces, single=single, **friction),
+            "effects": tuple(EffectConfig(e["name"], e["parameters"]) for e in truth["effects"]),
+        }
+    )
+    seed = int(truth["seed"])
+    return BlindDrive(seed, plant, gains_of(plant), profiles(seed, chirp_current_a(plant)), ())
+
+
+def record_of(run: Run, facts: DriveFacts) -> Record:
+    """A run as the logs would give it, in memory."""
+    columns = {name: np.round(values, DECIMALS[name]) for name, values in run.columns.items()}
+    return Record(
+        name=run.profile.name,
+        path=Path(run.profile.name),
+        period_s=PERIOD_S,
+        torque_constant_nm_per_a=facts.torque_constant_nm_per_a,
+        current_a=np.ascontiguousarray(columns["current_command_a"]),
+        position_rev=columns["position_rev"],
+        velocity_rps=columns["velocity_rps"],
+        reference_rps=columns.get("reference_rps"),
+        lsb_rev=facts.lsb_rev or 2.0**-15,
+        breaks=(),
+        digest="",
+        measured_current_a=columns["current_a"],
+        begin_s=run.profile.begin_s,
+    )

@@ -1,0 +1,255 @@
+"""The daemon at 2 kHz on the loopback bus: start to first tick, CPU in all, and twenty busy clients beside the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
+
+from fffo_drive.can.frame import SYNC, unpack_frame
+from fffo_drive.can.link import free_loopback_port, open_link
+from fffo_drive.cli.simulated_process import SimulatedProcess
+from fffo_drive.daemon.client import ClientError, DaemonClient
+from fffo_drive.daemon.places import CONTROL, WATCH
+from fffo_drive.recording.reader import read_run
+
+NAME = "daemon"
+AXIS = ROOT / "configs" / "axis_bench.yaml"
+DRIVE = ROOT / "configs" / "simulated_drive.yaml"
+CLIENTS = 20
+LONGEST_START_S, LARGEST_SHARE, TARGET = 2.0, 25.0, 1.3
+PATIENCE_S = 180.0
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+class Start(NamedTuple):
+    """From the command to the first SYNC."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of a process, all threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+class Daemon:
+    """`fffo-drive serve` on a bus; recordings go to a directory of its own."""
+
+    def __init__(self, directory: Path, bus: str) -> None:
+        self.sockets = directory / "sockets"
+        self._command = [
+            sys.executable, "-m", "fffo_drive", "serve", str(AXIS), "--bus", bus, "--sockets", str(self.sockets),
+            "--uncommissioned",
+        ]  # fmt: skip
+        self._directory, self._bus = directory, bus
+
+    def __enter__(self) -> Daemon:
+        with open_link(self._bus) as witness:
+            begin_s = time.monotonic()
+            environment = {**os.environ, "STATE_DIRECTORY": str(self._directory)}
+            environment.pop("NUMBA_CACHE_DIR", None)  # the program's own cache, as a user has it
+            self._log = (self._directory / "log").open("a")
+            self.process = subprocess.Popen(self._command, stderr=self._log, env=environment)
+            while time.monotonic() - begin_s < PATIENCE_S:
+                raw = witness.receive(1.0)
+                if raw is not None and unpack_frame(raw).can_id == SYNC:
+                    self.start = Start(time.monotonic() - begin_s, cpu_s(self.process.pid))
+                    return self
+                if self.process.poll() is not None:
+                    break
+        self.__exit__()
+        raise RuntimeError(f"the daemon did not start: {(self._directory / 'log').read_text()}")
+
+    def __exit__(self, *_: object) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait()
+        self._log.close()
+
+    def client(self) -> DaemonClient:
+        """A connection to the control socket."""
+        return DaemonClient(self.sockets / CONTROL, PATIENCE_S)
+
+
+def until(client: DaemonClient, state: str) -> dict[str, Any]:
+    """Wait for a state."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while (status := client.call("status"))["state"] != state:
+        if status["fault"] is not None or time.monotonic() > deadline_s:
+            raise RuntimeError(f"the axis is {status['state']}, not {state}: {status['fault'] or status['obstacles']}")
+        time.sleep(0.05)
+    result: dict[str, Any] = status
+    return result
+
+
+def _hammer(sockets: str, stop: Event, counted: Any) -> None:
+    """Twenty connections that ask without a pause: a process of its own."""
+    line = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "status"}).encode() + b"\n"
+
+    def one() -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as sock, contextlib.suppress(OSError):
+            sock.connect(f"{sockets}/{WATCH}")
+            file = sock.makefile("rb")
+            while not stop.is_set():
+                sock.sendall(line)
+                file.readline()
+                with counted.get_lock():
+                    counted.value += 1
+
+    threads = [threading.Thread(target=one) for _ in range(CLIENTS)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+@contextlib.contextmanager
+def busy_clients(daemon: Daemon) -> Iterator[Any]:
+    """Twenty of them for as long as the block lasts; yields the counter of their requests."""
+    context = multiprocessing.get_context("spawn")
+    stop, counted = context.Event(), context.Value("q", 0)
+    process = context.Process(target=_hammer, args=(str(daemon.sockets), stop, counted))
+    process.start()
+    try:
+        begin_s = time.monotonic()
+        while counted.value < CLIENTS and time.monotonic() - begin_s < PATIENCE_S:
+            time.sleep(0.05)
+        yield counted
+    finally:
+        stop.set()
+        process.join()
+
+
+def measure(daemon: Daemon, client: DaemonClient, seconds: float) -> Figures:
+    """Late and skipped ticks, and CPU, of so many seconds of a running axis."""
+    before, spent_s, begin_s = client.call("status")["loop"], cpu_s(daemon.process.pid), time.monotonic()
+    time.sleep(seconds)
+    after = client.call("status")["loop"]
+    share = 100.0 * (cpu_s(daemon.process.pid) - spent_s) / (time.monotonic() - begin_s)
+    rows = after["rows"] - before["rows"]
+    late, skipped = (after[name] - before[name] for name in ("late", "skipped"))
+    return {"cpu": share, "rows": rows, "late": (late + 0.5) / rows, "share": 100.0 * late / rows,
+            "lost": (late + skipped + 0.5) / rows}  # fmt: skip
+
+
+def keep_running(client: DaemonClient) -> None:
+    """Start the profile again when it has ended."""
+    if client.call("status")["state"] != "running":
+        client.call("start", profile="default")
+
+
+def run_passes(daemon: Daemon, client: DaemonClient, seconds: float, passes: int) -> tuple[dict[str, Any], float]:
+    """Interleaved passes with and without clients; figures, and requests a second that were answered."""
+    rates: list[float] = []
+
+    def quiet() -> Figures:
+        keep_running(client)
+        return measure(daemon, client, seconds)
+
+    def busy() -> Figures:
+        keep_running(client)
+        with busy_clients(daemon) as counted:
+            begin, begin_s = counted.value, time.monotonic()
+            figures = measure(daemon, client, seconds)
+            rates.append((counted.value - begin) / (time.monotonic() - begin_s))
+        return figures
+
+    with shown("with and without clients") as progress:
+        found = interleaved({"quiet": quiet, "busy": busy}, passes, progress)
+    return found, float(np.median(rates))
+
+
+def run() -> int:
+    """The command."""
+    options = parser(NAME, __doc__ or "", 10, 2)
+    options.add_argument("--seconds", type=float, help="of a pass and variant (default 30; 2 with --sample)")
+    chosen = options.parse_args()
+    passes, seconds = passes_of(chosen), chosen.seconds or (2.0 if chosen.sample else 30.0)
+    report = Report(NAME, "The daemon at 2 kHz on the loopback bus, the simulated drive in a process of its own.")
+    bus = f"loopback:{free_loopback_port()}"
+    starts: list[Start] = []
+    with tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name, SimulatedProcess(DRIVE, bus):
+        directory = Path(name)
+        for _ in range(1 if chosen.sample else 6):  # the first one may have to compile
+            with Daemon(directory, bus) as daemon:
+                starts.append(daemon.start)
+        with Daemon(directory, bus) as daemon, daemon.client() as client:
+            until(client, "ready")
+            client.call("enable")
+            client.call("record", to="on")
+            found, rate_hz = run_passes(daemon, client, seconds, passes)
+            loop = client.call("status")["loop"]
+            recording = client.call("status")["recording"]
+            client.call("disable")
+            (file,) = client.call("record", to="off")["files"]
+        _add(report, starts[1:] or starts, found)
+        _add_recording(report, Path(file), recording)
+    report.facts["requests a second"] = rate_hz
+    report.facts["rows"] = loop["rows"]
+    report.facts["passes"] = passes
+    report.notes += [
+        f"{passes} passes of {seconds:g} s each with {CLIENTS} clients that ask for the status without a pause and "
+        f"without them; {rate_hz:.0f} requests a second were answered (each client is read at 50 a second).",
+        f"First tick: the first SYNC on the bus after the command, bring-up included. {len(starts)} starts.",
+        "CPU: of the whole process (loop, recorder, supervisor, API), the axis running and recorded. The simulated"
+        " drive and the clients are other processes on the same cores.",
+        "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+    ]
+    return finish(report, chosen)
+
+
+def _add(report: Report, starts: list[Start], found: dict[str, Any]) -> None:
+    report.figure("start to first tick, warm cache (best)", min(s.wall_s for s in starts), "s", LONGEST_START_S)
+    report.figure("start to first tick, warm cache (median)", float(np.median([s.wall_s for s in starts])), "s")
+    report.figure("CPU time until the first tick (median)", float(np.median([s.cpu_s for s in starts])), "s")
+    quiet, busy = found["quiet"], found["busy"]
+    report.figure(
+        "CPU of the daemon, no clients (median)", float(np.median(quiet["cpu"])), "% of a core", LARGEST_SHARE
+    )
+    report.figure(f"CPU of the daemon, {CLIENTS} busy clients (median)", float(np.median(busy["cpu"])), "% of a core")
+    ratio = paired_ratio(busy["late"], quiet["late"])
+    report.ratio(f"share of late ticks, {CLIENTS} busy clients over none", ratio, TARGET)
+    lost = paired_ratio(busy["lost"], quiet["lost"])
+    report.ratio(f"share of late and skipped ticks, {CLIENTS} busy clients over none", lost)
+    report.table(
+        ("variant", "late ticks", "CPU"),
+        [
+            (name, f"{found[name]['share'].mean():.2f} %", f"{np.median(found[name]['cpu']):.1f} %")
+            for name in ("quiet", "busy")
+        ],
+    )
+
+
+def _add_recording(report: Report, file: Path, recording: dict[str, Any]) -> None:
+    """No row is missing between the first and the last one of the file, apart from ticks that the loop skipped."""
+    run = read_run(file)
+    gaps = np.diff(run.rows["tick"].astype(np.int64))
+    report.figure("rows lost in the ring or on the disk", recording["rows_lost"] + recording["rows_dropped"], "", 0.0)
+    report.facts["complete"] = run.complete
+    report.facts["recorded"] = len(run.rows)
+    report.facts["disordered"] = int((gaps <= 0).sum())
+
+
+if __name__ == "__main__":
+    try:
+        main(run)
+    except (RuntimeError, ClientError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
