@@ -40,6 +40,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("integral_a", "<f8", "A", "integral term of the PI controller"),
     Signal("friction_nm", "<f8", "Nm", "friction estimate F of the observer, injected through 1/Kt"),
     Signal("inertia_nm", "<f8", "Nm", "inertia torque of the reference, injected through 1/Kt"),
+    Signal("effects_nm", "<f8", "Nm", "torque for the effects of the model in service, injected through 1/Kt"),
     Signal("observation_nm_per_s", "<f8", "Nm/s", "lambda(e), the part of dF/dt that the control error drives"),
     Signal("requested_a", "<f8", "A", "sum of all terms, before the controller's limit and the envelope"),
     Signal("limited_a", "<f8", "A", "what the envelope let pass, before the wire's resolution"),
@@ -56,7 +57,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("toggle", "u1", "-", "friction computed from: 0 off, 1 reference (FF), 2 measured velocity (FB)"),
     Signal("mode", "u1", "-", "0 no torque, 1 velocity loop closed, 2 open-loop current"),
     Signal("late", "u1", "-", "1 when the tick woke later than the configured share of the period"),
-    Signal("reserved", "u1", "-", "zero"),
+    Signal("effects", "u1", "-", "effects of the model in service: bits, in the order in which they are compensated"),
 )
 
 ROW = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])

@@ -15,3 +15,10 @@ if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
 
 os.environ["NUMBA_CACHE_DIR"] = os.environ.get("FFFO_TEST_CACHE") or str(Path(sys.prefix) / "numba-tests")
+
+from bus_fixtures import drive_bus, whole_run  # noqa: E402, F401
+from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on this machine is left out, with a word
+    pytest_collection_modifyitems,
+    pytest_terminal_summary,
+    pytest_testnodedown,
+)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..control.compensation import compensation_rest, compensation_step, new_memory, no_compensation
 from ..control.controller import ControllerConfig, controller_at_rest, controller_step, with_limited
 from ..control.envelope import (
     LIMIT_CONTROLLER,
@@ -29,8 +30,8 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 # columns of the replayed record, by the names of the row
 REPLAYED = (
-    "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "requested_a",
-    "limited_a",
+    "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "effects_nm",
+    "requested_a", "limited_a",
 )  # fmt: skip
 REQUESTED = REPLAYED.index("requested_a")
 
@@ -55,8 +56,13 @@ _int64: Any = np.int64  # rows hold narrower integers; the law has been compiled
 
 
 @njit
-def replay_into(config: ControllerConfig, limits_config: EnvelopeConfig, rows: Any, output: Any) -> None:
-    """Run the law and the envelope over rows (n,) of signals.ROW; output (n, len(REPLAYED))."""
+def replay_into(
+    config: ControllerConfig, limits_config: EnvelopeConfig, effects: Floats, memory: Floats, rows: Any, output: Any
+) -> None:
+    """Run the law and the envelope over rows (n,) of signals.ROW; output (n, len(REPLAYED)).
+
+    `effects`: the table of compensated effects, `memory` theirs at rest.
+    """
     state = controller_at_rest()
     envelope = envelope_at_rest()
     for k in range(rows.size):
@@ -71,17 +77,22 @@ def replay_into(config: ControllerConfig, limits_config: EnvelopeConfig, rows: A
                 row["reference_ahead_rps2"],
                 row["expected_rps"],
             )
-            terms, state = controller_step(config, state, _int64(row["toggle"]), reference, row["velocity_rps"])
+            effects_nm = compensation_step(effects, memory, _int64(row["effects"]), reference, row["position_rev"])
+            terms, state = controller_step(
+                config, state, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm
+            )
             output[k, 0] = terms.error_rps
             output[k, 1] = terms.filtered_error_rps
             output[k, 2] = terms.proportional_a
             output[k, 3] = terms.integral_a
             output[k, 4] = terms.friction_nm
             output[k, 5] = terms.inertia_nm
-            output[k, 6] = terms.requested_a
+            output[k, 6] = terms.effects_nm
+            output[k, 7] = terms.requested_a
             requested_a = terms.command_a
         else:
             state = controller_at_rest()
+            compensation_rest(memory)
             if row["mode"] == MODE_CURRENT:
                 requested_a = row["requested_a"]
         wanted = row["mode"] != 0
@@ -100,18 +111,21 @@ def replay_into(config: ControllerConfig, limits_config: EnvelopeConfig, rows: A
             wanted,
             is_operation_enabled(row["statusword"]),
             closed_loop,
+            _int64(row["tick"]) - _int64(rows[k - 1]["tick"]) - 1 if k > 0 else 0,
         )
         limited_a, _, _, envelope = envelope_step(limits_config, envelope, seen)
         if row["limits"] & ~LIMIT_CONTROLLER:
             state = with_limited(state, True)
         if closed_loop:
-            output[k, 7] = limited_a if row["trip"] == TRIP_NONE else 0.0
+            output[k, 8] = limited_a if row["trip"] == TRIP_NONE else 0.0
 
 
-def replay(rows: Rows, config: ControllerConfig, envelope: EnvelopeConfig) -> ReplayReport:
-    """Replay rows from the start of a loop (or from where the drive was last disabled)."""
+def replay(
+    rows: Rows, config: ControllerConfig, envelope: EnvelopeConfig, effects: Floats | None = None
+) -> ReplayReport:
+    """Replay rows from the start of a loop (or from where the drive was last disabled), with a table of effects."""
     output = np.full((rows.size, len(REPLAYED)), np.nan)
-    replay_into(config, envelope, rows, output)
+    replay_into(config, envelope, no_compensation() if effects is None else effects, new_memory(), rows, output)
     acted = rows["mode"] == MODE_VELOCITY
     recorded = np.stack([rows[name] for name in REPLAYED], axis=1)
     # bit for bit: compared as integers, so that not even the sign of a zero may differ

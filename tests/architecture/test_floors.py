@@ -14,8 +14,10 @@ FLOORS = {
     "control": 1, "can": 1, "recording": 1,
     "drive": 2,
     "runtime": 3, "identification": 3,
-    "evaluation": 4, "diagnosis": 4, "commissioning": 4,
-    "config": 5, "report": 5, "cli": 6,
+    "evaluation": 4, "diagnosis": 4, "commissioning": 4, "system": 4,
+    "config": 5, "report": 5,
+    "daemon": 5.5,
+    "cli": 6,
 }  # fmt: skip
 LONGEST_FILE = 400
 SOURCES = sorted(PACKAGE.rglob("*.py"))

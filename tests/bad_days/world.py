@@ -66,7 +66,7 @@ class EndlessEnd:
 class World:
     """Host and drive. `to_drive` and `to_host` are the wire; `stalls` maps the number of a sleep to its delay."""
 
-    def __init__(self) -> None:
+    def __init__(self, plant: Any = None, config: NodeConfig | None = None) -> None:
         self.now_ns = 1_000_000_000
         self.host_end, self.wire_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         for end in (self.host_end, self.wire_end):
@@ -82,7 +82,7 @@ class World:
         self._order = count()
         self._flying: list[tuple[int, int, bool, bytes]] = []
         self._sleeps = 0
-        self.node = Node(NodeConfig(sync_loss_tolerance_ms=50), RigidBody())
+        self.node = Node(config or NodeConfig(sync_loss_tolerance_ms=50), plant or RigidBody())
         self._boot()
 
     # --- the drive
@@ -251,8 +251,20 @@ class Day(NamedTuple):
     trip: int
 
 
-def live(world: World, ticks: int = 400, axis_file: str = "bad_days/axis.yaml") -> Day:
-    """Run the loop in the world: enabled at once, a profile of constant acceleration and then constant velocity."""
+def ramp_to(velocity_rps: float, step_rps: float, ticks: int) -> Profile:
+    """Constant acceleration, then constant velocity."""
+    values = np.minimum(np.arange(ticks) * step_rps, velocity_rps)
+    return Profile("ramp", MODE_VELOCITY, PERIOD_NS * 1e-9, values, np.gradient(values, PERIOD_NS * 1e-9))
+
+
+def live(
+    world: World, ticks: int = 400, axis_file: str = "bad_days/axis.yaml", profile: Profile | None = None,
+    change: Callable[[Any], Any] = lambda envelope: envelope, silence: int = 0,
+) -> Day:  # fmt: skip
+    """Run the loop in the world: enabled at once, a profile of constant acceleration and then constant velocity.
+
+    `change` makes another envelope of the file's. `silence`: LoopConfig.supervisor_ticks.
+    """
     from interpreted import TESTS
 
     axis = read_axis(TESTS / axis_file)
@@ -265,13 +277,11 @@ def live(world: World, ticks: int = 400, axis_file: str = "bad_days/axis.yaml") 
     blocks = b.new_blocks(controller_config(axis, model), 2 * ticks)
     blocks.control[b.GOAL] = GOAL_ENABLED
     blocks.control[b.TOGGLE] = TOGGLE_OFF
-    ramp = np.minimum(np.arange(2 * ticks) * 0.02, 2.0)
-    profile = Profile("ramp", MODE_VELOCITY, PERIOD_NS * 1e-9, ramp, np.gradient(ramp, PERIOD_NS * 1e-9))
-    b.publish_profile(blocks, profile)
+    b.publish_profile(blocks, profile or ramp_to(2.0, 0.02, 2 * ticks))
     ring = new_ring(4 * ticks)
     scratch = np.zeros((2, b.CONTROLLER_BLOCK_SIZE))
-    loop = loop_config(axis)._replace(max_ticks=ticks)
-    run_loop(port, loop, envelope_config(axis), blocks, scratch, ring, world.now_ns + PERIOD_NS)
+    loop = loop_config(axis)._replace(max_ticks=ticks, supervisor_ticks=silence)
+    run_loop(port, loop, change(envelope_config(axis)), blocks, scratch, ring, world.now_ns + PERIOD_NS)
     rows = RingReader(ring).read().rows
     statistics = tick_statistics(rows, exchange_counts(port.feedback))._asdict()
     for end in (world.host_end, world.wire_end):

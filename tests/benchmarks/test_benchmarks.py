@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-COMMANDS = ("loop_cycle", "lateness", "plant", "recorder")
+COMMANDS = ("loop_cycle", "lateness", "plant", "recorder", "node")
 NEED_C = ("loop_cycle", "lateness", "plant")
 UNAVAILABLE = 69
 
@@ -85,6 +85,18 @@ def test_the_recorder_keeps_every_row_and_the_reader_every_column():
     assert facts["columns"] > 30
 
 
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_the_daemon_loses_no_row_beside_twenty_clients():
+    facts = sample("daemon")
+    assert facts["complete"]
+    assert facts["rows lost in the ring or on the disk"] == 0
+    assert facts["disordered"] == 0
+    assert facts["rows"] >= facts["recorded"] > 2000
+    assert facts["requests a second"] > 0
+
+
 @pytest.mark.parametrize("name", NEED_C)
 def test_a_machine_without_a_c_compiler_gets_one_clear_message(name):
     done = python(str(BENCHMARKS / f"{name}.py"), "--sample", CC="no-such-compiler")
@@ -92,6 +104,15 @@ def test_a_machine_without_a_c_compiler_gets_one_clear_message(name):
     assert done.stderr.count("\n") == 1
     assert "'no-such-compiler'" in done.stderr
     assert "CC=" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_node_holds_sync_and_its_cost_is_measured():
+    facts = sample("node")
+    assert facts["SYNCs sent"] > 4000
+    assert 0.01 < facts["CPU time of the node, share of a core"] < 1.0
+    assert "RPDO applied, 0 frames dropped, 0 send errors" in facts["node"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
