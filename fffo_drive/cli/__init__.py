@@ -26,6 +26,7 @@ COMMANDS = {
     "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
     "serve": ("serve", "serve an axis as a daemon: supervise, record, listen on a Unix socket"),
     "ctl": ("ctl", "control a daemon: status, enable, start, toggle, stop, set, record, events"),
+    "scope": ("scope", "say where a daemon serves its scope page for a browser, and open it"),
     "top": ("top", "watch a daemon in the terminal: state, ticks, error, current, recorder"),
     "log": ("log", "read what was recorded: info, recover"),
     "doctor": ("doctor", "look over this machine: kernel, limits, CPU, interrupts, CAN interface, lateness"),

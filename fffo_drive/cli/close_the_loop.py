@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ..config.adoption import Gate, gates, put_in_service, read_report
-from ..config.axis import AxisFile, CanopenDriveSection, model_of, read_axis
+from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
+from ..config.checks import motion_problems
 from ..config.commissioning import permission
 from ..config.effects import slope_margin
 from ..config.plan import checked_plan
@@ -38,7 +39,10 @@ from .simulated_process import SimulatedProcess
 EXIT_NOT_ADOPTED = 1
 GAIN_ROOM = 1.02  # of what condition (14) asks for
 RECIPE = {"kind": "recipe", "repeats": 1}
-IDENTIFY = {"kind": "identify", "duration_s": 40.0}
+IDENTIFY = {"kind": "identify", "duration_s": 40.0, "lowest_hz": 0.05}
+BREAK_AWAY_RATIO = 2.4  # the identification current's peak over what breaks away; less where it goes too far
+SHORTER = 0.85
+LEAST_BREAK_AWAY_RATIO = 1.1
 
 
 class Run(NamedTuple):
@@ -71,7 +75,7 @@ def execute(options: argparse.Namespace) -> int:
     say = Console(stderr=True, quiet=options.json).print
     with _drive_process(options, plan):
         say("run and record: identification current, recipe, the file's profile", soft_wrap=True)
-        identify = _run(own_path, options, out / "identify.mcap", IDENTIFY)
+        identify = _run(own_path, options, out / "identify.mcap", _identify(plan))
         recipe = _run(own_path, options, out / "recipe.mcap", _recipe(plan))
         before = _run(own_path, options, out / "before.mcap")
         say("diagnose", soft_wrap=True)
@@ -102,6 +106,22 @@ def _drive_process(options: argparse.Namespace, plan: Plan) -> Iterator[None]:
         raise DocumentError(f"{plan.path}: drive.kind: simulated runs in process: leave --sim out")
     with SimulatedProcess(Path(options.sim), options.bus or section.bus):
         yield
+
+
+def _identify(plan: Plan) -> dict[str, Any]:
+    """An identification current that the axis can follow inside its envelope, by the model in service."""
+    break_away_a = plan.model.friction.static_nm.value / plan.model.torque_constant_nm_per_a
+    ratio = BREAK_AWAY_RATIO
+    while ratio > LEAST_BREAK_AWAY_RATIO:
+        profile = IDENTIFY | {"high_a": ratio * break_away_a, "low_a": 0.3 * ratio * break_away_a}
+        axis = AxisFile.model_validate(plan.axis.model_dump() | {"profile": profile})
+        if not motion_problems(axis, build_profile(axis.profile, axis.loop.period_s), plan.model):
+            return profile
+        ratio *= SHORTER
+    raise DocumentError(
+        f"{plan.path}: envelope: no current that breaks the axis away stays inside it by the model: record by hand "
+        "and use `fffo-drive diagnose` and `fffo-drive adopt`"
+    )
 
 
 def _recipe(plan: Plan) -> dict[str, Any]:
@@ -153,7 +173,7 @@ def _adopt(axis_path: Path, model_path: Path, report: dict[str, Any] | None) -> 
     if gain is not None:
         _change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
         axis = read_axis(axis_path)
-    found = gates(axis, model_of(axis_path, axis), model, report, False)
+    found = gates(axis, model_of(axis_path, axis), model, report, None)
     if not all(gate.passed for gate in found):
         return False, found
     put_in_service(axis_path, model_path, found)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from .. import __version__
 from ..config.plan import Plan, make_plan
@@ -19,10 +20,19 @@ from .connection import require_served
 from .methods import Api
 from .places import recordings_directory, socket_directory
 from .server import Server
+from .status import line_of
 from .supervisor import TURN_S, Supervisor
 
 FEEDS_PER_WATCHDOG = 4.0
 STATUS_S = 0.5
+
+
+class Attachment(Protocol):
+    """What runs beside the daemon, on threads of its own, while its sockets are open."""
+
+    def close(self) -> None:
+        """End it."""
+        ...
 
 
 class Options(NamedTuple):
@@ -32,6 +42,7 @@ class Options(NamedTuple):
     bus: str | None = None
     sockets: Path | None = None
     uncommissioned: bool = False
+    attach: Callable[[Supervisor, Path], Attachment] | None = None  # with the directory of the sockets; may wait
 
 
 def serve(options: Options) -> None:
@@ -64,8 +75,11 @@ class _Service:
         directory = options.sockets or socket_directory(self.plan.axis.name)
         self.server = Server(self.api, directory, self.plan.axis.daemon.clients)
         self._reloads: set[asyncio.Task[None]] = set()
+        attached: Attachment | None = None
         try:
             await self.server.open(self.plan.axis.daemon.control_group)
+            if options.attach is not None:
+                attached = await asyncio.to_thread(options.attach, supervisor, directory)
             self._catch_signals()
             supervisor.log.add("started", f"fffo-drive {__version__} serves {options.file} on {directory}")
             living = asyncio.create_task(supervisor.run())
@@ -81,6 +95,8 @@ class _Service:
             turning.cancel()
         finally:
             await supervisor.close()
+            if attached is not None:
+                await asyncio.to_thread(attached.close)
             await self.server.close()
             self.journal.close()
         if supervisor.fatal is not None:
@@ -104,7 +120,7 @@ class _Service:
             self.notifier.alive()
         if now_s - self._told_s > STATUS_S:
             self._told_s = now_s
-            self.notifier.status(supervisor.one_line())
+            self.notifier.status(line_of(supervisor))
 
     def _catch_signals(self) -> None:
         loop = asyncio.get_running_loop()

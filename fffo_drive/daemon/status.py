@@ -90,6 +90,17 @@ def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
     return {"loop": loop, "drive": drive, "motion": motion}
 
 
+def line_of(supervisor: Supervisor) -> str:
+    """One line, for `systemctl status`."""
+    if supervisor.fault is not None:
+        return f"fault: {supervisor.fault.text}"
+    if supervisor.obstacles and supervisor.state in (State.OFFLINE, State.CONNECTED):
+        return f"{supervisor.state.value}: {supervisor.obstacles[0]}"
+    profile = supervisor.profile
+    running = f" {profile.name}" if supervisor.state is State.RUNNING and profile is not None else ""
+    return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}"
+
+
 def info_of(supervisor: Supervisor, version: str) -> dict[str, Any]:
     """What does not change by itself: protocol, axis, what may be asked for."""
     plan = supervisor.plan

@@ -16,7 +16,7 @@ from ..can.link import LinkError
 from ..config.axis import controller_config
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
-from ..config.plan import Plan, toggle_name
+from ..config.plan import Plan
 from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
@@ -30,18 +30,11 @@ from .connection import Connection, bring_up, leave
 from .event_log import EventLog
 from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
-from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher
+from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
 
 TURN_S = 0.02
-SILENT_S = 0.5  # without an answer to SYNC for so long, at rest, the drive counts as lost
 MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
 NEVER_S = float("inf")
-
-
-def silent_ticks(plan: Plan) -> int:
-    """Without an answer for so long the drive counts as lost, also at rest, where the envelope does not look."""
-    limits, rate_hz = plan.axis.envelope, plan.axis.loop.rate_hz
-    return max(limits.feedback_missing_ticks, limits.status_missing_ticks, round(SILENT_S * rate_hz))
 
 
 class Supervisor:
@@ -393,12 +386,3 @@ class Supervisor:
             reason = f": {self._said}" if self._said else ""
         level = Level.WARNING if self.state is State.OFFLINE else Level.INFO
         self.log.add("state", f"{before.value} -> {self.state.value} ({event.value}){reason}", level, data)
-
-    def one_line(self) -> str:
-        """For `systemctl status`."""
-        if self.fault is not None:
-            return f"fault: {self.fault.text}"
-        if self.obstacles and self.state in (State.OFFLINE, State.CONNECTED):
-            return f"{self.state.value}: {self.obstacles[0]}"
-        running = f" {self.profile.name}" if self.state is State.RUNNING and self.profile is not None else ""
-        return f"{self.state.value}{running}, friction {toggle_name(self.toggle)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..config.plan import Plan
 from ..control import envelope as env
 from ..drive.cia402 import (
     STATE_QUICK_STOP_ACTIVE,
@@ -17,6 +18,7 @@ from .connection import Connection
 
 RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05
+SILENT_S = 0.5  # without an answer to SYNC for so long, at rest, the drive counts as lost
 
 # trips that say that the drive, or the way to it, is gone: it has to be brought up again
 LOST_TRIPS = frozenset(
@@ -51,6 +53,12 @@ class Trouble(NamedTuple):
     event: Event
     name: str
     text: str
+
+
+def silent_ticks(plan: Plan) -> int:
+    """Without an answer for so long the drive counts as lost, also at rest, where the envelope does not look."""
+    limits, rate_hz = plan.axis.envelope, plan.axis.loop.rate_hz
+    return max(limits.feedback_missing_ticks, limits.status_missing_ticks, round(SILENT_S * rate_hz))
 
 
 class Watcher:
@@ -109,12 +117,18 @@ class Watcher:
     def _tripped(self, trip: int) -> Trouble | None:
         if trip != env.TRIP_NONE:
             event = Event.DRIVE_LOST if trip in LOST_TRIPS else Event.TRIPPED
-            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
+            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip] + self._code_of(trip))
         row = self.connection.last_row()
         if row is not None and int(row["velocity_age"]) > self._silent_ticks:
             text = f"no answer to {int(row['velocity_age'])} SYNCs"
             return Trouble(Event.DRIVE_LOST, "silent", text)
         return None
+
+    def _code_of(self, trip: int) -> str:
+        """What the drive said about it."""
+        code = int(self.connection.drive.feedback["emergency_code"][0])
+        told = trip in (env.TRIP_EMERGENCY, env.TRIP_DRIVE_FAULT, env.TRIP_DRIVE_LEFT)
+        return f": 0x{code:04X}" if told and code else ""
 
     def obstacles(self, missing_ticks: int, status_ticks: int) -> list[str]:
         """Why the drive may not be enabled now, as far as it is the drive's own matter."""

@@ -96,6 +96,8 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
     load_nm, sensor_rev = effects_along([Term(name, values)], motion, scene.axis, period_s)
     if sensor_rev.any():
         load_nm = load_nm - scene.axis.inertia_nm_s2_per_rev * second_difference(sensor_rev, period_s)
+    if not np.isfinite(load_nm).all():
+        return np.zeros(load_nm.size)  # a joint that is unstable at these numbers explains nothing
     return np.asarray(load_nm * scene.moving)
 
 

@@ -18,8 +18,8 @@ from .paths import Rows
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-ORDER = 8  # of the autoregression
-RIDGE = 0.1  # white noise that is added to it, relative to the variance: what the filter cut off stays cut off
+ORDER = 1  # of the autoregression
+MEMORY = 0.75  # largest coefficient: an effect that is still in the residual is slow, and must not pass for noise
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits, in shares of the top speed
 LEAST_IN_CLASS = 200
 CLIP = 6.0  # robust standard deviations beyond which a row is pulled in
@@ -54,7 +54,7 @@ def estimate_whitening(rows: Rows, residual_nm: Floats, classes: Integers) -> Wh
 
 
 def _autoregression(rows: Rows, scaled: Floats) -> Floats:
-    """Yule-Walker over pairs of kept rows of one stretch."""
+    """Correlation of neighbours over pairs of kept rows of one stretch, within limits."""
     covariance = np.zeros(ORDER + 1)
     for lag in range(ORDER + 1):
         total, count = 0.0, 0
@@ -65,9 +65,9 @@ def _autoregression(rows: Rows, scaled: Floats) -> Floats:
                 total += float((part[lag:] * part[: part.size - lag])[both].sum())
                 count += int(both.sum())
         covariance[lag] = total / max(1, count)
-    index = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
-    matrix = covariance[index] + RIDGE * covariance[0] * np.eye(ORDER)
-    return np.asarray(np.linalg.solve(matrix, covariance[1:])) if covariance[0] > 0.0 else np.zeros(ORDER)
+    if covariance[0] <= 0.0:
+        return np.zeros(ORDER)
+    return np.asarray(np.clip(covariance[1:] / covariance[0], 0.0, MEMORY), dtype=np.float64)
 
 
 def _filtered(rows: Rows, coefficients: Floats, values: Floats) -> Floats:
@@ -160,9 +160,8 @@ def score(evidence: Evidence, columns: Floats) -> Score:
     turn = vectors[:, good] / np.sqrt(values[good])
     axes = scaled @ turn
     products = axes * evidence.residual[:, None]
-    scores = np.stack(
-        [np.bincount(evidence.window, products[:, k], evidence.windows) for k in range(products.shape[1])], axis=1
-    )
+    counts = [np.bincount(evidence.window, products[:, k], evidence.windows) for k in range(products.shape[1])]
+    scores = np.stack(counts, axis=1).astype(np.float64)
     total = scores.sum(axis=0)
     strengths[use] = (turn @ total) / norms[use]
     return Score(float(total @ total), strengths, scores, int(good.sum()))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..model.effects.registry import law_of
-from .base import BASE, NAMES, models_along, moved, residual_rows
+from .base import BASE, NAMES, models_along, moved, residual_rows, sensitivities
 from .candidates import Effect, Scene, load_along, scenes_of
 from .evidence import Whitening, whiten
 from .paths import Rows, Stretch
@@ -24,12 +24,13 @@ Floats = npt.NDArray[np.float64]
 
 FIXED = frozenset({"pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count"})  # shapes that stay
 # laws whose torque depends on the model's own torque: they are evaluated with their effect in it
-OF_TORQUE = frozenset(
-    {"load_dependent_friction", "torque_saturation", "torque_ripple", "dead_zone", "elasticity", "backlash"}
-)
+OF_TORQUE = frozenset({"load_dependent_friction", "torque_saturation", "torque_ripple", "dead_zone"})
+JOINTS = frozenset({"elasticity", "backlash"})  # their torque is made from the motion; fed back it would run away
+ROUNDS = 3  # of the torque that has the effects in it
 LOOKUP = "lookup"  # a free curve: its knots stay
 HUBER = 4.0
 CONVERGED = 3e-4
+STEEPEST = 5.0  # Fs over Fc at most
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 
 
@@ -83,14 +84,16 @@ def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]
 def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:
     """Residual of a model on the rows, and the scenes that its effects see.
 
-    The torque in the scenes has the effects in it: one pass, which is enough as effects are small beside the torque.
+    The torque in the scenes has the effects in it, found by a few rounds of T = J a + F + E(T).
     """
     models = models_along(data.stretches, physical)
     residual = residual_rows(data.stretches, physical, data.rows, models)
     scenes = scenes_of(data.stretches, physical, models)
     if effects:
-        if any(law_of(effect.name).name in OF_TORQUE for effect in effects):
-            scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, effects))
+        if any(effect.name in OF_TORQUE for effect in effects):
+            carried = [e for e in effects if e.name not in JOINTS]
+            for _ in range(ROUNDS):
+                scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
         residual = residual - np.concatenate([data.rows.laws.rows(load) for load in loads_of(scenes, effects)])
     white = whiten(data.rows, data.whitening, residual)
     return Fitted(physical, tuple(effects), huber_loss(white), residual, white), scenes
@@ -100,7 +103,10 @@ def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -
     """Scenes whose torque has the effects in it."""
     models = models_along(data.stretches, physical)
     scenes = scenes_of(data.stretches, physical, models)
-    return scenes_of(data.stretches, physical, models, loads_of(scenes, effects)) if effects else scenes
+    carried = [e for e in effects if e.name not in JOINTS]
+    for _ in range(ROUNDS if carried else 0):
+        scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
+    return scenes
 
 
 def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot]:
@@ -115,7 +121,7 @@ def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot
                 found += [Slot(number, p.name, run, 0.05 * p.typical, False) for run in runs]
         for p in law.shapes if shapes and law.name != LOOKUP else ():
             value = effect.shapes.get(p.name, 0.0)
-            if value == 0.0 and p.name != "centre_rev" or p.name in FIXED:
+            if (value == 0.0 and p.name != "centre_rev") or p.name in FIXED:
                 continue
             if p.name == "order":
                 found.append(Slot(number, p.name, -1, 0.01 / max(turns, 1.0), False))
@@ -136,7 +142,8 @@ def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:
     effect = found[slot.effect]
     if slot.name in effect.strengths:
         values = effect.strengths[slot.name].copy()
-        values[max(slot.run, 0)] += step
+        p = next(p for p in law_of(effect.name).strengths if p.name == slot.name)
+        values[max(slot.run, 0)] = min(max(values[max(slot.run, 0)] + step, p.low), p.high)
         found[slot.effect] = replace(effect, strengths={**effect.strengths, slot.name: values})
     else:
         value = effect.shapes[slot.name]
@@ -207,6 +214,18 @@ def refit(
     return best
 
 
+def polished(data: Data, fitted: Fitted, rounds: int = 4, settled: float = 0.01) -> Fitted:
+    """A fit carried on with sensitivities of its own: a base that was bent by a missing effect is far from home."""
+    for _ in range(rounds):
+        matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+        again = refit(data, matrix, fitted.physical, fitted.effects)
+        done = 1.0 - again.loss / fitted.loss < settled
+        fitted = again
+        if done:
+            break
+    return fitted
+
+
 def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     use = np.diag(hessian) > 1e-12 * float(np.diag(hessian).max(initial=1e-300))
@@ -229,6 +248,9 @@ def stepped(physical: Floats, step: Floats) -> Floats:
         found[k] = min(max(found[k], low), high)
     coulomb, static = NAMES.index("coulomb_nm"), NAMES.index("static_nm")
     found[static] = max(found[static], found[coulomb])
+    found[coulomb] = max(
+        found[coulomb], found[static] / STEEPEST
+    )  # by its logarithm it would never come back from zero
     return found
 
 

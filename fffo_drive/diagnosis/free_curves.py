@@ -1,7 +1,7 @@
 """What is in no list: free curves over every axis, as torque and as friction, and over memory.
 
-Each curve is a table of the library's `lookup` law, so that what is found here is a law that can be refitted, written to
-a model file and, over an axis that a feed-forward knows, compensated. Knots lie where the data are.
+Each curve is a table of the library's `lookup` law, so that what is found here is a law that can be refitted, written
+to a model file and, over an axis that a feed-forward knows, compensated. Knots lie where the data are.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from .screening import Trial
 Floats = npt.NDArray[np.float64]
 
 KNOTS = 12
+FINE_KNOTS = 22  # of an axis on which things happen at all scales
 TORQUE, FRICTION = 0.0, 1.0
+SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6
 
 
@@ -121,13 +123,13 @@ def knots_of(places: Floats, axis: Axis) -> Floats:
     if axis.scale > 0.0 and axis.word in ("motor_angle", "output_angle"):
         return np.linspace(0.0, axis.scale, KNOTS)
     shares = np.linspace(0.0, 1.0, KNOTS)
-    if axis.word in ("dwell", "travel_since_reversal"):
+    if axis.word in SCALELESS:
         small = max(float(np.quantile(places[places > 0.0], 0.05)), 1e-3 * high) if (places > 0.0).any() else low
-        found = np.geomspace(small, high, KNOTS)
+        found = np.geomspace(small, high, FINE_KNOTS)
     else:
         found = 0.5 * (np.quantile(places, 0.002 + 0.996 * shares) + low + (high - low) * shares)
     distinct = [float(found[0])]
     for x in found[1:]:
-        if x - distinct[-1] > 0.01 * (high - low):
+        if x - distinct[-1] > (0.0 if axis.word in SCALELESS else 0.01 * (high - low)):
             distinct.append(float(x))
     return np.array(distinct)

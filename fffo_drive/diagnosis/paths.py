@@ -88,7 +88,7 @@ def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
 
 
 class Stretch(NamedTuple):
-    """One stretch of a record without a gap. Sensors and command at the record's rate, (n,); motion at the laws', (l,)."""
+    """One stretch of a record without a gap: sensors and command at its own rate, (n,); motion at the laws', (l,)."""
 
     run: int
     name: str
@@ -116,12 +116,12 @@ class Stretch(NamedTuple):
 
 def stretches_of(records: Sequence[Record]) -> list[Stretch]:
     """All stretches that are long enough, in the order of the records."""
-    found = []
-    for number, record in enumerate(records):
-        for part in record.segments():
-            if (part.stop - part.start) * record.period_s >= SHORTEST_S:
-                found.append(_stretch(number, record, part))
-    return found
+    return [
+        _stretch(number, record, part)
+        for number, record in enumerate(records)
+        for part in record.segments()
+        if (part.stop - part.start) * record.period_s >= SHORTEST_S
+    ]
 
 
 def _stretch(number: int, record: Record, part: slice) -> Stretch:
@@ -199,7 +199,7 @@ def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
         begin += count
         window += int(number[-1]) + 1
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return Rows(filter_, laws, tuple(bounds), **joined)  # type: ignore[arg-type]
+    return Rows(filter_, laws, tuple(bounds), **joined)
 
 
 def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:

@@ -24,6 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 PEAKS = 4  # of each spectrum that become trials
 SURROGATES = 400
+SMALLEST = 1e-12  # probability that is stated: no tail is known beyond
 
 
 class Trial(NamedTuple):
@@ -146,4 +147,4 @@ def false_alarm_probability(statistic: float, maxima: Floats) -> float:
         return reached
     tail = maxima[-max(10, maxima.size // 10) :]
     scale = max(float(np.mean(tail - tail[0])), 1e-9)
-    return float(min(1.0, tail.size / maxima.size * np.exp(-(statistic - tail[0]) / scale)))
+    return float(min(1.0, max(SMALLEST, tail.size / maxima.size * np.exp(-(statistic - tail[0]) / scale))))

@@ -19,11 +19,14 @@ import numpy.typing as npt
 
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
-from ..model.effects.registry import law_of
-from .base import sensitivities
+from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.registry import axis_of_effect, law_of
+from .base import balanced, sensitivities
 from .candidates import Effect, Scene
+from .current_side import LEAST_SHARE as SHOWN_SHARE
+from .current_side import SHOWN_BY_CURRENT, missing_rows, shown_share
 from .evidence import Evidence, make_evidence, whiten
-from .fitting import Data, Fitted, consistent_scenes, effect_jacobian, evaluate, loads_of, refit, slots_of
+from .fitting import Data, Fitted, consistent_scenes, effect_jacobian, evaluate, loads_of, polished, refit, slots_of
 from .free_curves import free_trials
 from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
 from .startup import noise_model
@@ -36,6 +39,14 @@ LEAST_SHARE = 0.1  # of what the best trial explains, for a rival to be refitted
 MATERIAL_SHARE = 0.03  # of the white sum of squares that an effect has to take away ...
 MATERIAL_PERCENT = 1.5  # ... and rms of its torque over that of friction, where it acts
 FAMILY_SHARE = 0.85  # of the gain of the chosen one, for a rival to be of its family
+LATER_SHARE = 0.15  # of the rms of an earlier effect, base projected out, for a later one ...
+SAME_AXIS_SHARE = 0.3  # ... and of an earlier one on the same axis
+MOST_PERCENT = 150.0  # rms of an effect over that of friction: beyond, it is no effect beside a base
+LEAST_PERCENT = 0.5  # rms of an effect over that of friction, base projected out
+RENEWALS = 4
+POLISHED = 3  # rivals whose fit is carried on ...
+UNSETTLED = 2.5  # ... where they are within this ratio of the best
+SETTLED = 0.003  # relative fall of the loss at which a model is not refitted again
 CURVE_SHARE = 0.5  # of what the best law explains, for a free curve to be refitted
 CURVE_MARGIN = 0.8  # a law that explains this share of what a free curve explains is preferred to it
 PENALTY = 2.0  # on the logarithm of the number of rows, a free number
@@ -122,7 +133,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
         free = free_trials(evidence, scenes, search.facts)
         curves.append(tuple(free))
         contest, best = contend(data, matrix, fitted, evidence, screening, free)
-        if best is None or not material(data, fitted, best, len(best.effects) - 1):
+        if best is None or not worth_it(data, matrix, fitted, best, contest):
             if best is not None:
                 left = _left(data, fitted, best, contest, screening, evidence)
             break
@@ -135,7 +146,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
         data, base, fitted, matrix = renewed(data, base, fitted)
         if len(contests) > 1:
             fitted, contests = exchange(data, matrix, fitted, contests)
-    fitted, contests, probabilities = _backward(data, matrix, fitted, contests, probabilities, base)
+    fitted, contests, probabilities = _backward(data, matrix, fitted, contests, probabilities, search.false_alarm_rate)
     return Selection(
         data, base, fitted, matrix, tuple(contests), tuple(probabilities), tuple(screenings), tuple(curves), left
     )
@@ -172,10 +183,27 @@ def contend(
 
     with ThreadPoolExecutor(THREADS) as pool:
         results = list(pool.map(one, picked))
-    gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, results, strict=True)}
     if not results:
-        return Contest("", gains, {}), None
+        return Contest("", {}, {}), None
+    losses = [r.loss if within_reason(data, r, len(r.effects) - 1) else np.inf for r in results]
+    first = [k for k in np.argsort(losses) if losses[k] < UNSETTLED * min(losses)][:POLISHED]
+    with ThreadPoolExecutor(THREADS) as pool:
+        for k, result in zip(first, pool.map(lambda k: polished(data, results[k]), first), strict=True):
+            results[k] = result
+    gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, results, strict=True)}
     costs = [cost(r, data) for r in results]
+    missing = missing_rows(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
+    for k, result in enumerate(results):
+        if not within_reason(data, result, len(result.effects) - 1):
+            costs[k] = np.inf
+            gains[picked[k].name] = 0.0
+        if missing is None or picked[k].name not in SHOWN_BY_CURRENT:
+            continue
+        if shown_share(data, missing, result, result.effects[-1]) < SHOWN_SHARE:
+            costs[k] = np.inf
+            gains[picked[k].name] = 0.0
+    if not np.isfinite(min(costs)):
+        return Contest("", gains, {}), None
     order = int(np.argmin(costs[:laws])) if laws else 0
     if len(picked) > laws:
         curve = laws + int(np.argmin(costs[laws:]))
@@ -216,11 +244,35 @@ def acting_rows(load_nm: Floats, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.
     return np.asarray(kept & (np.abs(load_nm) >= 0.25 * high)) if high > 0.0 else np.zeros_like(kept)
 
 
-def material(data: Data, before: Fitted, after: Fitted, number: int) -> bool:
-    """Large enough to matter, in the white residual and in torque."""
-    share = 1.0 - after.loss / before.loss
-    _, there = effect_rms(data, after, number)
-    return share >= MATERIAL_SHARE and there >= MATERIAL_PERCENT
+def within_reason(data: Data, fitted: Fitted, number: int) -> bool:
+    """False for a torque so large that it only stands against the base's: a fit that ran away along a valley."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole, _ = effect_rms(data, fitted, number)
+    return bool(np.isfinite(whole)) and whole <= MOST_PERCENT
+
+
+def raw_share(data: Data, before: Fitted, after: Fitted) -> float:
+    """Share of the squared torque residual that is gone."""
+    kept = data.rows.kept
+    return 1.0 - float(np.sum(after.residual_nm[kept] ** 2)) / max(float(np.sum(before.residual_nm[kept] ** 2)), 1e-300)
+
+
+def worth_it(data: Data, matrix: Floats, before: Fitted, after: Fitted, contest: Contest) -> bool:
+    """Large enough to matter, in the residual and in torque, and beside what was found before.
+
+    No law has quite the form of what it describes: what it leaves over looks like a small effect of the same axis.
+    """
+    share = max(1.0 - after.loss / before.loss, raw_share(data, before, after))
+    _, there = effect_rms(data, after, len(after.effects) - 1)
+    if share < MATERIAL_SHARE or there < MATERIAL_PERCENT:
+        return False
+    own, _ = effect_rms(data, after, len(after.effects) - 1, matrix)
+    axis = axis_of_effect(contest.chosen)
+    for number, other in enumerate(before.effects):
+        least = SAME_AXIS_SHARE if axis_of_effect(other.name) == axis else LATER_SHARE
+        if own < least * effect_rms(data, after, number, matrix)[0]:
+            return False
+    return own >= LEAST_PERCENT
 
 
 def _left(
@@ -234,12 +286,17 @@ def _left(
 
 
 def renewed(data: Data, base: Fitted, fitted: Fitted) -> tuple[Data, Fitted, Fitted, Floats]:
-    """Noise model and sensitivities at the new model, and both models there."""
-    data = noise_model(data, fitted.physical, fitted.residual_nm)
-    matrix = sensitivities(data.stretches, fitted.physical, data.rows)
-    again = refit(data, matrix, fitted.physical, fitted.effects, iterations=2)
+    """Noise model and sensitivities at the new model, refitted until it stays; and the plain base beside it."""
+    for _ in range(RENEWALS):
+        data = data._replace(stretches=balanced(data.stretches, fitted.physical))
+        data = noise_model(data, fitted.physical, fitted.residual_nm)
+        matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+        begin = evaluate(data, fitted.physical, fitted.effects)[0]
+        fitted = refit(data, matrix, fitted.physical, fitted.effects, iterations=3)
+        if 1.0 - fitted.loss / begin.loss < SETTLED:
+            break
     plain = refit(data, matrix, base.physical, (), iterations=3)
-    return data, plain, again, matrix
+    return data, plain, fitted, matrix
 
 
 def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]) -> tuple[Fitted, list[Contest]]:
@@ -247,7 +304,8 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
     for number, contest in enumerate(contests):
         others = [e for k, e in enumerate(fitted.effects) if k != number]
         taken = {e.name for e in others}
-        rivals = [t for name, t in contest.trials.items() if name != contest.chosen and name not in taken][:4]
+        rivals = [t for name, t in contest.trials.items() if name != contest.chosen and name not in taken]
+        rivals = [t for t in rivals if not t.name.startswith(UNKNOWN) and contest.gains.get(t.name, 0.0) > 0.0][:4]
         without = refit(data, matrix, fitted.physical, others, iterations=3)
 
         sets = [[*fitted.effects[:number], t.effect, *fitted.effects[number + 1 :]] for t in rivals]
@@ -261,8 +319,10 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
             trials[t.name] = replace_effect(t, r.effects[number])
         trials[contest.chosen] = replace_effect(trials[contest.chosen], fitted.effects[number])
         costs = [cost(r, data) for r in results]
-        if costs and min(costs) < cost(fitted, data):
-            k = int(np.argmin(costs))
+        k = int(np.argmin(costs)) if costs else 0
+        margin = CURVE_MARGIN if contest.chosen.startswith(UNKNOWN) else 0.0
+        better = bool(costs) and min(costs) < cost(fitted, data)
+        if better or (costs and margin and gains[rivals[k].name] > margin * gains[contest.chosen]):
             fitted = results[k]
             contests[number] = Contest(rivals[k].name, gains, trials)
         else:
@@ -271,20 +331,21 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
 
 
 def _backward(
-    data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest], probabilities: list[float], base: Fitted
+    data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest], probabilities: list[float], rate: float
 ) -> tuple[Fitted, list[Contest], list[float]]:
-    """Remove what is no longer worth its numbers."""
-    while len(fitted.effects) > 1:
-        for number in range(len(fitted.effects)):
-            others = [e for k, e in enumerate(fitted.effects) if k != number]
-            without = refit(data, matrix, fitted.physical, others, iterations=3)
-            if 1.0 - fitted.loss / without.loss < MATERIAL_SHARE:
-                fitted = without
-                contests = [c for k, c in enumerate(contests) if k != number]
-                probabilities = [p for k, p in enumerate(probabilities) if k != number]
-                break
+    """Remove what noise might have made, and what is no longer worth its numbers beside the others."""
+    number = 0
+    while number < len(fitted.effects):
+        others = [e for k, e in enumerate(fitted.effects) if k != number]
+        without = refit(data, matrix, fitted.physical, others, iterations=3)
+        weak = 1.0 - fitted.loss / without.loss < MATERIAL_SHARE and raw_share(data, without, fitted) < MATERIAL_SHARE
+        if probabilities[number] > rate or (weak and others):
+            fitted = without
+            contests = [c for k, c in enumerate(contests) if k != number]
+            probabilities = [p for k, p in enumerate(probabilities) if k != number]
+            number = 0
         else:
-            break
+            number += 1
     return fitted, contests, probabilities
 
 
@@ -292,6 +353,8 @@ def family(contest: Contest) -> list[str]:
     """At most two rivals that explain nearly as much as the chosen one."""
     own = contest.gains[contest.chosen]
     near = [(g, name) for name, g in contest.gains.items() if name != contest.chosen and g >= FAMILY_SHARE * own]
+    if not contest.chosen.startswith(UNKNOWN):
+        near = [(g, name) for g, name in near if not name.startswith(UNKNOWN)]
     return [name for _, name in sorted(near, reverse=True)[:2]]
 
 
@@ -323,7 +386,8 @@ def standard_deviations(data: Data, matrix: Floats, fitted: Fitted) -> tuple[Flo
     inverse = np.linalg.pinv(white.T @ white, rcond=1e-10)
     window = data.rows.window[data.whitening.kept]
     products = white * np.clip(fitted.white, -6.0, 6.0)[:, None]
-    scores = np.stack([np.bincount(window, products[:, k]) for k in range(products.shape[1])], axis=1)
+    counts = [np.bincount(window, products[:, k]) for k in range(products.shape[1])]
+    scores = np.stack(counts, axis=1).astype(np.float64)
     meat = scores.T @ scores
     for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
         cross = scores[:-lag].T @ scores[lag:]
@@ -332,8 +396,3 @@ def standard_deviations(data: Data, matrix: Floats, fitted: Fitted) -> tuple[Flo
     base_count = matrix.shape[1]
     found = {(s.effect, s.name, s.run): float(v) for s, v in zip(slots, sd[base_count:], strict=True)}
     return sd[:base_count], found
-
-
-def model_residual(data: Data, fitted: Fitted) -> Fitted:
-    """A fitted model evaluated on other data."""
-    return evaluate(data, fitted.physical, fitted.effects)[0]

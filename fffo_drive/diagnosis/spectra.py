@@ -41,7 +41,7 @@ def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
         return []
     bins_per_turn = BINS_PER_TURN
     length = min(LONGEST_BINS, 1 << int(np.ceil(np.log2(2.0 * turns * bins_per_turn))))
-    orders = np.fft.rfftfreq(length, 1.0 / bins_per_turn)
+    orders = np.asarray(np.fft.rfftfreq(length, 1.0 / bins_per_turn), dtype=np.float64)
     use = orders <= HIGHEST_ORDER
     power = np.zeros(int(use.sum()))
     weight = np.full(power.size, 1e-300)
@@ -73,7 +73,7 @@ def frequency_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
     period_s = rows.filter.row_period_s
     longest = max(end - begin for begin, end in rows.bounds)
     length = 1 << int(np.ceil(np.log2(4 * longest)))
-    frequency = np.fft.rfftfreq(length, period_s)
+    frequency = np.asarray(np.fft.rfftfreq(length, period_s), dtype=np.float64)
     power = np.zeros(frequency.size)
     for begin, end in rows.bounds:
         part = np.where(rows.kept[begin:end], values[begin:end], 0.0)

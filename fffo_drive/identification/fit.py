@@ -20,17 +20,17 @@ from .coordinates import (
 )
 from .dataset import DataError, Record
 from .kinematics import low_pass
+from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
 from .regression import TorqueStart, regression_start, start_problems
 from .solver import Solution, huber_cost, refine, robust_scale, solve
-from .uncertainty import Uncertainty, ratio_sd, uncertainty_of
+from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls
 OTHER_RATIOS = (0.75, 0.5)  # the fit is repeated at these shares of the bandwidth, and the mean of all is taken
-SHARED_ERROR = 0.25  # correlation of the errors of these fits; 0.17 was measured over 30 noise seeds
 MEAN_COST = 1e-3  # the mean is taken where the loss rises by no larger share than this
 PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts
 LAG_RATIOS = (2.0, 8.0, 25.0)  # Fs/B at the start, in multiples of 1/K
@@ -96,15 +96,17 @@ def fit_records(
         tell(0.7, "other Stribeck curve")
         part = make_problem(records, bandwidth_hz, START_S)
         literal_loss = _literal(part, space, solution, records[0].period_s, free)
+    tell(0.75, "noise")
+    bias = noise_shift(problem, space, solution)
     others = []
     for number, ratio in enumerate(OTHER_RATIOS):
-        tell(0.75 + 0.08 * number, "other bandwidths")
+        tell(0.8 + 0.06 * number, "other bandwidths")
         other = make_problem(records, ratio * bandwidth_hz)
         others.append(refine(other, space, solve(other, space, solution.values, 8), 1).values)
-    solution, specification_sd = mean_of_fits(problem, space, solution, others)
+    solution, disagreement = mean_of_fits(problem, space, solution, others)
     tell(0.91, "uncertainty")
     physical = to_physical(solution.values, space.scale)
-    uncertainty = uncertainty_of(problem, space, solution, specification_sd)
+    uncertainty = uncertainty_of(problem, space, solution, bias, disagreement)
     tell(1.0, "done")
     lag_s, lag_sd_s = sensor_delay(records)
     return Fit(
@@ -155,12 +157,12 @@ def _best_start(
 
 def mean_of_fits(
     problem: Problem, space: Coordinates, solution: Solution, others: Sequence[Floats]
-) -> tuple[Solution, Floats]:
-    """The mean of fits with observers of several bandwidths, and the standard deviation of what they disagree about.
+) -> tuple[Solution, Disagreement]:
+    """The mean of fits with observers of several bandwidths, and how much they disagree.
 
     A fast observer lets more of the sensor's noise into the reversals (stiffness comes out low), a slow one sees less
     of what is fast: the mean is nearer to the truth than each. Where the loss speaks against the mean, as it does when
-    the data leave a valley open, the solution stays and the largest shift stands for its uncertainty.
+    the data leave a valley open, the solution stays and the largest shift stands for what it may be wrong by.
     """
     fits = np.array([solution.values, *others])
     mean = np.clip(fits.mean(axis=0), space.low, space.high)
@@ -168,9 +170,8 @@ def mean_of_fits(
     mean = np.where(at_bound, solution.values, mean)
     cost = huber_cost(residual(problem, to_physical(mean, space.scale)), solution.scale)
     if not cost <= solution.cost * (1.0 + MEAN_COST):
-        return solution, np.abs(fits - solution.values).max(axis=0)
-    shared = (1.0 + (len(fits) - 1) * SHARED_ERROR) / (len(fits) * (1.0 - SHARED_ERROR))
-    return solution._replace(values=mean, cost=cost), np.sqrt(shared) * fits.std(axis=0, ddof=1)
+        return solution, Disagreement(np.abs(fits - solution.values).max(axis=0), 1)
+    return solution._replace(values=mean, cost=cost), Disagreement(fits.std(axis=0, ddof=1), len(fits))
 
 
 def _literal(

@@ -100,26 +100,30 @@ def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int 
     Where a reversal comes or goes with a parameter, one-sided differences take the jump for a slope, and the solver
     stops a standard deviation beside the minimum.
     """
-    values = solution.values.copy()
-    inside = (values > space.low) & (values < space.high)
-    free = np.flatnonzero(inside)
-    if not free.size:
-        return solution
-    cost, scale = solution.cost, solution.scale
     for _ in range(steps):
-        errors, matrix = jacobian(problem, space, values, free, central=True)
-        scale = robust_scale(errors)
-        cost = huber_cost(errors, scale)
-        weights = huber_weights(errors, scale)
-        gradient = matrix.T @ (weights * errors)
-        step = _step(matrix.T @ (weights[:, None] * matrix), gradient, REFINING, np.ones(free.size, dtype=np.bool_))
-        trial = values.copy()
-        trial[free] = np.clip(trial[free] + step, space.low[free], space.high[free])
-        trial_cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
-        if not trial_cost <= cost * (1.0 + CONVERGED):
+        trial, cost = central_step(problem, space, solution)
+        if not trial.cost <= cost * (1.0 + CONVERGED):
             break
-        values, cost = trial, trial_cost
-    return solution._replace(values=values, cost=cost, scale=scale)
+        solution = trial
+    return solution
+
+
+def central_step(problem: Problem, space: Coordinates, solution: Solution) -> tuple[Solution, float]:
+    """One Gauss-Newton step with central differences, whatever comes of it; and the cost before it.
+
+    Coordinates at a bound stay there.
+    """
+    values = solution.values
+    free = np.flatnonzero((values > space.low) & (values < space.high))
+    errors, matrix = jacobian(problem, space, values, free, central=True)
+    scale = robust_scale(errors)
+    weights = huber_weights(errors, scale)
+    gradient = matrix.T @ (weights * errors)
+    step = _step(matrix.T @ (weights[:, None] * matrix), gradient, REFINING, np.ones(free.size, dtype=np.bool_))
+    trial = values.copy()
+    trial[free] = np.clip(trial[free] + step, space.low[free], space.high[free])
+    cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
+    return solution._replace(values=trial, cost=cost, scale=scale), huber_cost(errors, scale)
 
 
 def _step(hessian: Floats, gradient: Floats, damping: float, free: npt.NDArray[np.bool_]) -> Floats:

@@ -6,8 +6,9 @@ windows: each window's score counts once, whatever goes on inside it, and near w
     C = H^-1 (sum_w sum_l b_l (g_w g_w+l' + g_w+l g_w')) H^-1,   H = J' W J,   g_w = J_w' W e_w,   b_l = 1/2, 2/3, 1/3
 
 A model is also never quite right. The fit is repeated with observers of other bandwidths, which weigh slow and fast
-errors differently: a right model gives the same parameters; what they disagree about is added in quadrature as
-specification error.
+errors differently: a right model gives the same parameters but for noise. What k fits disagree about beyond that is a
+variance of its own between them, tau^2 (method of moments, as when studies are pooled), and the mean of k fits bears
+tau^2 / k of it. It is added in quadrature as specification error, and so is the bias that the sensor's noise makes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ COLLINEAR_VIF = 200.0
 COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is known all the same
 DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
 SINGULAR = 1e-11
+SHARED_ERROR = 0.17  # correlation of the errors of fits of one data set at 1, 3/4 and 1/2 of the bandwidth, 30 seeds
 FEWEST_BLOCKS = 8  # resampled; fewer say nothing about a spread
 FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this speak about is not known, whatever the sandwich says
 UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
@@ -55,12 +57,19 @@ class Doubt(NamedTuple):
     confused_with: tuple[str, ...]
 
 
+class Disagreement(NamedTuple):
+    """What fits with other observers make of the same coordinates."""
+
+    sd: Floats  # standard deviation between them; where `fits` is 1 the largest shift
+    fits: int  # of which the solution is the mean
+
+
 class Uncertainty(NamedTuple):
     """In the order of coordinates.PARAMETERS; fixed parameters have zero."""
 
     sd: Floats  # physical units
     statistical_sd: Floats  # the part from noise
-    specification_sd: Floats  # the part from the other bandwidths
+    specification_sd: Floats  # the part from other bandwidths and from the bias
     correlation: Floats  # (p, p)
     inflation: Floats  # variance inflation factors: how much of a parameter's information others take
     windows: int
@@ -68,8 +77,10 @@ class Uncertainty(NamedTuple):
     doubts: tuple[Doubt, ...]
 
 
-def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shift: Floats) -> Uncertainty:
-    """Standard deviations of a solution; `shift`: what other bandwidths make of its coordinates, either sign."""
+def uncertainty_of(
+    problem: Problem, space: Coordinates, solution: Solution, shift: Floats, disagreement: Disagreement | None = None
+) -> Uncertainty:
+    """Standard deviations of a solution. `shift` (coordinates): what it may be off by, whatever the sign."""
     size = len(space.names)
     free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
     errors, matrix = jacobian(problem, space, solution.values, free, central=True)
@@ -84,10 +95,15 @@ def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shi
     statistical = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     dead = np.diag(hessian) <= DEAD * float(np.diag(hessian).max())
     statistical[dead] = LOG_SPAN
+    doubtful = np.abs(shift[free])
+    if disagreement is not None:
+        explained = (1.0 - SHARED_ERROR) * statistical * statistical if disagreement.fits > 1 else 0.0
+        between = np.maximum(0.0, disagreement.sd[free] ** 2 - explained)
+        doubtful = np.sqrt(doubtful * doubtful + between / disagreement.fits)
     slope = physical_slope(solution.values, space.scale)
     sd = np.zeros((2, size))
     sd[0, free] = statistical * slope[free]
-    sd[1, free] = np.abs(shift[free]) * slope[free]
+    sd[1, free] = doubtful * slope[free]
     total = np.hypot(sd[0], sd[1])
     correlation = np.eye(size)
     scale = np.where(statistical > 0.0, statistical, 1.0)
@@ -96,7 +112,7 @@ def uncertainty_of(problem: Problem, space: Coordinates, solution: Solution, shi
     inflation[free] = np.diag(hessian) * np.diag(inverse)
     coordinate_sd = np.zeros((2, size))
     coordinate_sd[0, free] = statistical
-    coordinate_sd[1, free] = np.abs(shift[free])
+    coordinate_sd[1, free] = doubtful
     moments = np.zeros(size)
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)

@@ -81,7 +81,7 @@ class ModelFile(Record):
 
     format: Literal["fffo_drive/model/1"] = "fffo_drive/model/1"
     name: str
-    torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=100)]
+    torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6)]
     inertia_kg_m2: Quantity
     delay_s: Annotated[Quantity, Field(description="command to measured velocity, without the hold of the command")]
     sensor_delay_s: Annotated[
@@ -129,7 +129,7 @@ def content_hash(model: ModelFile) -> str:
 
 # quantity -> (lowest, highest) that a model may have; beyond it a unit is wrong or the model is not one of friction
 LIMITS: dict[str, tuple[float, float]] = {
-    "inertia_kg_m2": (1e-9, 1e3),
+    "inertia_kg_m2": (1e-9, 1e5),
     "delay_s": (0.0, 0.1),
     "sensor_delay_s": (0.0, 0.1),
     "friction.viscous_nm_per_rps": (0.0, 1e3),

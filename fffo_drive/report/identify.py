@@ -69,7 +69,7 @@ def identify_report(
 ) -> Report:
     """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
     words = words_of(source.facts)
-    tables = [_parameters(results, records)]
+    tables = [_parameters(results)]
     tables += [_doubts(results)] if results["doubts"] else []
     tables += [_runs(results, words), _dependence(results, words)]
     seconds = sum(record.duration_s for record in records)
@@ -153,9 +153,8 @@ def _digits(value: float, sd: float | None) -> int:
     return min(9, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2))
 
 
-def _parameters(results: dict[str, Any], records: Sequence[Record]) -> Table:
+def _parameters(results: dict[str, Any]) -> Table:
     doubted = {doubt["name"]: doubt for doubt in results["doubts"]}
-    names = ", ".join(record.name for record in records)
     rows = []
     for p in results["parameters"]:
         if not p["fitted"]:
@@ -178,9 +177,9 @@ def _parameters(results: dict[str, Any], records: Sequence[Record]) -> Table:
     rows.append(Row(label="Kt", unit=unit, cells=[number(constant, 6), *[dash] * 5, Cell(text="declared")]))
     note = (
         f"Below each value its {100 * CONFIDENCE:g} % interval. Standard deviation: from noise (whole windows count "
-        "once, near ones may hang together), and what fits with observers of three bandwidths, whose mean is "
-        "taken, disagree about. Windows: how many quarter seconds, in effect, speak about it. Velocity lag: of the "
-        f"drive's velocity behind its position. Fitted together to: {names}."
+        "once, near ones may hang together); from what fits with observers of three bandwidths, whose mean is taken, "
+        "disagree about beyond that, and the bias that the sensor's noise makes. Windows: how many quarter seconds, in "
+        "effect, speak about it. Velocity lag: of the drive's velocity behind its position."
     )
     columns = [
         Column(label="value"), Column(label="sd"), Column(label="sd", unit="%"),

@@ -16,7 +16,7 @@ FLOORS = {
     "runtime": 3, "identification": 3,
     "evaluation": 4, "diagnosis": 4, "commissioning": 4, "system": 4,
     "config": 5, "report": 5,
-    "daemon": 5.5,
+    "daemon": 5.5, "live": 5.5,
     "cli": 6,
 }  # fmt: skip
 LONGEST_FILE = 400

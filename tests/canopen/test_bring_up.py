@@ -7,10 +7,13 @@ import struct
 import pytest
 from scripted_node import NO_OBJECT, RANGE, ScriptedNode, servo_dictionary
 
-from fffo_drive.can.link import free_loopback_port
+from fffo_drive.can.frame import pack_frame
+from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
 from fffo_drive.drive.canopen.object_map import feedback_pdos
+from fffo_drive.drive.canopen.service import Service, service_filters
+from fffo_drive.drive.canopen.service_queue import ServiceQueue
 from fffo_drive.drive.port import BusUnavailableError, DriveRefusedError
 
 NODE = 5
@@ -282,3 +285,20 @@ def test_refused_drives_can_be_tried_again(config):
     with ScriptedNode(config.bus, NODE):
         assert drive.connect().serial_number == 0x44
         drive.close()
+
+
+def test_late_answers_to_a_former_connection_are_no_second_node(config):
+    """A node that starts slowly answers what an earlier attempt asked, in the middle of the next attempt."""
+    late = bytes([0x43, 0x00, 0x10, 0x00, 0x92, 0x01, 0x02, 0x00])
+    with ScriptedNode(config.bus, NODE) as node:
+        link = open_link(config.bus, filters=service_filters(NODE))
+        service = Service(link, NODE, ServiceQueue(10_000_000_000), answer_timeout_s=0.5, attempts=3)
+        try:
+            with open_link(config.bus) as former:
+                for _ in range(3):
+                    former.send(pack_frame(0x580 + NODE, late))
+            service.wait_until(lambda: service._responses == 3, 5.0)
+            assert service.read_int(0x1000, 0) == 0x00020192
+        finally:
+            service.close()
+    assert node.number(0x1000) == 0x00020192

@@ -1,4 +1,4 @@
-"""Feed-forward of effects: what it gives, its bounds, in and out of service without a bump, bit for bit, and its slope."""
+"""Feed-forward of effects: what it gives, its bounds, in and out of service without a bump, and its inverses."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from fffo_drive.control.controller import (
     pack_controller,
     unpack_controller,
     with_limited,
+    with_torque_lost,
 )
 from fffo_drive.control.feedforward import NO_FEEDFORWARD, steady_reference
 from fffo_drive.control.friction_observer import (
@@ -155,3 +156,12 @@ def test_feedback_reverses_only_beyond_the_band():
 
 def test_the_parameter_block_is_the_record():
     assert unpack_controller(pack_controller(CONFIG)) == CONFIG
+
+
+def test_a_feed_forward_that_goes_at_once_is_handed_to_the_integrator():
+    steady = steady_reference(2.0)
+    _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 200, [2.0] * 200, [1.9] * 200)
+    before, _ = controller_step(CONFIG, state, TOGGLE_FEEDFORWARD, steady, 1.9, 0.02)
+    after, _ = controller_step(CONFIG, with_torque_lost(CONFIG, state, 0.02), TOGGLE_FEEDFORWARD, steady, 1.9, 0.0)
+    assert abs(after.command_a - before.command_a) < 1e-12
+    assert before.effects_nm == 0.02

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.control.controller import ControllerConfig, controller_at_rest, controller_step, with_new_gains
@@ -27,6 +27,7 @@ def law(proportional: float, integral: float, observer: float) -> ControllerConf
     )
 
 
+@settings(deadline=None)  # the first call compiles
 @given(
     st.sampled_from([TOGGLE_OFF, TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK]),
     GAINS, GAINS, GAINS, GAINS, st.floats(0.0, 10.0), st.floats(0.0, 10.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0),

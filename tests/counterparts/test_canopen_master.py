@@ -166,7 +166,11 @@ def test_pdo_parameters_are_read_saved_and_found_again(node):
 
 
 def states_402(node: BaseNode402) -> BaseNode402:
-    """Its state machine on the default mapping: controlword and statusword on events."""
+    """Its state machine on the default mapping: controlword on events, statusword also every 20 ms.
+
+    It waits for a statusword that comes after it began to wait: without the timer one that came sooner was the last.
+    """
+    node.sdo[0x1800][5].raw = 20
     node.setup_402_state_machine()
     node.nmt.state = "OPERATIONAL"
     wait_for(lambda: node.statusword != 0, "the first statusword")

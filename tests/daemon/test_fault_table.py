@@ -55,7 +55,7 @@ def test_no_torque_of_ours_acts_and_the_shaft_stands_within_the_bounds(outcomes,
     assert not outcome["goes_on"]
     assert outcome["torque_ms"] <= row.torque_ms
     assert outcome["standstill_ms"] <= row.standstill_ms
-    assert row.standstill_ms < 1.5 * outcome["standstill_ms"]  # a bound, not a wish
+    assert row.standstill_ms < 2.0 * outcome["standstill_ms"]  # a bound that says something
 
 
 @pytest.mark.parametrize("row", SCRIPTED, ids=lambda row: row.name)

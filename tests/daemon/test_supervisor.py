@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from daemon.rig import Rig, edit
 
 from fffo_drive.daemon.client import CallError
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
+from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.states import State
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 
@@ -51,9 +55,10 @@ def test_from_offline_to_a_profile_and_back(tmp_path):
     kinds = [event.data["kind"] for event in run.events if event.source == "supervisor"]
     assert kinds.count("state") >= 5
     assert (run.rows["trip"] == 0).all()
-    # an ordered stop has no step in the reference
+    # an ordered stop has no step in the reference: 100 rps^2 at 500 Hz, and what lies between two turns
     moving = run.rows[run.rows["mode"] == 1]
-    assert np.abs(np.diff(moving["reference_rps"])).max() < 0.7
+    steps_rps = np.abs(np.diff(moving["reference_rps"])) / np.diff(moving["tick"].astype(np.int64))
+    assert steps_rps.max() < 0.25
 
 
 RATE_SAMPLES = 60
@@ -181,6 +186,38 @@ def test_a_supervisor_that_is_silent_is_noticed_by_the_loop_which_stops_the_driv
         assert rig.node is not None
         assert not any(rig.node.plant.torque_seen[-3:])
         assert client.call("reset_fault", wait_s=60)["state"] == "ready"
+
+
+def test_the_watchdog_is_fed_only_while_the_head_moves_and_all_fits_together(tmp_path):
+    with Rig(tmp_path) as rig:
+        assert rig.do(lambda: rig.supervisor.consistent)
+        rig.until("ready")
+        supervisor = rig.supervisor
+        assert rig.do(lambda: supervisor.consistent)
+
+        def with_torque_behind_its_back() -> bool:
+            supervisor.motion.ask(GOAL_ENABLED)
+            found = supervisor.consistent
+            supervisor.motion.ask(GOAL_DISABLED)
+            return found
+
+        def with_a_loop_that_hangs() -> tuple[str, bool]:
+            watcher, trouble = supervisor._watcher, None
+            while trouble is None:  # again when the loop has moved between the two looks
+                watcher._head, watcher._head_s = supervisor.connection.head, 0.0
+                trouble = watcher.look(time.monotonic())
+            return trouble.name, supervisor.consistent
+
+        def in_a_state_that_does_not_fit() -> bool:
+            before, supervisor.state = supervisor.state, State.OFFLINE
+            found = supervisor.consistent
+            supervisor.state = before
+            return found
+
+        assert not rig.do(with_torque_behind_its_back)
+        assert not rig.do(in_a_state_that_does_not_fit)
+        assert rig.do(with_a_loop_that_hangs) == ("loop_stalled", False)
+        rig.until_status(lambda s: rig.do(lambda: supervisor.consistent))
 
 
 def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):

@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 
-from fffo_drive.identification.coordinates import MODEL_PARAMETERS, NUISANCES, coordinates, to_coordinates
+from fffo_drive.identification.coordinates import (
+    MODEL_PARAMETERS,
+    NUISANCES,
+    coordinates,
+    physical_slope,
+    to_coordinates,
+)
 from fffo_drive.identification.fit import mean_of_fits
+from fffo_drive.identification.noise_bias import noise_shift, sensor_noise_rev
 from fffo_drive.identification.prediction import make_problem, residual
 from fffo_drive.identification.results import ends_of_interval
 from fffo_drive.identification.solver import Solution, huber_cost, refine, robust_scale
-from fffo_drive.identification.uncertainty import ratio_sd
+from fffo_drive.identification.uncertainty import Disagreement, ratio_sd, uncertainty_of
 
 
 @pytest.fixture(scope="module")
@@ -66,11 +73,42 @@ def test_the_mean_of_fits_is_taken_where_the_loss_bears_it(problem, space):
     solution = Solution(values, cost, 1, True, scale)
     near = np.zeros(values.size)
     near[0] = 1e-4
-    mean, spread = mean_of_fits(problem, space, solution, [values + near, values - near])
+    mean, disagreement = mean_of_fits(problem, space, solution, [values + near, values - near])
     assert mean.values == pytest.approx(values)
-    assert spread[0] == pytest.approx(math.sqrt(2.0 / 3.0) * 1e-4)
+    assert disagreement.fits == 3
+    assert disagreement.sd[0] == pytest.approx(1e-4)
     far = np.zeros(values.size)
     far[0] = 0.3
-    kept, shift = mean_of_fits(problem, space, solution, [values + far, values + 0.5 * far])
+    kept, disagreement = mean_of_fits(problem, space, solution, [values + far, values + 0.5 * far])
     assert kept.values is solution.values
-    assert shift[0] == pytest.approx(0.3)
+    assert disagreement.fits == 1
+    assert disagreement.sd[0] == pytest.approx(0.3)
+
+
+def test_fits_that_disagree_no_more_than_noise_add_nothing(problem, space):
+    values = to_coordinates(TRUTH, space.scale)
+    scale, cost = solution_at(problem, TRUTH)
+    solution = Solution(values, cost, 1, True, scale)
+    none = np.zeros(values.size)
+    alone = uncertainty_of(problem, space, solution, none)
+    coordinate_sd = alone.statistical_sd / physical_slope(values, space.scale)
+    quiet = uncertainty_of(problem, space, solution, none, Disagreement(0.8 * coordinate_sd, 3))
+    assert quiet.specification_sd == pytest.approx(none)
+    loud = uncertainty_of(problem, space, solution, none, Disagreement(5.0 * coordinate_sd, 3))
+    free = alone.statistical_sd > 0.0
+    wanted = math.sqrt((25.0 - 0.83) / 3.0) * alone.statistical_sd
+    assert loud.specification_sd[free] == pytest.approx(wanted[free])
+    biased = uncertainty_of(problem, space, solution, -2.0 * coordinate_sd)
+    assert biased.sd[free] == pytest.approx(math.sqrt(5.0) * alone.statistical_sd[free])
+
+
+def test_the_noise_of_the_position_is_found_and_bends_presliding_one_way(space):
+    lsb_rev, noise_rev = 2.0**-15, 3e-5
+    noisy = make_problem([chirp_record(8.0, lsb_rev=lsb_rev, noise_rev=noise_rev)], 40.0)
+    wanted = math.hypot(noise_rev, lsb_rev / math.sqrt(12.0))
+    assert sensor_noise_rev(noisy) == pytest.approx(wanted, rel=0.05)
+    scale, cost = solution_at(noisy, TRUTH)
+    solution = refine(noisy, space, Solution(to_coordinates(TRUTH, space.scale), cost, 1, True, scale))
+    shift = noise_shift(noisy, space, solution)
+    assert shift[MODEL_PARAMETERS.index("stiffness_per_rev")] < 0.0
+    assert abs(shift[MODEL_PARAMETERS.index("inertia_nm_s2_per_rev")]) < 1e-3

@@ -35,6 +35,7 @@ DURATION_S, SAMPLE_S = 60.0, 3.0
 MARGIN_S = 0.5  # at both ends of the run: enabling and disabling are not measured
 SAMPLE_EVERY_S = 0.1
 READY_TIMEOUT_S = 180.0
+END_TIMEOUT_S = 60.0
 PATIENCE_TICKS = 1000
 
 
@@ -79,7 +80,7 @@ def node_process(bus: str) -> Iterator[subprocess.Popen[str]]:
         killer.cancel()
         if process.poll() is None:
             process.terminate()
-            process.wait(10.0)
+            process.wait(END_TIMEOUT_S)
 
 
 @contextmanager
@@ -132,7 +133,7 @@ def run_once(duration_s: float, directory: Path) -> Run:
             session.start()
             outcome = record_live(session, plan.profile, plan.toggle, directory / "run.mcap", header, progress=progress)
         process.terminate()
-        rest, _ = process.communicate(timeout=10.0)
+        rest, _ = process.communicate(timeout=END_TIMEOUT_S)
     if outcome.fault_text is not None:
         raise RuntimeError(f"the run ended with a fault: {outcome.fault_text}")
     rows = recorded_rows(outcome.files)
@@ -176,8 +177,8 @@ def run() -> int:
     report.notes += [
         f"{duration_s:g} s of {AXIS.name} against {DRIVE.name}: five frictional surfaces, sub-steps at 22 kHz.",
         "CPU time is what the scheduler counts for all threads of the node's process (schedstat), without the first "
-        f"and last {MARGIN_S:g} s; what else runs matters little to it. Missing and late answers count the machine's "
-        "stalls too.",
+        f"and last {MARGIN_S:g} s. Beside busy processes it is higher, because each wake finds the caches cold; "
+        "missing and late answers count the machine's stalls too.",
         f"The node of itself: {found.node_line}.",
         f"Load of the machine when it began: {before:.1f}.",
     ]

@@ -60,6 +60,8 @@ class Emergency(NamedTuple):
     vendor: bytes  # up to five bytes
 
 
+QUIET_TRIES = 20  # silences waited for, at most
+_READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000
 _NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 
 
@@ -182,12 +184,32 @@ class Service:
         )
 
     def check_one_node(self) -> None:
-        """Raise DriveRefusedError when there were more SDO answers than requests."""
-        if self._responses > self._requests:
+        """Raise DriveRefusedError when there were more SDO answers than requests, and one more request shows why."""
+        if self._responses <= self._requests:
+            return
+        answers = self._answers_to_one_request()
+        if answers > 1:
             raise DriveRefusedError(
-                f"{self.link.spec}: {self._responses} SDO answers to {self._requests} requests: "
-                f"two nodes have the id {self.node_id}; give one of them another"
+                f"{self.link.spec}: {answers} SDO answers to one request: two nodes have the id {self.node_id}; "
+                "give one of them another"
             )
+
+    def _answers_to_one_request(self) -> int:
+        """A node that was slow answers a former connection's requests late: after a silence, ask once and count."""
+        with self._transfer:
+            for _ in range(QUIET_TRIES):
+                if not self._answers_beyond(self._responses):
+                    break
+            self._requests = self._responses = 0
+            self.send_message(can.SDO_REQUEST + self.node_id, _READ_DEVICE_TYPE)
+            self._answers_beyond(1)
+            while not self._client.responses.empty():
+                self._client.responses.get_nowait()
+            return self._responses
+
+    def _answers_beyond(self, known: int) -> bool:
+        """Wait for more SDO answers than so many, for as long as an answer may take."""
+        return self.wait_until(lambda: self._responses > known, self._client.RESPONSE_TIMEOUT)
 
     # --- receiving ---
 

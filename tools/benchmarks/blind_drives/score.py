@@ -128,7 +128,7 @@ def _removed(before: float, after: float, floor: float | None) -> float | None:
 
 
 class Removed(NamedTuple):
-    """Share of the removable squared error: mean over drives, each held to 0 to 1, and its bootstrap interval."""
+    """Share of the removable squared error: mean over drives (each held to 0 to 1), its bootstrap interval, median."""
 
     mean: float
     low: float
@@ -164,6 +164,7 @@ class Summary:
     false_drives: Share  # effect-free drives with a finding
     extra_drives: Share  # drives with effects on which something stands beside the truth
     unexplained_free: Share  # effect-free drives of which something is said to be left
+    worse_drives: Share  # drives with effects whose held-out torque error is larger after than before
     slowest_s: float
 
 
@@ -181,6 +182,7 @@ def summarise(scored: Sequence[Scored]) -> Summary:
         false_drives=wilson(sum(bool(one.false_findings) for one in free), len(free)),
         extra_drives=wilson(sum(_extra(one) for one in effected), len(effected)),
         unexplained_free=wilson(sum(one.verdict == "unexplained" for one in free), len(free)),
+        worse_drives=wilson(sum(one.torque_percent[1] > one.torque_percent[0] for one in effected), len(effected)),
         slowest_s=max((one.seconds for one in scored), default=0.0),
     )
 

@@ -11,6 +11,7 @@ from .score import Scored, Summary, confusion, summarise
 
 NAMED, IN_FAMILY, REMOVED = 0.75, 0.90, 0.80
 MOST_FALSE = 1
+SLOWEST_S = 60.0
 KINDS = {"single_2sep": "the paper's single surface", "five_surfaces": "five surfaces"}
 
 
@@ -55,6 +56,8 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     )
     extra = "drives with effects where something stands beside the truth"
     report.lines.append(_line(f"{label}: {extra}", str(summary.extra_drives), "", None))
+    worse = "drives with effects whose held-out error is larger after"
+    report.lines.append(_line(f"{label}: {worse}", str(summary.worse_drives), "", None))
     report.figure(f"{label}: slowest diagnosis, two at a time", summary.slowest_s, "s")
     report.facts[f"{kind}: false findings"] = summary.false_drives.found
 
@@ -107,15 +110,25 @@ def drives_report(name: str, purpose: str, reports: Mapping[str, Mapping[str, An
         "time",
     ]
     report.table(header, rows)
-    report.figure("slowest", max(found["seconds"] for found in reports.values()), "s", 60.0)
+    report.figure("slowest, as it ran", max(found["seconds"] for found in reports.values()), "s", SLOWEST_S)
+    report.notes.append("Times are by the clock: the load at the end tells how much of the machine there was.")
     return report
 
 
 def _effect(effect: Mapping[str, Any]) -> str:
     family = "".join(f" or `{name}`" for name in effect["alternatives"])
-    numbers = ", ".join(f"{key} {_number(value)}" for key, value in effect["parameters"].items())
-    share = f"{100 * effect['explained_fraction']:.0f} % of what was left, p {effect['false_alarm_probability']:.3f}"
+    shown = {key: value for key, value in effect["parameters"].items() if not _is_knot(effect["name"], key)}
+    numbers = ", ".join(f"{key} {_number(value)}" for key, value in shown.items())
+    if effect["name"].startswith("unknown:"):
+        numbers = f"a curve of {effect['parameters']['count']:.0f} knots"
+    probability = effect["false_alarm_probability"]
+    chance = "< 1e-4" if probability < 1e-4 else f"{probability:.2g}"
+    share = f"{100 * effect['explained_fraction']:.0f} % of what was left, p {chance}"
     return f"`{effect['name']}`{family} ({share}; {numbers})"
+
+
+def _is_knot(name: str, key: str) -> bool:
+    return name.startswith("unknown:") and key[0] in "xy"
 
 
 def _number(value: Any) -> str:

@@ -1,0 +1,263 @@
+"""What a reader sees of a diagnosis: effects over their axis, residuals over time, where they live, what repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.effects.registry import axis_of_effect, law_of
+from .candidates import Scene
+from .fitting import Data, Fitted, consistent_scenes, loads_of
+from .free_curves import Axis as FreeAxis
+from .free_curves import abscissa
+from .paths import Rows, Stretch
+from .results import Ceiling, Channel, Curve, Picture, RunFigure
+from .screening import Trial
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+BINS = 32
+LEAST_ROWS = 8  # of a bin that is shown
+LEAST_WINDOWS = 2
+NORMAL_95 = 1.96
+ENVELOPE = 400
+REPEAT_S = 2.0
+REPEAT_STEP_S = 0.05
+LEAST_REPEATED_ROWS = 50
+LEAST_REPEATABLE = 0.05  # of the squared residual: below it nothing that repeats is left to be explained
+MEMORY_S = 3.0
+SMALLEST_TRAVEL_REV = 1e-4
+UNITS = {
+    "time": ("time", "s"), "velocity": ("velocity", "rps"), "direction": ("direction", "-"),
+    "acceleration": ("acceleration", "rps2"), "motor_angle": ("motor angle", "rev"),
+    "output_angle": ("position at the motor", "rev"), "current": ("current", "A"), "torque": ("motor torque", "Nm"),
+    "dwell": ("length of the last rest", "s"),
+    "travel_since_reversal": ("travel since the reversal, log10", "rev"),
+    "frequency": ("change of the motor torque", "Nm/s"), "memory": ("mean speed of the last seconds", "rps"),
+}  # fmt: skip
+LOGARITHMIC = ("travel_since_reversal", "dwell")
+
+
+class _Place(NamedTuple):
+    """Where the rows are on the axis of a picture."""
+
+    values: Floats  # (m,)
+    label: str
+    unit: str
+
+
+def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitted | None = None) -> Picture:
+    """The residual over the axis of an effect, without it and with it, and what the effect says.
+
+    Without: the residual of `without` (all others refitted) where it is given, else what stays when the effect's torque
+    is put back.
+    """
+    effect = fitted.effects[number]
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    load = np.concatenate([data.rows.laws.rows(part) for part in loads_of(scenes, [effect])])
+    place = _place(data, scenes, effect.name, dict(effect.shapes))
+    kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
+    before = fitted.residual_nm + load if without is None else without.residual_nm
+    edges = _edges(place.values[kept])
+    bins = np.clip(np.searchsorted(edges, place.values[kept], side="right") - 1, 0, edges.size - 2)
+    window = data.rows.window[kept]
+    shown = _shown(bins, window, edges.size - 1)
+    x = _means(place.values[kept], bins, edges.size - 1)[shown]
+    curves = []
+    for label, values in (("without the effect", before), ("with it", fitted.residual_nm)):
+        mean, reach = _interval(values[kept], bins, window, edges.size - 1)
+        curves.append(Curve(label, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points"))
+    curves.append(Curve("what the effect says", x, _means(load[kept], bins, edges.size - 1)[shown], kind="line"))
+    return Picture(
+        title=f"{effect.name} over {place.label}",
+        x_label=place.label,
+        x_unit=place.unit,
+        y_label="residual torque",
+        y_unit="Nm",
+        curves=tuple(curves),
+        note="Fit runs together; intervals from the means of half-second windows.",
+    )
+
+
+def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> _Place:
+    """Rows on the axis over which a plot of this effect convinces; a wave is folded onto its period."""
+    rows = data.rows
+    order = shapes.get("order", 0.0)
+    if order > 0.0:
+        return _Place(np.mod(rows.position_rev * order, 1.0), f"motor angle, periods of {1.0 / order:.4g} rev", "")
+    if shapes.get("frequency_hz", 0.0) > 0.0 and name == "periodic_disturbance":
+        period_s = 1.0 / shapes["frequency_hz"]
+        return _Place(np.mod(rows.time_s / period_s, 1.0), f"time, periods of {period_s:.4g} s", "")
+    period_rev = shapes.get("period_rev", shapes.get("ratio", 0.0))
+    if period_rev > 0.0:
+        turns = np.mod(rows.position_rev / period_rev, 1.0)
+        return _Place(turns, f"position, periods of {period_rev:.4g} rev", "")
+    word = law_of(name).picture if law_of(name).name != "lookup" else axis_of_effect(name)
+    if name == "resolver_error":
+        word = "motor_angle"
+    return _Place(_along(data, scenes, word, shapes.get("scale", 0.0)), *UNITS[word])
+
+
+def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floats:
+    """Rows on an axis word. (m,)"""
+    rows = data.rows
+    if word == "velocity":
+        return rows.velocity_rps
+    if word == "acceleration":
+        return rows.acceleration_rps2
+    if word == "time":
+        return rows.time_s
+    if word == "motor_angle":
+        return np.asarray(np.mod(rows.position_rev, scale if scale > 0.0 else 1.0))
+    if word == "output_angle":
+        return np.asarray(np.mod(rows.position_rev, scale)) if scale > 0.0 else rows.position_rev
+    if word == "direction":
+        return np.sign(rows.velocity_rps)
+    step = rows.laws.step
+    if word == "frequency":
+        torque = [np.gradient(s.commanded, s.stretch.law_period_s) * s.axis.torque_constant_nm_per_a for s in scenes]
+        return np.concatenate([rows.laws.rows(part) for part in torque])
+    own = FreeAxis(word, 0.0, MEMORY_S if word == "memory" and scale <= 0.0 else scale)
+    found = np.concatenate([part[::step] for part in abscissa(scenes, own)])
+    if word in LOGARITHMIC:
+        return np.asarray(np.log10(np.maximum(found, SMALLEST_TRAVEL_REV)))
+    return found
+
+
+def _edges(values: Floats) -> Floats:
+    """Bins between even steps of the range and even shares of the rows."""
+    if not values.size:
+        return np.array([0.0, 1.0])
+    shares = np.linspace(0.0, 1.0, BINS + 1)
+    low, high = float(values.min()), float(values.max())
+    edges = np.unique(0.5 * (np.quantile(values, shares) + low + (high - low) * shares))
+    return edges if edges.size > 1 else np.array([low - 0.5, high + 0.5])
+
+
+def _means(values: Floats, bins: Integers, count: int) -> Floats:
+    return np.asarray(np.bincount(bins, values, count) / np.maximum(np.bincount(bins, minlength=count), 1))
+
+
+def _pieces(bins: Integers, window: Integers) -> tuple[Integers, Integers]:
+    """Rows to pieces that share bin and window, and the bin of each piece."""
+    keys, index = np.unique(bins.astype(np.int64) * (int(window.max()) + 1) + window, return_inverse=True)
+    return index, keys // (int(window.max()) + 1)
+
+
+def _shown(bins: Integers, window: Integers, count: int) -> npt.NDArray[np.bool_]:
+    """Bins with enough rows and windows."""
+    if not bins.size:
+        return np.zeros(count, dtype=bool)
+    _, owner = _pieces(bins, window)
+    rows = np.bincount(bins, minlength=count)
+    return np.asarray((rows >= LEAST_ROWS) & (np.bincount(owner, minlength=count) >= LEAST_WINDOWS))
+
+
+def _interval(values: Floats, bins: Integers, window: Integers, count: int) -> tuple[Floats, Floats]:
+    """Mean of each bin, and half the width of its 95 % interval: rows of one window are one piece of evidence."""
+    mean = _means(values, bins, count)
+    if not bins.size:
+        return mean, np.zeros(count)
+    index, owner = _pieces(bins, window)
+    sums = np.bincount(index, values - mean[bins])
+    rows = np.maximum(np.bincount(bins, minlength=count), 1)
+    pieces = np.bincount(owner, minlength=count)
+    inflation = pieces / np.maximum(pieces - 1, 1)
+    return mean, NORMAL_95 * np.sqrt(inflation * np.bincount(owner, sums * sums, count)) / rows
+
+
+def run_figures(data: Data, base: Fitted, fitted: Fitted, role: Literal["fit", "held_out"]) -> tuple[RunFigure, ...]:
+    """Smallest and largest residual over time of each stretch, before and after; zero at rest."""
+    rows = data.rows
+    found = []
+    for stretch, (begin, end) in zip(data.stretches, rows.bounds, strict=True):
+        step = max(1, (end - begin) // ENVELOPE)
+        end = begin + (end - begin) // step * step
+        if end - begin < 2 * step:
+            continue
+        kept = rows.kept[begin:end]
+        first, last = (np.where(kept, m.residual_nm[begin:end], 0.0).reshape(-1, step) for m in (base, fitted))
+        found.append(
+            RunFigure(
+                stretch.name, role, rows.time_s[begin:end:step], first.min(axis=1), first.max(axis=1),
+                last.min(axis=1), last.max(axis=1),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
+    """What repeats of the residual, from pieces of the reference that come more than once in a run."""
+    pairs = [
+        pair
+        for stretch, bounds in zip(data.stretches, data.rows.bounds, strict=True)
+        for pair in _repeats(stretch, bounds, data.rows)
+    ]
+    if not pairs:
+        return Ceiling(None, None, None, "no piece of a reference was repeated")
+    first, second = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    both = data.rows.kept[first] & data.rows.kept[second]
+    first, second = first[both], second[both]
+    if first.size < LEAST_REPEATED_ROWS:
+        return Ceiling(None, None, None, "too little of what was repeated is in motion")
+    r, s = base.residual_nm, fitted.residual_nm
+    noise = 0.5 * float(np.mean((r[first] - r[second]) ** 2))
+    whole = 0.5 * float(np.mean(r[first] ** 2) + np.mean(r[second] ** 2))
+    left = 0.5 * float(np.mean(s[first] ** 2) + np.mean(s[second] ** 2))
+    repeatable = max(0.0, whole - noise)
+    share = min(1.0, max(0.0, (whole - left) / repeatable)) if repeatable > LEAST_REPEATABLE * whole else None
+    seconds = first.size * data.rows.filter.row_period_s
+    note = f"{seconds:.0f} s of motion whose reference came again in the same run"
+    return Ceiling(repeatable / max(whole, 1e-300), noise**0.5, share, note)
+
+
+def _repeats(stretch: Stretch, bounds: tuple[int, int], rows: Rows) -> list[tuple[Integers, Integers]]:
+    """Pairs of equally long ranges of rows of one stretch whose references are the same."""
+    if stretch.reference_rps is None:
+        return []
+    step = max(1, round(REPEAT_STEP_S / stretch.period_s))
+    coarse = np.round(stretch.reference_rps[::step], 3)
+    length = round(REPEAT_S / REPEAT_STEP_S)
+    rows_of_piece = int(length * step * stretch.period_s / rows.filter.row_period_s)
+    earlier: dict[bytes, int] = {}
+    found = []
+    for begin in range(0, coarse.size - length, length // 4):
+        piece = coarse[begin : begin + length]
+        if np.ptp(piece) < 0.05:
+            continue
+        former = earlier.setdefault(piece.tobytes(), begin)
+        if begin - former < length:
+            continue
+        starts = [bounds[0] + round(at * step * stretch.period_s / rows.filter.row_period_s) for at in (former, begin)]
+        if max(starts) + rows_of_piece <= bounds[1]:
+            found.append((starts[0] + np.arange(rows_of_piece), starts[1] + np.arange(rows_of_piece)))
+    return found
+
+
+def channels(
+    first: Sequence[Trial], last: Sequence[Trial], energies: tuple[float, float], thresholds: tuple[float, float]
+) -> tuple[Channel, ...]:
+    """What free curves over each axis explain of the white residual, before and after.
+
+    `energies`: the white sums of squares. `thresholds`: what a curve has to explain of them to be beyond chance.
+    """
+    after = {trial.name: trial for trial in last}
+    found = []
+    for trial in first:
+        later = after.get(trial.name)
+        explained = 0.0 if later is None else later.explained
+        found.append(
+            Channel(
+                name=trial.name.partition(":")[2],
+                explained_before=trial.explained / max(energies[0], 1e-300),
+                explained_after=explained / max(energies[1], 1e-300),
+                significant_before=bool(trial.explained > thresholds[0]),
+                significant_after=bool(explained > thresholds[1]),
+                samples=int(trial.columns.values.shape[0]),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,51 @@
+"""How much the sensor's noise bends a fit: simulation-extrapolation after Cook and Stefanski (1994).
+
+The observer lets some of the position's noise into its velocity. Friction takes the speed as it is, without its sign,
+so noise around a reversal counts as motion and moves the parameters of presliding one way. Adding as much noise again
+moves them as far again, to first order: that shift, which needs no truth, is the size of the bias.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .coordinates import Coordinates
+from .prediction import Problem
+from .solver import Solution, central_step
+
+Floats = npt.NDArray[np.float64]
+
+THIRD_DIFFERENCE_POWER = 20.0  # of white noise: 1 + 9 + 9 + 1
+SEED = 1
+
+
+def sensor_noise_rev(problem: Problem) -> float:
+    """Standard deviation of the position's noise, quantisation included, from its third differences while it moves."""
+    squares, samples = 0.0, 0
+    for stretch in problem.stretches:
+        moving = np.repeat(stretch.kept, problem.shooting.block)
+        third = np.diff(stretch.position_rev[: moving.size], 3)[moving[3:]]
+        squares += float(third @ third)
+        samples += third.size
+    return float(np.sqrt(squares / (THIRD_DIFFERENCE_POWER * max(1, samples))))
+
+
+def noise_shift(problem: Problem, space: Coordinates, solution: Solution) -> Floats:
+    """Shift of the coordinates when the position has twice the noise's variance; of a solution at its minimum.
+
+    Mean of the same noise with either sign: what is linear in it cancels.
+    """
+    noise_rev = sensor_noise_rev(problem)
+    draw = np.random.default_rng(SEED)
+    noise = [noise_rev * draw.standard_normal(stretch.position_rev.size) for stretch in problem.stretches]
+    shift = np.zeros(solution.values.size)
+    for sign in (1.0, -1.0):
+        stretches = tuple(
+            stretch._replace(position_rev=stretch.position_rev + sign * added)
+            for stretch, added in zip(problem.stretches, noise, strict=True)
+        )
+        shift += 0.5 * (
+            central_step(problem._replace(stretches=stretches), space, solution)[0].values - solution.values
+        )
+    return shift

@@ -1,0 +1,71 @@
+"use strict";
+// The connection, and what the page asks the axis for. A stop waits for nothing: without a connection it makes one.
+
+const RECONNECT_MS = 1000, STOP_ANSWER_MS = 3000;
+
+class Wire {
+  constructor(token, onText, onBinary, onConnection) {
+    this.token = token;
+    this.onText = onText;
+    this.onBinary = onBinary;
+    this.onConnection = onConnection;
+    this.number = 0;
+    this.waiting = new Map();
+    this.unsent = [];
+    this.connect();
+  }
+
+  connect() {
+    clearTimeout(this.timer);
+    const socket = this.socket = new WebSocket(`ws://${location.host}/live`);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      for (const message of this.unsent.splice(0)) socket.send(message);
+      if (this.token) socket.send(JSON.stringify({ do: "token", token: this.token }));
+      this.onConnection(true);
+    };
+    socket.onmessage = (event) => {
+      if (typeof event.data !== "string") { this.onBinary(event.data); return; }
+      const message = JSON.parse(event.data);
+      if (message.kind === "answer" && this.waiting.has(message.id)) {
+        this.waiting.get(message.id)(message);
+        this.waiting.delete(message.id);
+      } else this.onText(message);
+    };
+    socket.onclose = () => {
+      if (this.socket !== socket) return;
+      this.waiting.forEach((done) => done({ error: "the connection to the daemon broke" }));
+      this.waiting.clear();
+      this.onConnection(false);
+      this.timer = setTimeout(() => this.connect(), RECONNECT_MS);
+    };
+  }
+
+  get open() { return this.socket.readyState === WebSocket.OPEN; }
+
+  ask(message) {
+    const id = ++this.number;
+    return new Promise((resolve) => {
+      this.waiting.set(id, resolve);
+      this.socket.send(JSON.stringify({ ...message, id }));
+    });
+  }
+
+  call(method, params) {
+    return this.open ? this.ask({ do: "call", method, params }) : Promise.resolve({ error: "no connection to the daemon" });
+  }
+
+  // resolves with {error} when nothing confirms it in time: then the operator has to act otherwise
+  stop() {
+    const late = new Promise((resolve) => setTimeout(() => resolve({ error: "nothing confirmed the stop in 3 s" }), STOP_ANSWER_MS));
+    if (this.open) return Promise.race([this.ask({ do: "stop" }), late]);
+    const id = ++this.number;
+    const answer = new Promise((resolve) => this.waiting.set(id, resolve));
+    this.unsent = [JSON.stringify({ do: "stop", id })];
+    if (this.socket.readyState !== WebSocket.CONNECTING) this.connect();
+    late.then(() => { this.unsent = []; }); // never minutes later
+    return Promise.race([answer, late]);
+  }
+
+  capture(seconds) { if (this.open) this.socket.send(JSON.stringify({ do: "capture", seconds })); }
+}

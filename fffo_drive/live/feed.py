@@ -1,0 +1,129 @@
+"""From the loop's ring to frames: a reader with a tail of its own, bins for everybody, and the last rows as they were.
+
+Runs on the thread of the live server. The loop is the only writer of the ring and knows nothing of its readers; the
+recorder has a reader of its own. While nobody listens nothing is read and nothing kept.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..recording.ring_reader import Ring, RingReader
+from ..runtime.ring import new_ring
+from ..signals import ROW
+from . import frames
+from .decimation import Decimator, bin_ticks_of, lateness_counts
+
+CAPTURE_S = 10.0
+CHUNK_ROWS = 256  # of a capture, in one frame
+
+Rows = np.ndarray[Any, np.dtype[np.void]]
+
+
+class Source(NamedTuple):
+    """A loop that runs. `number` differs from that of the loop before; the constant turns terms in Nm into A."""
+
+    number: int
+    ring: Ring
+    rate_hz: float
+    torque_constant_nm_per_a: float
+
+
+class Capture:
+    """The last rows, bit for bit."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._batches: deque[Rows] = deque()
+        self._count = 0
+
+    def add(self, rows: Rows) -> None:
+        """Keep these, and let go what is older than the longest capture."""
+        if len(rows):
+            self._batches.append(rows)
+            self._count += len(rows)
+        while self._batches and self._count - len(self._batches[0]) >= self._most:
+            self._count -= len(self._batches.popleft())
+
+    def newest(self, count: int) -> bytes:
+        """At most so many of the newest rows, oldest first, as bytes of signals.ROW."""
+        wanted = min(count, self._most, self._count)
+        if wanted < 1:
+            return b""
+        data = b"".join(batch.tobytes() for batch in self._batches)
+        return data[-wanted * ROW.itemsize :]
+
+
+class Feed:
+    """Follows whatever loop runs at the moment."""
+
+    def __init__(self, source: Callable[[], Source | None]) -> None:
+        self._source = source
+        self._number = 0
+        self._reader: RingReader | None = None
+        RingReader(new_ring(2))  # compiled, or loaded, before anything is urgent
+
+    def begin(self) -> None:
+        """Somebody listens: `poll` gives rows from now on."""
+        self._reader, self._number = None, 0
+
+    def end(self) -> None:
+        """Nobody listens: let go of everything."""
+        self._reader = None
+
+    def poll(self) -> bytes | None:
+        """What came since the last time, as a frame of kind `rows`; None when there is nothing."""
+        source = self._source()
+        if source is None:
+            return None
+        if self._reader is None or source.number != self._number:
+            self._follow(source)
+        assert self._reader is not None
+        batch = self._reader.read()
+        if not len(batch.rows):
+            return None
+        self._capture.add(batch.rows)
+        bins = self._decimator.feed(batch.rows)
+        return frames.binary(
+            "rows", bins.tobytes(), loop=source.number, bins=len(bins), lost=batch.lost,
+            late=int(np.count_nonzero(batch.rows["late"])), ticks=len(batch.rows),
+            lateness=lateness_counts(batch.rows).tolist(),
+        )  # fmt: skip
+
+    def _follow(self, source: Source) -> None:
+        self._number = source.number
+        self._rate_hz = source.rate_hz
+        self._reader = RingReader(source.ring, from_now=True)
+        self._decimator = Decimator(bin_ticks_of(source.rate_hz))
+        self._capture = Capture(round(CAPTURE_S * source.rate_hz))
+
+    def facts(self) -> dict[str, Any]:
+        """What the page has to know of the loop; nulls where none runs."""
+        source = self._source()
+        if source is None:
+            return {"loop": None, "rate_hz": None, "bin_ticks": None, "torque_constant_nm_per_a": None}
+        return {
+            "loop": source.number,
+            "rate_hz": source.rate_hz,
+            "bin_ticks": bin_ticks_of(source.rate_hz),
+            "torque_constant_nm_per_a": source.torque_constant_nm_per_a,
+        }
+
+    def captured(self, seconds: float) -> list[bytes]:
+        """The rows of the last seconds at the full rate, as frames of kind `capture`; one without rows if none."""
+        if self._reader is None:
+            return [frames.binary("capture", b"", loop=None, first=0, rows=0, total=0)]
+        data = self._capture.newest(round(min(seconds, CAPTURE_S) * self._rate_hz))
+        size = ROW.itemsize
+        total = len(data) // size
+        return [
+            frames.binary(
+                "capture", data[first * size : (first + CHUNK_ROWS) * size],
+                loop=self._number, first=first, rows=min(CHUNK_ROWS, total - first), total=total,
+            )
+            for first in range(0, max(total, 1), CHUNK_ROWS)
+        ]  # fmt: skip

@@ -1,0 +1,45 @@
+"""What goes over the WebSocket: texts are JSON objects with a `kind`; binary frames are a JSON head and numbers.
+
+A binary frame is: length of the head (4 bytes, little-endian), the head (JSON, padded with spaces so that what follows
+stands on a multiple of 8 bytes), the payload. Kinds: `rows` has float64 (bins, signals, 3) with minimum, maximum and
+last value; `capture` has rows as `signals.ROW` lays them out. The table of fields is made from `SIGNALS`.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from ..signals import ROW, SIGNALS
+
+HEAD_BYTES = 4
+ALIGNMENT = 8
+
+
+def text(kind: str, **content: Any) -> str:
+    """A text frame."""
+    return json.dumps({"kind": kind, **content}, separators=(",", ":"))
+
+
+def binary(kind: str, payload: bytes, **content: Any) -> bytes:
+    """A binary frame."""
+    head = text(kind, **content).encode()
+    head += b" " * (-(HEAD_BYTES + len(head)) % ALIGNMENT)
+    return len(head).to_bytes(HEAD_BYTES, "little") + head + payload
+
+
+def taken_apart(frame: bytes) -> tuple[dict[str, Any], bytes]:
+    """Head and payload of a binary frame."""
+    length = int.from_bytes(frame[:HEAD_BYTES], "little")
+    head: dict[str, Any] = json.loads(frame[HEAD_BYTES : HEAD_BYTES + length])
+    return head, frame[HEAD_BYTES + length :]
+
+
+def fields() -> list[dict[str, Any]]:
+    """The signals in their order, with type and place in a row of a capture."""
+    places = ROW.fields
+    assert places is not None
+    return [
+        {"name": s.name, "type": s.dtype, "unit": s.unit, "meaning": s.meaning, "offset": places[s.name][1]}
+        for s in SIGNALS
+    ]

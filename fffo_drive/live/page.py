@@ -1,0 +1,65 @@
+"""The scope page: one HTML text that asks for nothing else, and the headers that keep it so."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from ..report import palette
+from ..report.page import ASSETS as REPORT_ASSETS
+
+ASSETS = Path(__file__).parent / "assets"
+SCRIPTS = ("wire.js", "store.js", "charts.js", "controls.js", "scope.js")
+
+
+@cache
+def page() -> str:
+    """The page."""
+    style, script = _style(), _script()
+    text = (ASSETS / "scope.html").read_text(encoding="utf-8")
+    return text.replace("{{style}}", style).replace("{{script}}", script).replace("{{licence}}", _licence())
+
+
+@cache
+def headers() -> dict[str, str]:
+    """Nothing but what is in the page may run in it, nobody may put it into a frame, and it talks to us alone."""
+    policy = (
+        f"default-src 'none'; script-src {_hash(_script())}; style-src {_hash(_style())}; connect-src 'self'; "
+        "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    return {
+        "Content-Type": "text/html; charset=utf-8",
+        "Content-Security-Policy": policy,
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "X-Frame-Options": "DENY",
+        "Cache-Control": "no-store",
+    }
+
+
+@cache
+def _style() -> str:
+    light, dark = palette.variables(dark=False), palette.variables(dark=True)
+    colours = (
+        f":root {{ color-scheme: light dark; {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
+    )
+    uplot = (REPORT_ASSETS / "uplot/uPlot.min.css").read_text(encoding="utf-8")
+    return "\n".join((colours, uplot, (ASSETS / "scope.css").read_text(encoding="utf-8")))
+
+
+@cache
+def _script() -> str:
+    uplot = (REPORT_ASSETS / "uplot/uPlot.iife.min.js").read_text(encoding="utf-8")
+    own = [(ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS]
+    return "\n".join((uplot, *own))
+
+
+def _licence() -> str:
+    return (REPORT_ASSETS / "uplot/LICENSE").read_text(encoding="utf-8").replace("--", "- -")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

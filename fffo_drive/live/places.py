@@ -1,0 +1,6 @@
+"""Files that the live server leaves beside the daemon's sockets; read without what the server itself needs."""
+
+from __future__ import annotations
+
+URL_FILE, TOKEN_FILE = "scope.url", "scope.token"
+URL_MODE, TOKEN_MODE = 0o644, 0o600

@@ -1,0 +1,85 @@
+"""An undeclared effect of the plant and its feed-forward in the loop: the error falls, every row replays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fffo_drive.config.axis import AxisFile, build_profile, controller_config, envelope_config, session_config
+from fffo_drive.config.effects import compensation_table
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
+from fffo_drive.evaluation.metrics import true_metrics
+from fffo_drive.evaluation.replay import replay
+from fffo_drive.model.parameters import EffectModel, Quantity, read_model
+from fffo_drive.recording.ring_reader import RingReader
+from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.runs import simulated_ring_rows
+from fffo_drive.runtime.session import Session
+
+PLANT = replace(
+    PlantConfig(), effects=(EffectConfig("cogging", {"amplitude_nm": 0.0075, "order": 6.0, "phase_rev": 0.0}),)
+)
+AXIS = AxisFile.model_validate({
+    "name": "end_to_end", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
+    "controller": {
+        "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 12,
+        "feedforward": {"inertia": True, "preview": True, "delay_aware": True},
+    },
+    "envelope": {
+        "current_limit_a": 14, "continuous_current_a": 14, "speed_limit_rps": 25, "following_error_rps": 8,
+    },
+    "profile": {"kind": "paper", "duration_s": 10},
+})  # fmt: skip
+PERIOD_S = AXIS.loop.period_s
+PROFILE = build_profile(AXIS.profile, PERIOD_S)
+
+
+@pytest.fixture(scope="module")
+def models(request):
+    """Without the effect, and with it."""
+    model = read_model(request.config.rootpath / "configs" / "models" / "table1.yaml")
+    values = {"cos_nm": 0.0, "sin_nm": -0.0075, "order": 6.0}
+    cogging = EffectModel(name="cogging", parameters={key: Quantity(value=value) for key, value in values.items()})
+    return model, model.model_copy(update={"effects": [cogging]})
+
+
+def run(model, in_service=None):
+    drive = SimulatedDrive(PLANT)
+    drive.connect()
+    rows = simulated_ring_rows(PROFILE, AXIS.loop.tail_s)
+    with Session(drive, session_config(AXIS, model, PROFILE.values.size, rows)) as session:
+        if in_service is not None:
+            session.request(b.EFFECTS, in_service)
+        session.run_profile(PROFILE, 1)
+        assert session.status(b.TRIP) == 0
+        return RingReader(session.ring).read().rows
+
+
+def replayed(rows, model):
+    return replay(rows, controller_config(AXIS, model), envelope_config(AXIS), compensation_table(AXIS, model))
+
+
+@pytest.mark.slow
+def test_the_error_falls_and_every_row_replays(models):
+    without, with_effect = (run(model) for model in models)
+    ise = [true_metrics(rows, PERIOD_S, PROFILE.values.size).ise for rows in (without, with_effect)]
+    assert ise[1] < 0.3 * ise[0]
+    for rows, model in zip((without, with_effect), models, strict=True):
+        assert replayed(rows, model).exact
+    assert not without["effects_nm"].any()
+    assert not without["effects"].any()
+    acting = with_effect["mode"] == 1
+    assert (with_effect["effects"][acting] == 1).all()
+    assert 0.0074 < np.abs(with_effect["effects_nm"]).max() <= 0.0075 * (1.0 + 1e-9)
+    assert not replayed(with_effect, models[0]).exact  # the record says which effects were in service
+
+
+@pytest.mark.slow
+def test_an_effect_out_of_service_gives_nothing_and_replays(models):
+    rows = run(models[1], in_service=0)
+    assert not rows["effects_nm"].any()
+    assert not rows["effects"].any()
+    assert replayed(rows, models[1]).exact

@@ -1,0 +1,77 @@
+"""A daemon without a drive, its live server on a free port, and a ring that the test writes into."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from daemon.rig import PATIENCE_S, Rig
+from websockets.sync.client import ClientConnection, connect
+
+from fffo_drive.daemon.places import CONTROL
+from fffo_drive.live import frames
+from fffo_drive.live.feed import Source
+from fffo_drive.live.server import Address, LiveServer
+from fffo_drive.runtime.ring import new_ring
+
+
+class ScopeRig:
+    """`rig` is the daemon, `server` the live server."""
+
+    def __init__(self, directory: Path, ring_rows: int = 4096) -> None:
+        self.ring = new_ring(ring_rows)
+        self.rig = Rig(directory, drive=False)
+        self.source: Source | None = Source(1, self.ring, 2000.0, 0.148)
+        self.server = LiveServer(Address("127.0.0.1", 0), self.rig.sockets, CONTROL, lambda: self.source)
+        self._pages = contextlib.ExitStack()
+
+    def __enter__(self) -> ScopeRig:
+        self.rig.__enter__()
+        self.server.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.server.close()
+        self._pages.close()
+        self.rig.__exit__(*error)
+
+    @property
+    def origin(self) -> str:
+        return self.server.url.rstrip("/")
+
+    def open(self, **options: Any) -> ClientConnection:
+        """A page, after its greeting."""
+        address = self.origin.replace("http", "ws") + "/live"
+        given = {"origin": self.origin, "compression": None, "max_size": None, "close_timeout": 1.0} | options
+        page = self._pages.enter_context(connect(address, **given))
+        assert hear(page, "hello")["info"]["axis"]
+        return page
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for something that the server's thread does."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+
+
+def hear(page: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next message of this kind; a binary one has its numbers as `payload`."""
+    while True:
+        message = page.recv(timeout=PATIENCE_S)
+        if isinstance(message, bytes):
+            head, payload = frames.taken_apart(message)
+            content = {**head, "payload": payload}
+        else:
+            content = json.loads(message)
+        if content["kind"] == kind:
+            return content
+
+
+def say(page: ClientConnection, **content: Any) -> None:
+    """A message of the page."""
+    page.send(json.dumps(content))
