@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,20 @@ from ..model.effects.registry import LAWS
 from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2
 from . import results as out
-from .rigid_data import BASE, RigidRun, cycle_rows, decimated, effect_columns, rigid_run
-from .rigid_search import FALSE_ALARMS, RigidSearch, RigidTerm, Rival, matrix_of, resampled, rivals, search
+from .rigid_data import RigidRun, cycle_rows, rigid_run
+from .rigid_fitted import (
+    BINS,
+    RigidFitted,
+    abscissa_of,
+    binned,
+    columns_of,
+    edges_of,
+    explained_by,
+    fitted_to,
+    is_periodic,
+    residual_of,
+)
+from .rigid_search import FALSE_ALARMS, RigidSearch, RigidTerm, Rival, matrix_of, rivals, search
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -32,22 +44,9 @@ WINDOW_S = 0.5  # of a free run in velocity
 RESAMPLES = 2000
 DATUM_SHARE = 0.25  # of a held-out run, for the datum of a periodic effect
 MOST_ALTERNATIVES = 2
-BINS = 40
 ENVELOPE = 400
 LINEAR = {"Nm": "N", "rev": "m", "rps": "m/s", "Nm/rps": "N s/m", "1/rev": "1/m"}
 ACTING_SHARE = 0.5  # of the largest force of an effect: where it acts
-
-
-class _Fitted(NamedTuple):
-    """Base and effects with their numbers."""
-
-    terms: tuple[RigidTerm, ...]
-    values: Floats  # base first, then the strengths in order
-    sd: Floats
-
-    def span(self, which: int) -> slice:
-        begin = len(BASE) + sum(len(term.strengths) for term in self.terms[:which])
-        return slice(begin, begin + len(self.terms[which].strengths))
 
 
 def diagnose_rigid(
@@ -64,8 +63,8 @@ def diagnose_rigid(
     tell(0.1, "search")
     found = search(run, facts.gear_ratio)
     tell(0.7, "rivals")
-    fitted = _fitted(run, found.terms)
-    base = _fitted(run, [])
+    fitted = fitted_to(run, found.terms)
+    base = fitted_to(run, [])
     near = [rivals(run, found, k, facts.gear_ratio) for k in range(len(found.terms))]
     tell(0.9, "proof")
     unseen = [rigid_run(record, run.axis) for record in held_out]
@@ -114,33 +113,8 @@ def hold_figures(fit: Record, held_out: Sequence[Record]) -> dict[str, dict[str,
     return figures
 
 
-def _fitted(run: RigidRun, terms: Sequence[RigidTerm]) -> _Fitted:
-    matrix = matrix_of(run, terms)
-    values: Floats = np.asarray(np.linalg.lstsq(matrix, run.force, rcond=None)[0], dtype=np.float64)
-    draws = resampled(run, matrix, np.random.default_rng(3))
-    return _Fitted(tuple(terms), values, np.asarray(draws.std(axis=0)))
-
-
-def _columns(run: RigidRun, term: RigidTerm) -> Floats:
-    names, columns = effect_columns(run, term.name, term.shape)
-    return np.asarray(columns[:, [names.index(name) for name in term.strengths]])
-
-
-def _is_periodic(term: RigidTerm, facts: DriveFacts) -> bool:
-    return bool(set(LAWS[term.name].per_run) & set(term.strengths)) and not facts.absolute_angle
-
-
-def residual_of(run: RigidRun, fitted: _Fitted, facts: DriveFacts, own: bool) -> Floats:
-    """Force that is left (m,). `own`: the run that was fitted, whose datum periodic effects have."""
-    left = run.force - run.base @ fitted.values[: len(BASE)]
-    for k, term in enumerate(fitted.terms):
-        if own or not _is_periodic(term, facts):
-            left = left - _columns(run, term) @ fitted.values[fitted.span(k)]
-    return np.asarray(left)
-
-
 def _figures(
-    runs: Sequence[RigidRun], fitted: _Fitted, facts: DriveFacts, own: bool = False, where: Sequence[Floats] = ()
+    runs: Sequence[RigidRun], fitted: RigidFitted, facts: DriveFacts, own: bool = False, where: Sequence[Floats] = ()
 ) -> out.ErrorFigures | None:
     """Errors over runs, on the rows of `where` if given; None where no row is left."""
     residuals, forces, speeds, pieces = [], [], [], []
@@ -205,7 +179,7 @@ def _headline(
 def _finding(
     run: RigidRun,
     unseen: Sequence[RigidRun],
-    fitted: _Fitted,
+    fitted: RigidFitted,
     found: RigidSearch,
     which: int,
     near: Sequence[Rival],
@@ -215,14 +189,14 @@ def _finding(
     own = fitted.span(which)
     force = term.columns @ fitted.values[own]
     friction = run.base[:, 1:3] @ fitted.values[1:3]
-    acting = [np.abs(_columns(r, term) @ fitted.values[own]) for r in unseen]
+    acting = [np.abs(columns_of(r, term) @ fitted.values[own]) for r in unseen]
     acting = [a > ACTING_SHARE * np.quantile(np.abs(force), 0.98) for a in acting]
-    without = _Fitted(
+    without = RigidFitted(
         tuple(t for k, t in enumerate(fitted.terms) if k != which),
         np.delete(fitted.values, np.arange(own.start, own.stop)),
         np.delete(fitted.sd, np.arange(own.start, own.stop)),
     )
-    shown = bool(unseen) and not _is_periodic(term, facts)
+    shown = bool(unseen) and not is_periodic(term, facts)
     return out.Finding(
         name=term.name,
         alternatives=tuple(r.name for r in near if r.not_told_apart)[:MOST_ALTERNATIVES],
@@ -234,7 +208,7 @@ def _finding(
         reason=found.reasons[which],
         regime=law.regime,
         experiment=law.experiment,
-        compensable=law.compensable and not _is_periodic(term, facts),
+        compensable=law.compensable and not is_periodic(term, facts),
         strength_percent=100.0 * float(np.sqrt(np.mean(force**2) / np.mean(friction**2))),
         rivals=tuple(out.Rival(r.name, r.loss_ratio, r.collinearity, r.not_told_apart) for r in near[:6]),
         picture=_picture(run, fitted, which),
@@ -262,66 +236,27 @@ def _numbers(term: RigidTerm, values: Floats, sd: Floats) -> list[out.Number]:
     return strengths + [out.Number(name, float(value), None, units[name]) for name, value in term.shape.items()]
 
 
-def _abscissa(run: RigidRun, term: RigidTerm) -> tuple[Floats, str, str]:
-    """The axis of a picture: values at the rows, label, unit."""
-    if "order" in term.shape:
-        return (
-            np.mod(run.position * term.shape["order"], 1.0),
-            f"position, periods of {1 / term.shape['order']:.4g} m",
-            "",
-        )
-    lag = decimated(np.gradient(run.motion[:, 5], run.record.period_s)[:, None])[:, 0]
-    return {
-        "time": (run.time_s, "time", "s"),
-        "acceleration": (run.acceleration, "acceleration", "m/s2"),
-        "travel_since_reversal": (
-            np.log10(np.maximum(run.travel, 1e-7)),
-            "log10 of the travel since the reversal",
-            "m",
-        ),
-        "output_angle": (run.position, "position", "m"),
-        "motor_angle": (run.position, "position", "m"),
-        "memory": (lag * run.axis.torque_constant_nm_per_a, "slope of the motor force", "N/s"),
-        "frequency": (lag * run.axis.torque_constant_nm_per_a, "slope of the motor force", "N/s"),
-    }.get(LAWS[term.name].picture, (run.velocity, "velocity", "m/s"))
-
-
-def _binned(x: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]:
-    """Means of y in bins of x, and the half width of their 95 % intervals (nan in empty bins)."""
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-    count = np.bincount(place, minlength=edges.size - 1).astype(float)
-    count[count == 0.0] = np.nan
-    mean = np.bincount(place, y, edges.size - 1) / count
-    square = np.bincount(place, y * y, edges.size - 1) / count
-    return mean, 1.96 * np.sqrt(np.maximum(square - mean * mean, 0.0) / count)
-
-
-def _edges(x: Floats) -> Floats:
-    """Bins with as many rows each, so that none is empty."""
-    return np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-
-
-def _picture(run: RigidRun, fitted: _Fitted, which: int) -> out.Picture:
+def _picture(run: RigidRun, fitted: RigidFitted, which: int) -> out.Picture:
     term, own = fitted.terms[which], fitted.span(which)
     force = term.columns @ fitted.values[own]
     left = run.force - matrix_of(run, fitted.terms) @ fitted.values
-    x, label, unit = _abscissa(run, term)
+    x, label, unit = abscissa_of(run, term)
     even = label.startswith("log10")
-    edges = np.linspace(x.min(), x.max(), BINS + 1) if even else _edges(x)
+    edges = np.linspace(x.min(), x.max(), BINS + 1) if even else edges_of(x)
     filled = np.histogram(x, edges)[0] > 0
-    place = _binned(x, x, edges)[0][filled]
+    place = binned(x, x, edges)[0][filled]
     curves = []
     for name, values in (("without the effect", left + force), ("with it", left)):
-        mean, reach = (part[filled] for part in _binned(x, values, edges))
+        mean, reach = (part[filled] for part in binned(x, values, edges))
         curves.append(out.Curve(name, place, mean, mean - reach, mean + reach, "points"))
-    curves.append(out.Curve("what the effect says", place, _binned(x, force, edges)[0][filled], kind="line"))
+    curves.append(out.Curve("what the effect says", place, binned(x, force, edges)[0][filled], kind="line"))
     return out.Picture(
         f"{term.name} over {label}", label, unit, "force that is left", "N", tuple(curves),
         "Means over rows of the fit run; intervals take the rows as independent.",
     )  # fmt: skip
 
 
-def _ceiling(run: RigidRun, base: _Fitted, fitted: _Fitted) -> out.Ceiling:
+def _ceiling(run: RigidRun, base: RigidFitted, fitted: RigidFitted) -> out.Ceiling:
     cycle = cycle_rows(run.velocity)
     if cycle is None or run.force.size < 2 * cycle:
         return out.Ceiling(None, None, None, "no motion was repeated")
@@ -336,7 +271,7 @@ def _ceiling(run: RigidRun, base: _Fitted, fitted: _Fitted) -> out.Ceiling:
     return out.Ceiling(repeatable / whole, noise**0.5, min(1.0, max(0.0, (whole - after) / repeatable)), note)
 
 
-def _channels(run: RigidRun, base: _Fitted, fitted: _Fitted) -> tuple[out.Channel, ...]:
+def _channels(run: RigidRun, base: RigidFitted, fitted: RigidFitted) -> tuple[out.Channel, ...]:
     """Share of the residual that free means over one axis explain, against the same residual shifted round the run."""
     axes = {
         "time": run.time_s,
@@ -350,25 +285,19 @@ def _channels(run: RigidRun, base: _Fitted, fitted: _Fitted) -> tuple[out.Channe
     lefts = [run.force - run.base @ base.values, run.force - matrix_of(run, fitted.terms) @ fitted.values]
     found = []
     for name, x in axes.items():
-        edges = np.array([-1.5, 0.0, 1.5]) if name == "direction" else _edges(x)
+        edges = np.array([-1.5, 0.0, 1.5]) if name == "direction" else edges_of(x)
         shares, significant = [], []
         for left in lefts:
-            share = _explained(x, left, edges)
+            share = explained_by(x, left, edges)
             offsets = generator.integers(left.size // 20, left.size - left.size // 20, 200)
-            chance = [_explained(x, np.roll(left, int(offset)), edges) for offset in offsets]
+            chance = [explained_by(x, np.roll(left, int(offset)), edges) for offset in offsets]
             shares.append(share)
             significant.append(bool(share > np.quantile(chance, 1.0 - FALSE_ALARMS)))
         found.append(out.Channel(name, shares[0], shares[1], significant[0], significant[1], run.force.size))
     return tuple(found)
 
 
-def _explained(x: Floats, left: Floats, edges: Floats) -> float:
-    mean, _ = _binned(x, left, edges)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-    return float(1.0 - np.sum((left - mean[place]) ** 2) / np.sum(left**2))
-
-
-def _envelope(run: RigidRun, base: _Fitted, fitted: _Fitted, role: Any, facts: DriveFacts) -> out.RunFigure:
+def _envelope(run: RigidRun, base: RigidFitted, fitted: RigidFitted, role: Any, facts: DriveFacts) -> out.RunFigure:
     step = max(1, run.force.size // ENVELOPE)
     size = run.force.size // step * step
     before, after = (residual_of(run, f, facts, role == "fit")[:size].reshape(-1, step) for f in (base, fitted))
@@ -378,12 +307,12 @@ def _envelope(run: RigidRun, base: _Fitted, fitted: _Fitted, role: Any, facts: D
     )  # fmt: skip
 
 
-def _cautions(run: RigidRun, unseen: Sequence[RigidRun], fitted: _Fitted, facts: DriveFacts) -> list[str]:
+def _cautions(run: RigidRun, unseen: Sequence[RigidRun], fitted: RigidFitted, facts: DriveFacts) -> list[str]:
     found = [
         "torque_offset and asymmetric_coulomb cannot be told apart on one axis: both stand in the base as an offset"
     ]
     for k, term in enumerate(fitted.terms):
-        if not _is_periodic(term, facts):
+        if not is_periodic(term, facts):
             continue
         for other in unseen:
             percent = _with_datum(other, fitted, k, facts)
@@ -394,10 +323,10 @@ def _cautions(run: RigidRun, unseen: Sequence[RigidRun], fitted: _Fitted, facts:
     return found
 
 
-def _with_datum(run: RigidRun, fitted: _Fitted, which: int, facts: DriveFacts) -> tuple[float, float]:
+def _with_datum(run: RigidRun, fitted: RigidFitted, which: int, facts: DriveFacts) -> tuple[float, float]:
     """Error on the rest of a run, in per cent, without and with a periodic effect whose datum its begin gave."""
     left = residual_of(run, fitted, facts, own=False)
-    columns = _columns(run, fitted.terms[which])
+    columns = columns_of(run, fitted.terms[which])
     first = round(DATUM_SHARE * left.size)
     values = np.linalg.lstsq(columns[:first], left[:first], rcond=None)[0]
     rest = slice(first, None)
@@ -406,7 +335,7 @@ def _with_datum(run: RigidRun, fitted: _Fitted, which: int, facts: DriveFacts) -
     return scale * float(np.linalg.norm(left[rest])), scale * float(np.linalg.norm(corrected))
 
 
-def _model(run: RigidRun, fitted: _Fitted, name: str) -> ModelFile:
+def _model(run: RigidRun, fitted: RigidFitted, name: str) -> ModelFile:
     """The model file: the rigid base as a 2SEP model with a stiff contact and no rise of friction at rest."""
 
     def fitted_value(k: int, factor: float = 1.0) -> Quantity:
