@@ -66,7 +66,7 @@ def test_torque_is_asked_for_by_enable_alone():
             assert event is Event.ENABLE, (state, event)
 
 
-@pytest.mark.parametrize("state", list(TORQUE_STATES))
+@pytest.mark.parametrize("state", sorted(TORQUE_STATES, key=lambda state: state.value))
 def test_an_axis_with_torque_can_always_be_stopped_and_always_falls_into_fault(state):
     for event in (Event.DISABLE, Event.STOP, Event.QUICK_STOP):
         assert (state, event) in TABLE
