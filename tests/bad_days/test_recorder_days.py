@@ -227,7 +227,7 @@ def test_the_keys_reach_the_recorder(tmp_path):
 def test_a_rotated_run_is_evaluated_as_one(tmp_path, capsys):
     assert main(["run", str(axis_file(tmp_path / "a")), "--out", str(tmp_path / "one" / "run.mcap"), "--json"]) == 0
     one = json.loads(capsys.readouterr().out)
-    axis = axis_file(tmp_path / "b", "{rotate_bytes: 1000000, compression: none}")
+    axis = axis_file(tmp_path / "b", "{rotate_bytes: 1500000, compression: none}")
     assert main(["run", str(axis), "--out", str(tmp_path / "many" / "run.mcap"), "--json"]) == 0
     many = json.loads(capsys.readouterr().out)
     assert [Path(file).name for file in many["files"]] == ["run.mcap", "run_002.mcap"]

@@ -195,14 +195,14 @@ def run() -> int:
             client.call("enable")
             client.call("record", to="on")
             found, rate_hz = run_passes(daemon, client, seconds, passes)
-            loop = client.call("status")["loop"]
             recording = client.call("status")["recording"]
             client.call("disable")
             (file,) = client.call("record", to="off")["files"]
+            skipped = client.call("status")["loop"]["skipped"]
         _add(report, starts[1:] or starts, found)
         _add_recording(report, Path(file), recording)
     report.facts["requests a second"] = rate_hz
-    report.facts["rows"] = loop["rows"]
+    report.facts["ticks skipped by the loop"] = skipped
     report.facts["passes"] = passes
     report.notes += [
         f"{passes} passes of {seconds:g} s each with {CLIENTS} clients that ask for the status without a pause and "
@@ -244,6 +244,7 @@ def _add_recording(report: Report, file: Path, recording: dict[str, Any]) -> Non
     report.figure("rows lost in the ring or on the disk", recording["rows_lost"] + recording["rows_dropped"], "", 0.0)
     report.facts["complete"] = run.complete
     report.facts["recorded"] = len(run.rows)
+    report.facts["ticks absent from the file"] = int((gaps - 1).sum())
     report.facts["disordered"] = int((gaps <= 0).sum())
 
 
