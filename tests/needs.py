@@ -7,6 +7,7 @@ why. FFFO_REQUIRE=NAME,NAME (or `all`) makes it an error instead.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import shutil
 import socket
@@ -51,6 +52,14 @@ def node_canopen_missing() -> str | None:
     return None
 
 
+def browser_missing() -> str | None:
+    """A Chromium (tools/headless.py), and what drives it."""
+    if importlib.util.find_spec("playwright") is None:
+        return "no playwright; tools/environment test installs it"
+    names = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
+    return None if any(map(shutil.which, names)) else "no Chromium; on Debian: apt install chromium"
+
+
 NEEDS: dict[str, Callable[[], str | None]] = {
     "vcan": vcan_missing,
     "uml": lambda: program_missing("linux.uml", "user-mode-linux"),
@@ -58,6 +67,7 @@ NEEDS: dict[str, Callable[[], str | None]] = {
     "tshark": lambda: program_missing("tshark", "tshark"),
     "can_utils": lambda: program_missing("candump", "can-utils"),
     "node_canopen": node_canopen_missing,
+    "browser": browser_missing,
 }
 missing = functools.cache(lambda name: NEEDS[name]())
 

@@ -1,7 +1,11 @@
 """Put a diagnosed model in service on an axis: shows its gates, and names it in the axis file when all of them pass.
 
 The drive must have no torque. The former model stays in AXIS.adoptions.yaml; --rollback names it again. The controller
-gives torque for every effect that can be compensated, from the next start on (or `fffo-drive ctl reload` of a daemon).
+gives torque for every effect that can be compensated, from the next start on (or `fffo-drive ctl reload` of a daemon),
+and a monitor takes an effect out of service when tracking is worse with it (controller.effects.monitor).
+
+Exit codes: 0 adopted (with --dry-run: all gates passed), 1 a gate refuses it, 70 the axis' daemon has torque on, 74 the
+axis file cannot be written, 78 a file is missing or damaged, or the model is not one of this axis.
 """
 
 from __future__ import annotations
@@ -14,14 +18,25 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import Gate, gates, put_in_service, read_report, roll_back
+from ..config.adoption import (
+    DISABLED,
+    SAME_AXIS,
+    Gate,
+    gates,
+    put_in_service,
+    read_report,
+    require_other_model,
+    roll_back,
+)
 from ..config.axis import model_of, read_axis
 from ..daemon.client import CallError, ClientError, DaemonClient
 from ..daemon.places import SYSTEM_DIRECTORY, WATCH, user_directory
 from ..documents import DocumentError
 from ..model.parameters import read_model
+from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
 
 EXIT_REFUSED = 1
+EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT}  # the first that applies, in this order
 TORQUE_STATES = ("enabled", "running", "stopping")
 ANSWER_S = 2.0
 
@@ -31,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", nargs="?", help="model file that `fffo-drive diagnose` wrote")
     parser.add_argument("--axis", metavar="AXIS", required=True, help="axis file in which it is named")
     parser.add_argument("--report", metavar="FILE", help="report of the diagnosis (default: report.json beside MODEL)")
+    parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets (default: looked for)")
     parser.add_argument("--dry-run", action="store_true", help="show the gates, change nothing")
     parser.add_argument("--rollback", action="store_true", help="name the model that was in service before")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -47,9 +63,11 @@ def execute(options: argparse.Namespace) -> int:
         raise DocumentError("a model file is needed, or --rollback: fffo-drive adopt MODEL --axis AXIS")
     model_path = Path(options.model)
     axis = read_axis(axis_path)
-    report = read_report(model_path, Path(options.report) if options.report else None)
     model = read_model(model_path)
-    found = gates(axis, model_of(axis_path, axis), model, report, torque_on(axis.name))
+    require_other_model(axis_path, axis, model_path)
+    report = read_report(model_path, Path(options.report) if options.report else None)
+    serving = torque_on(axis.name, Path(options.sockets) if options.sockets else None)
+    found = gates(axis, model_of(axis_path, axis), model, report, serving)
     passed = all(gate.passed for gate in found)
     adopted = None
     if passed and not options.dry_run:
@@ -63,15 +81,37 @@ def execute(options: argparse.Namespace) -> int:
         print_gates(found)
         if adopted is not None:
             print(f"{axis_path}: model: {adopted.model}, before: {adopted.former} (back with --rollback)")
-        elif not passed:
-            print(f"not adopted: {', '.join(gate.name for gate in found if not gate.passed)}", file=sys.stderr)
-    return 0 if passed else EXIT_REFUSED
+            if serving is not None:
+                print("the axis is served: `fffo-drive ctl reload` takes it into the running daemon")
+    if passed:
+        return 0
+    print(f"fffo-drive adopt: {refusal(found)}", file=sys.stderr)
+    return exit_code(found)
 
 
-def torque_on(name: str) -> bool | None:
+def refused(found: list[Gate]) -> list[Gate]:
+    """The gates that speak against an adoption, the gravest first."""
+    order = list(EXIT_OF_GATE)
+    against = [gate for gate in found if not gate.passed]
+    return sorted(against, key=lambda gate: order.index(gate.name) if gate.name in order else len(order))
+
+
+def refusal(found: list[Gate]) -> str:
+    """Why a model is not adopted, in one sentence."""
+    first, *others = refused(found)
+    more = f"; and {', '.join(gate.name for gate in others)}" if others else ""
+    return f"not adopted: {first.name}: {first.text}{more}"
+
+
+def exit_code(found: list[Gate]) -> int:
+    """The exit code of a refusal."""
+    return EXIT_OF_GATE.get(refused(found)[0].name, EXIT_REFUSED)
+
+
+def torque_on(name: str, sockets: Path | None = None) -> bool | None:
     """Whether the axis' daemon has torque on; None where no daemon answers."""
-    for home in (SYSTEM_DIRECTORY, user_directory()):
-        path = home / name / WATCH
+    for directory in [sockets] if sockets else [home / name for home in (SYSTEM_DIRECTORY, user_directory())]:
+        path = directory / WATCH
         if not path.exists():
             continue
         try:

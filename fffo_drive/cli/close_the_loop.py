@@ -1,8 +1,15 @@
 """The whole circle on one axis: run, record, diagnose, adopt, run again; the tracking error before and after.
 
 AXIS is an axis file whose drive may move: in process, or on a bus (with --sim FILE a simulated drive is started there).
-An identification current, the recipe that separates effects, and the file's own profile are recorded; the profile's run
-is held out from the choice of effects. Everything is written to DIR, with an axis file of its own: AXIS stays as it is.
+Its own profile, an identification current and the recipe that separates effects are recorded; the profile's run is held
+out from the choice of effects. Everything is written to DIR, with an axis file of its own: AXIS stays as it is.
+DIR/report.html and report.json have the tracking error before and after, DIR/diagnosis what was found.
+
+On the simulated drive the limits on silence are widened, a run that a busy machine has spoiled is made again, and all
+of them at 1000 or 500 Hz where it cannot keep the rate; on hardware a spoiled run is an error.
+
+Exit codes: 0 adopted, or nothing was found; 1 something was found and a gate refuses it; 69 no bus; 70 the drive, or a
+machine that keeps no rate; 74 the disk; 78 bad input.
 """
 
 from __future__ import annotations
@@ -11,9 +18,10 @@ import argparse
 import contextlib
 import json
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 from rich.console import Console
@@ -22,99 +30,165 @@ from rich.table import Table
 from ..config.adoption import Gate, gates, put_in_service, read_report
 from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
-from ..config.commissioning import permission
 from ..config.effects import slope_margin
 from ..config.plan import checked_plan
+from ..config.simulated import read_simulated
 from ..control.friction_observer import TOGGLE_OFF
-from ..documents import DocumentError, parse, read_text
-from ..evaluation.metrics import ErrorMetrics, run_metrics, true_metrics
+from ..control.reference import MODE_VELOCITY
+from ..documents import DocumentError
+from ..identification.facts import read_facts
 from ..model.parameters import ModelFile, read_model
-from .adopt import print_gates
-from .drives import Plan, make_plan, open_drive
-from .exits import DriveFaultError, RecordingGapError
-from .recordings import claim, recorded_rows
-from .run import record_run
+from ..report.circle import KIND, CircleRun, CircleSource, Tracking, as_object, tracking_of, write_circle_report
+from ..report.document import provenance, source_file
+from ..report.page import refuse_other_report
+from ..runtime.runs import timestamp_name
+from .adopt import print_gates, refusal
+from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
+from .drives import Plan, make_plan
+from .exits import DriveFaultError
 from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1
 GAIN_ROOM = 1.02  # of what condition (14) asks for
 RECIPE = {"kind": "recipe", "repeats": 1}
-IDENTIFY = {"kind": "identify", "duration_s": 40.0, "lowest_hz": 0.05}
+IDENTIFY = {"kind": "identify", "lowest_hz": 0.05}
+IDENTIFY_S = 40.0
+QUICK_S = 20.0
+OTHER_SEED = 1000  # added to the profile's: another reference of its kind
 BREAK_AWAY_RATIO = 2.4  # the identification current's peak over what breaks away; less where it goes too far
 SHORTER = 0.85
 LEAST_BREAK_AWAY_RATIO = 1.1
 
 
-class Run(NamedTuple):
-    """One recorded run of the circle."""
-
-    path: Path
-    measured: ErrorMetrics | None  # None: no velocity loop
-    true: ErrorMetrics | None  # of the shaft, where the drive can know it
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("axis", metavar="AXIS", help="axis file (YAML)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="directory for runs, report, model and axis file")
+    parser.add_argument("axis", metavar="AXIS", help="axis file (YAML); its profile is a velocity")
+    parser.add_argument("--out", metavar="DIR", help="directory for everything (default: runs/circle_TIME)")
     parser.add_argument("--drive", metavar="FACTS", help="declared facts (default: from the axis file)")
-    parser.add_argument("--sim", metavar="FILE", help="start the simulated drive of this file on the axis' bus")
+    parser.add_argument("--sim", metavar="FILE", help="the simulated drive of this file, in process or on the bus")
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
+    parser.add_argument("--rate", type=int, metavar="HZ", help="loop rate of all runs instead of the file's")
+    parser.add_argument(
+        "--quick", action="store_true", help=f"runs of {QUICK_S:g} s, and no recipe: a first look, less is told apart"
+    )
     parser.add_argument("--uncommissioned", action="store_true", help="enable a drive on a bus without its record")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    out = Path(options.out)
     axis_path = Path(options.axis)
     plan = make_plan(axis_path)
-    claim(out / "before.mcap")
-    facts_path = Path(options.drive) if options.drive else _write_facts(plan, out, options.sim is not None)
-    own_path = _write_axis(axis_path, out)
-    say = Console(stderr=True, quiet=options.json).print
-    with _drive_process(options, plan):
-        say("run and record: identification current, recipe, the file's profile", soft_wrap=True)
-        identify = _run(own_path, options, out / "identify.mcap", _identify(plan))
-        recipe = _run(own_path, options, out / "recipe.mcap", _recipe(plan))
-        before = _run(own_path, options, out / "before.mcap")
-        say("diagnose", soft_wrap=True)
-        _diagnose(facts_path, [identify.path, recipe.path], [before.path], out / "diagnosis")
-        report = read_report(out / "diagnosis" / "model.yaml", None)
-        adopted, found = _adopt(own_path, out / "diagnosis" / "model.yaml", report)
-        after = None
-        if adopted:
-            say("adopted; run again", soft_wrap=True)
-            after = _run(own_path, options, out / "after.mcap")
-    result = _result(read_model(out / "diagnosis" / "model.yaml"), report, found, before, after)
-    (out / "circle.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    _require(plan, options)
+    out = Path(options.out or Path("runs") / timestamp_name("circle", time.time_ns()))
+    out.mkdir(parents=True, exist_ok=True)
+    refuse_other_report(out, KIND)
+    _require_empty(out)
+    sim = Path(options.sim) if options.sim else None
+    own_path = write_axis(axis_path, out, sim, options.rate)
+    facts_path = Path(options.drive) if options.drive else _write_facts(plan, out, sim is not None)
+    console = Console(stderr=True, quiet=options.json)
+    circle = Circle(options, own_path, lambda text: console.print(text, soft_wrap=True, highlight=False))
+    if options.quick:
+        _shorten(own_path)
+    plan = make_plan(own_path)
+    try:
+        with _drive_process(plan, options.bus, sim, out):
+            return _close(circle, plan, facts_path, options)
+    except SpoiledRunError as error:
+        raise DriveFaultError(
+            f"{error}: this machine does not keep the loop's rate; make it quieter (`fffo-drive doctor`), or lower the "
+            "rate (--rate)"
+        ) from error
+
+
+def _close(circle: Circle, plan: Plan, facts_path: Path, options: argparse.Namespace) -> int:
+    """Runs, diagnosis, adoption, the run with it, the report."""
+    out, say = circle.out, circle.say
+    say("run and record: the file's profile, identification current, " + ("another one" if options.quick else "recipe"))
+    third = ("other", _other_reference(plan)) if options.quick else ("recipe", _recipe(plan))
+    identify = _identify(plan, options.quick)
+    before, *fit = circle.at_a_rate_it_keeps(
+        lambda: (circle.run("before"), circle.run("identify", identify), circle.run(*third))
+    )
+    say(f"diagnose ({before.rate_hz} Hz; {before.health.text})")
+    _diagnose(facts_path, [run.path for run in fit], [before.path], out / "diagnosis", options.json)
+    model_path = out / "diagnosis" / "model.yaml"
+    model, report = read_model(model_path), read_report(model_path, None)
+    adopted, found = _adopt(circle.path, model_path, model, report)
+    after, trouble = None, ""
+    if adopted:
+        say("adopted; run again")
+        try:
+            after = circle.run("after")
+        except SpoiledRunError as error:
+            trouble = str(error)
+    source = _source(circle, plan, model, report, found, (before, *fit), after)
+    page = write_circle_report(source, out).page
     if options.json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(as_object(source), indent=2))
     else:
-        _print(result, found, out)
-    return 0 if adopted or not read_model(out / "diagnosis" / "model.yaml").effects else EXIT_NOT_ADOPTED
+        _print(source, found, page)
+    if trouble:
+        raise SpoiledRunError(f"{trouble}; the model is in service in {circle.path}, the error with it is not known")
+    if found and not adopted:
+        print(f"fffo-drive close-the-loop: {refusal(found)}", file=sys.stderr)
+        return EXIT_NOT_ADOPTED
+    return 0
+
+
+# -- before anything moves --------------------------------------------------------------------------------------------
+
+
+def _require(plan: Plan, options: argparse.Namespace) -> None:
+    """Every file is read once, and what cannot come to an end is refused."""
+    if options.drive:
+        read_facts(options.drive)
+    if options.sim:
+        read_simulated(options.sim)
+    if plan.profile.mode != MODE_VELOCITY:
+        raise DocumentError(
+            f"{plan.path}: profile: {plan.axis.profile.kind} has no tracking error: a velocity profile is needed"
+        )
+    on_bus = isinstance(plan.axis.drive, CanopenDriveSection)
+    if options.bus and not on_bus:
+        raise DocumentError(f"{plan.path}: drive.kind: simulated runs in process and has no bus: leave --bus out")
+
+
+def _require_empty(out: Path) -> None:
+    """Nothing of an earlier circle is overwritten."""
+    old = [out / name for name in ("axis.yaml", "before.mcap", "report.html") if (out / name).exists()]
+    if old:
+        raise DocumentError(f"{old[0]}: is there already: give another --out")
+
+
+def _shorten(path: Path) -> None:
+    """The file's profile in QUICK_S, where it has a duration."""
+    profile = read_axis(path).profile
+    if getattr(profile, "duration_s", 0.0) > QUICK_S:
+        change(path, ("profile", "duration_s"), QUICK_S)
 
 
 @contextlib.contextmanager
-def _drive_process(options: argparse.Namespace, plan: Plan) -> Iterator[None]:
+def _drive_process(plan: Plan, bus: str | None, sim: Path | None, out: Path) -> Iterator[None]:
     """The simulated drive on the bus for as long as the circle takes, where it was asked for."""
-    if options.sim is None:
+    section = plan.axis.drive
+    if sim is None or not isinstance(section, CanopenDriveSection):
         yield
         return
-    section = plan.axis.drive
-    if not isinstance(section, CanopenDriveSection):
-        raise DocumentError(f"{plan.path}: drive.kind: simulated runs in process: leave --sim out")
-    with SimulatedProcess(Path(options.sim), options.bus or section.bus):
+    with SimulatedProcess(write_simulated(sim, out), bus or section.bus):
         yield
 
 
-def _identify(plan: Plan) -> dict[str, Any]:
+def _identify(plan: Plan, quick: bool) -> dict[str, Any]:
     """An identification current that the axis can follow inside its envelope, by the model in service."""
     break_away_a = plan.model.friction.static_nm.value / plan.model.torque_constant_nm_per_a
     ratio = BREAK_AWAY_RATIO
+    quick_s = min(QUICK_S, plan.profile.duration_s)
     while ratio > LEAST_BREAK_AWAY_RATIO:
-        profile = IDENTIFY | {"high_a": ratio * break_away_a, "low_a": 0.3 * ratio * break_away_a}
-        axis = AxisFile.model_validate(plan.axis.model_dump() | {"profile": profile})
+        currents = {"high_a": ratio * break_away_a, "low_a": 0.3 * ratio * break_away_a}
+        profile = IDENTIFY | currents | {"duration_s": quick_s if quick else IDENTIFY_S}
+        axis = changed(plan.axis, profile=profile)
         if not motion_problems(axis, build_profile(axis.profile, axis.loop.period_s), plan.model):
             return profile
         ratio *= SHORTER
@@ -129,49 +203,58 @@ def _recipe(plan: Plan) -> dict[str, Any]:
     return RECIPE | {"high_rps": min(14.0, 0.6 * plan.axis.envelope.speed_limit_rps)}
 
 
-def _run(axis_path: Path, options: argparse.Namespace, path: Path, profile: dict[str, Any] | None = None) -> Run:
-    """One run with the axis file as it is now, or with another profile."""
-    axis = read_axis(axis_path)
-    if profile is not None:
-        axis = AxisFile.model_validate(axis.model_dump() | {"profile": profile})
-    plan = checked_plan(axis_path, axis, model_of(axis_path, axis))
-    given = permission(axis_path, axis, plan.model, options.uncommissioned or options.sim is not None)
-    claim(path)
-    outcome = record_run(plan, open_drive(plan, options.bus), plan.toggle, path, given, options.json)
-    if outcome.fault_text is not None:
-        raise DriveFaultError(f"{path.name}: {outcome.fault_text}")
-    if outcome.gap_text is not None:
-        raise RecordingGapError(f"{path.name}: {outcome.gap_text}")
-    rows = recorded_rows(outcome.files)
-    if plan.axis.profile.kind in ("identify", "frf"):
-        return Run(path, None, None)
-    period_s, samples = plan.profile.period_s, plan.profile.values.size
-    true = true_metrics(rows, period_s, samples)
-    return Run(path, run_metrics(rows, period_s, samples), true if true.ise == true.ise else None)
+def _other_reference(plan: Plan) -> dict[str, Any]:
+    """Another reference of the same kind where the profile has a seed, else the same."""
+    profile = plan.axis.profile.model_dump()
+    return profile | ({"seed": profile["seed"] + OTHER_SEED} if "seed" in profile else {})
 
 
-def _diagnose(facts: Path, fit: Sequence[Path], held_out: Sequence[Path], out: Path) -> None:
-    """`fffo-drive diagnose` on the recorded runs."""
+def _write_facts(plan: Plan, out: Path, simulated: bool) -> Path:
+    """What the axis file declares about the drive. The simulated drive's angle is the same in every run."""
+    section = plan.axis.drive
+    on_bus = isinstance(section, CanopenDriveSection)
+    facts: dict[str, Any] = {
+        "torque_constant_nm_per_a": plan.model.torque_constant_nm_per_a,
+        "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else 15,
+        "absolute_angle": simulated or not on_bus,
+    }
+    path = out / "facts.yaml"
+    path.write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
+    return path
+
+
+# -- diagnosis and adoption -------------------------------------------------------------------------------------------
+
+
+def _diagnose(facts: Path, fit: Sequence[Path], held_out: Sequence[Path], out: Path, quiet: bool) -> None:
+    """`fffo-drive diagnose` on the recorded runs; what it prints goes to stderr, or nowhere."""
     from . import diagnose
 
     parser = argparse.ArgumentParser()
     diagnose.add_arguments(parser)
     words = ["--drive", str(facts), "--fit", *map(str, fit), "--held-out", *map(str, held_out), "--out", str(out)]
-    with contextlib.redirect_stdout(sys.stderr):
+    with contextlib.ExitStack() as stack:
+        if quiet:
+            words.append("--json")
+            sink = stack.enter_context(open("/dev/null", "w", encoding="utf-8"))
+            stack.enter_context(contextlib.redirect_stdout(sink))
+        else:
+            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         code = diagnose.execute(parser.parse_args(words))
     if code != 0:
         raise DocumentError(f"{out}: the diagnosis ended with exit code {code}")
 
 
-def _adopt(axis_path: Path, model_path: Path, report: dict[str, Any] | None) -> tuple[bool, list[Gate]]:
+def _adopt(
+    axis_path: Path, model_path: Path, model: ModelFile, report: dict[str, Any] | None
+) -> tuple[bool, list[Gate]]:
     """Adopt what was found on the circle's own axis file. The observer's gain follows the refitted friction."""
-    axis = read_axis(axis_path)
-    model = read_model(model_path)
     if not model.effects:
         return False, []
+    axis = read_axis(axis_path)
     gain = _needed_gain(axis_path, axis, model)
     if gain is not None:
-        _change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
+        change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
         axis = read_axis(axis_path)
     found = gates(axis, model_of(axis_path, axis), model, report, None)
     if not all(gate.passed for gate in found):
@@ -190,76 +273,51 @@ def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | N
     return round(GAIN_ROOM * (axis.controller.observer.gain_nm_per_rev - left), 3)
 
 
-def _write_axis(axis_path: Path, out: Path) -> Path:
-    """A copy of the axis file whose files are found from DIR, without a monitor: it would switch inside the runs."""
-    data, _ = parse(read_text(axis_path), str(axis_path))
-    for section, key in ((data, "model"), (data, "commissioning"), (data["drive"], "file"), (data["drive"], "eds")):
-        if section.get(key):
-            section[key] = str((axis_path.resolve().parent / section[key]).resolve())
-    data["controller"].setdefault("effects", {})["monitor"] = False
-    path = out / "axis.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False, width=110), encoding="utf-8")
-    read_axis(path)
-    return path
+# -- what came of it --------------------------------------------------------------------------------------------------
 
 
-def _change(path: Path, key: Sequence[str], value: float) -> None:
-    data, _ = parse(read_text(path), str(path))
-    section = data
-    for part in key[:-1]:
-        section = section.setdefault(part, {})
-    section[key[-1]] = value
-    path.write_text(yaml.safe_dump(data, sort_keys=False, width=110), encoding="utf-8")
+def _source(
+    circle: Circle, plan: Plan, model: ModelFile, report: dict[str, Any] | None, found: Sequence[Gate],
+    fit: Sequence[Run], after: Run | None,
+) -> CircleSource:  # fmt: skip
+    """Everything that the report is made of."""
+    before = fit[0]
+    runs = {run.path.stem: run for run in (*fit, *([after] if after else []))}
+    files = [source_file(run.path.name, run.path.read_bytes()) for run in runs.values()]
+    shown = [circle.path, *([circle.out / "simulated.yaml"] if (circle.out / "simulated.yaml").exists() else [])]
+    files += [source_file(path.name, path.read_bytes(), text=True) for path in shown]
+    return CircleSource(
+        axis=plan.axis.name,
+        verdict=str((report or {}).get("verdict", "none")),
+        effects=tuple(effect.name for effect in model.effects),
+        gates=tuple(gate._asdict() for gate in found),
+        model_error={key: (report or {}).get(key) for key in ("before", "after")},
+        tracking=tracking_of(before.rows, after.rows if after else None, 1.0 / before.rate_hz, before.samples),
+        runs=tuple(
+            CircleRun(name, run.rate_hz, run.health.ticks, run.health.lost_share, run.health.longest_s)
+            for name, run in runs.items()
+        ),
+        provenance=provenance(files, {"axis": plan.axis.name, "rate": f"{before.rate_hz} Hz"}),
+    )
 
 
-def _write_facts(plan: Plan, out: Path, simulated_on_bus: bool) -> Path:
-    """What the axis file declares about the drive. The simulated drive's angle is the same in every run."""
-    section = plan.axis.drive
-    on_bus = isinstance(section, CanopenDriveSection)
-    facts: dict[str, Any] = {
-        "torque_constant_nm_per_a": plan.model.torque_constant_nm_per_a,
-        "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else 15,
-        "absolute_angle": simulated_on_bus or not on_bus,
-    }
-    path = out / "facts.yaml"
-    path.write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
-    return path
-
-
-def _result(
-    model: ModelFile, report: dict[str, Any] | None, found: Sequence[Gate], before: Run, after: Run | None
-) -> dict[str, Any]:
-    """The circle as one JSON object."""
-    errors = {
-        name: {kind: value._asdict() if value is not None else None for kind, value in
-               (("measured", run.measured), ("true", run.true))}
-        for name, run in (("before", before), ("after", after)) if run is not None
-    }  # fmt: skip
-    return {
-        "format": "fffo_drive/circle/1",
-        "verdict": (report or {}).get("verdict"),
-        "effects": [effect.name for effect in model.effects],
-        "adopted": after is not None,
-        "gates": [gate._asdict() for gate in found],
-        "tracking": errors,
-        "model_error": {key: (report or {}).get(key) for key in ("before", "after")},
-    }
-
-
-def _print(result: dict[str, Any], found: list[Gate], out: Path) -> None:
+def _print(source: CircleSource, found: list[Gate], page: Path) -> None:
     if found:
         print_gates(found)
-    print(f"found: {', '.join(result['effects']) or 'nothing'} ({result['verdict']})")
-    tracking = result["tracking"]
-    if "after" in tracking:
-        table = Table("tracking error", "before", "after", "change", box=None, pad_edge=False)
-        for kind in ("measured", "true"):
-            if tracking["before"][kind] is None or tracking["after"][kind] is None:
-                continue
-            for key, unit in (("ise", "rps^2 s"), ("mae", "rps"), ("max", "rps")):
-                old, new = tracking["before"][kind][key], tracking["after"][kind][key]
-                change = f"{100.0 * (new / old - 1.0):+.1f} %"
-                table.add_row(f"{kind} {key.upper()} {unit}", f"{old:.4g}", f"{new:.4g}", change)
-        Console().print(table)
-    print(out / "diagnosis" / "report.html")
-    print(out / "axis.yaml")
+    print(f"found: {', '.join(source.effects) or 'nothing'} ({source.verdict})")
+    table = Table("tracking error", "before", "after", "change", box=None, pad_edge=False)
+    for name, before, after in _rows(source.tracking):
+        change_text = "-" if after is None else f"{100.0 * (after / before - 1.0):+.1f} %"
+        table.add_row(name, f"{before:.4g}", "-" if after is None else f"{after:.4g}", change_text)
+    Console().print(table)
+    print(page.parent / "diagnosis" / "report.html")
+    print(page.parent / "axis.yaml")
+    print(page)
+
+
+def _rows(tracking: Tracking) -> Iterator[tuple[str, float, float | None]]:
+    """Lines of the table: every metric, measured and of the shaft where it is known."""
+    for kind, pair in tracking.metrics.items():
+        for key, unit in (("ise", "rps^2 s"), ("mae", "rps"), ("max", "rps")):
+            after = None if pair.after is None else float(getattr(pair.after, key))
+            yield f"{kind} {key.upper()} {unit}", float(getattr(pair.before, key)), after

@@ -177,6 +177,7 @@ def _status_text(status: dict[str, Any]) -> str:
     if status["fault"]:
         lines.append(f"fault: {status['fault']['text']} ({status['fault']['name']}, tick {status['fault']['tick']})")
     lines += [f"not ready: {text}" for text in status["obstacles"]]
+    lines += _effect_lines(status["effects"])
     if status["motion"]:
         motion = status["motion"]
         lines.append(
@@ -200,6 +201,16 @@ def _status_text(status: dict[str, Any]) -> str:
     if status["held_by"]:
         lines.append(f"held by {status['held_by']}")
     return "\n".join(lines)
+
+
+def _effect_lines(effects: dict[str, Any]) -> list[str]:
+    """Nothing for a model without effects."""
+    if not effects["list"]:
+        return []
+    serving = [item["name"] for item in effects["list"] if item["in_service"]]
+    lines = [f"effects in service: {', '.join(serving) or 'none'} ({effects['monitor']})"]
+    others = [item for item in effects["list"] if not item["in_service"]]
+    return lines + [f"effect not in service: {item['name']}: {item['reason']}" for item in others]
 
 
 def _model(status: dict[str, Any]) -> str:

@@ -29,6 +29,7 @@ def exit_code_of(error: Exception) -> int | None:
     from ..drive.simulated.parameters import PlantConfigError
     from ..recording.errors import RecordingError
     from ..runtime.realtime import RealtimeRefusedError
+    from ..runtime.session import LoopHungError
 
     codes: list[tuple[type[Exception], int]] = [
         (DocumentError, EXIT_BAD_INPUT),
@@ -38,6 +39,7 @@ def exit_code_of(error: Exception) -> int | None:
         (LinkError, EXIT_UNAVAILABLE),
         (DriveError, EXIT_DRIVE_FAULT),
         (DriveFaultError, EXIT_DRIVE_FAULT),
+        (LoopHungError, EXIT_DRIVE_FAULT),
         (RealtimeRefusedError, EXIT_NOT_PERMITTED),
         (RecordingError, EXIT_BAD_INPUT),
         (RecordingGapError, EXIT_IO),

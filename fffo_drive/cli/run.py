@@ -66,8 +66,10 @@ def _default_path(plan: Plan) -> Path:
     return Path(plan.axis.recording.directory) / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
 
 
-def record_run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool) -> RunOutcome:
-    """Connect, run the profile of the plan and record it. Raises DriveError."""
+def record_run(
+    plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool, ring_rows: int | None = None
+) -> RunOutcome:  # fmt: skip
+    """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError."""
     identity = connect(drive, given)
     header = run_header(plan, identity, toggle, given)
     settings, hooks = recorder_settings(plan.axis), recorder_hooks()
@@ -75,7 +77,7 @@ def record_run(plan: Plan, drive: Drive, toggle: int, out: Path, given: Permissi
         rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
         with Session(drive, plan_session(plan, rows)) as session:
             return record_simulated(session, plan.profile, toggle, out, header, settings, hooks)
-    with Session(drive, plan_session(plan)) as session:
+    with Session(drive, plan_session(plan, ring_rows)) as session:
         report = session.start()
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)

@@ -1,6 +1,7 @@
 """Say where the scope page of a daemon is (fffo-drive serve --scope PORT), with the key that lets it command.
 
 Whoever may use the daemon's control socket reads the key; others get the page to look at, where Stop works too.
+--viewers says what Foxglove, Lichtblick and PlotJuggler connect to (serve --foxglove PORT), and the key for services.
 Through ssh: ssh -L PORT:127.0.0.1:PORT HOST, with one and the same PORT.
 """
 
@@ -9,9 +10,10 @@ from __future__ import annotations
 import argparse
 import sys
 import webbrowser
+from pathlib import Path
 
 from ..daemon.client import ClientError
-from ..live.places import TOKEN_FILE, URL_FILE
+from ..live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
 from .ctl import find_socket
 from .exits import EXIT_UNAVAILABLE
 
@@ -22,34 +24,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
     parser.add_argument("--open", action="store_true", help="open it in the browser of this machine")
     parser.add_argument("--watch", action="store_true", help="without the key: to look, and to stop")
+    parser.add_argument("--viewers", action="store_true", help="the WebSocket for Foxglove and the like, and the key")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     try:
-        url = address(options)
+        directory = find_socket(options, watching=True).parent
+        url, key = _url(directory, options.viewers), "" if options.watch else _key(directory)
     except ClientError as error:
         print(f"fffo-drive scope: {error}", file=sys.stderr)
         return EXIT_UNAVAILABLE
+    if options.viewers:
+        print(url)
+        print(f"key for services: {key}" if key else "without the key: stop, disable and quick_stop alone")
+        return 0
+    url = f"{url}#{key}" if key else url
     print(url)
     if options.open:
         webbrowser.open(url)
     return 0
 
 
-def address(options: argparse.Namespace) -> str:
-    """The address of the page. Raises ClientError where there is none."""
-    directory = find_socket(options, watching=True).parent
+def _url(directory: Path, viewers: bool) -> str:
+    """Where it is served. Raises ClientError where it is not."""
+    name, option, what = (
+        (VIEWERS_FILE, "--foxglove", "no WebSocket for viewers") if viewers else (URL_FILE, "--scope", "no scope")
+    )
     try:
-        url = (directory / URL_FILE).read_text(encoding="utf-8").strip()
+        return (directory / name).read_text(encoding="utf-8").strip()
     except OSError:
-        text = f"{directory}: this daemon serves no scope; start it with fffo-drive serve AXIS --scope PORT"
+        text = f"{directory}: this daemon serves {what}; start it with fffo-drive serve AXIS {option} PORT"
         raise ClientError(text) from None
-    if options.watch:
-        return url
+
+
+def _key(directory: Path) -> str:
+    """The key; empty where it may not be read."""
     try:
-        token = (directory / TOKEN_FILE).read_text(encoding="utf-8").strip()
+        return (directory / TOKEN_FILE).read_text(encoding="utf-8").strip()
     except OSError as error:
         print(f"without the key, to look and to stop: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
-        return url
-    return f"{url}#{token}"
+        return ""

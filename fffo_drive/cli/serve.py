@@ -1,16 +1,20 @@
 """Serve one axis on a bus: connect, keep it connected, supervise, record, and listen on a Unix socket (fffo-drive ctl).
 
 Runs in the foreground until SIGTERM or Ctrl-C, which stop the axis in order. SIGHUP reads the file again. Under systemd
-it is `fffo-drive@NAME.service`; by hand its sockets are in $XDG_RUNTIME_DIR/fffo-drive/NAME. With --scope it also
-serves a page for a browser (fffo-drive scope says where), on this machine alone unless an address is given.
+it is `fffo-drive@NAME.service`; by hand its sockets are in $XDG_RUNTIME_DIR/fffo-drive/NAME. With --scope (or
+daemon.scope in the axis file) it also serves a page for a browser, with --foxglove (daemon.foxglove) a WebSocket for
+Foxglove, Lichtblick and PlotJuggler, on this machine alone unless an address is given; fffo-drive scope says where.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+from ..config.address import Address, address_of
 from ..daemon.places import CONTROL
 from ..daemon.service import Attachment, Options, serve
 from ..daemon.supervisor import Supervisor
@@ -23,43 +27,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--sockets", metavar="DIR", help="directory of control.sock and watch.sock")
     parser.add_argument("--uncommissioned", action="store_true", help="enable a drive without a commissioning record")
-    parser.add_argument("--scope", metavar="[HOST:]PORT", help="serve the scope page here; HOST is 127.0.0.1")
+    where: dict[str, Any] = {"metavar": "[HOST:]PORT", "type": _address}
+    parser.add_argument("--scope", help="serve the scope page here; HOST is 127.0.0.1, port 0 a free one", **where)
+    parser.add_argument("--foxglove", help="serve a WebSocket for Foxglove, Lichtblick, PlotJuggler here", **where)
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     sockets = Path(options.sockets) if options.sockets else None
-    attach = _scope(options.scope) if options.scope else None
+    attach = partial(_attach, options.scope, options.foxglove)
     serve(Options(Path(options.config), options.bus, sockets, options.uncommissioned, attach))
     return 0
 
 
-def _scope(where: str) -> Callable[[Supervisor, Path], Attachment]:
-    """What puts the scope beside a daemon. Raises DocumentError."""
+def _address(text: str) -> Address:
     try:
-        from ..live.server import LiveServer, address_of
-    except ModuleNotFoundError as error:
-        if error.name != "websockets":
-            raise
-        raise DocumentError("--scope needs the extra `live`: pip install 'fffo-drive[live]'") from None
-    from ..live.feed import Source
-
-    try:
-        address = address_of(where)
+        return address_of(text)
     except ValueError as error:
-        raise DocumentError(f"--scope {error}") from None
+        raise argparse.ArgumentTypeError(str(error)) from None
 
-    def attach(supervisor: Supervisor, directory: Path) -> Attachment:
-        def source() -> Source | None:
-            connection, plan = supervisor.connection, supervisor.plan
-            if connection is None:
-                return None
-            constant = plan.model.torque_constant_nm_per_a
-            return Source(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
 
-        server = LiveServer(address, directory, CONTROL, source)
-        server.start()
-        supervisor.log.add("started", f"the scope is on {server.url}; fffo-drive scope gives the address with its key")
-        return server
+def _attach(
+    scope: Address | None, foxglove: Address | None, supervisor: Supervisor, directory: Path
+) -> Attachment | None:
+    """Put the live server beside a daemon, where it is wanted. Raises DocumentError, OSError."""
+    section = supervisor.plan.axis.daemon
+    if scope is None and section.scope is not None:
+        scope = address_of(section.scope)
+    if foxglove is None and section.foxglove is not None:
+        foxglove = address_of(section.foxglove)
+    if scope is None and foxglove is None:
+        return None
+    for package in ("websockets", "foxglove"):
+        if find_spec(package) is None:
+            text = f"the scope and Foxglove need the extra `live` ({package}): pip install 'fffo-drive[live]'"
+            raise DocumentError(text)
+    from ..live.feed import Source
+    from ..live.server import LiveServer, Wanted
 
-    return attach
+    def source() -> Source | None:
+        connection, plan = supervisor.connection, supervisor.plan
+        if connection is None:
+            return None
+        constant = plan.model.torque_constant_nm_per_a
+        return Source(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
+
+    server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, supervisor.plan.axis.name)
+    server.start()
+    return server

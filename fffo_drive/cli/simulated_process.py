@@ -12,7 +12,7 @@ from types import TracebackType
 
 from ..drive.port import BusUnavailableError
 
-START_TIMEOUT_S = 120.0  # the first start compiles the plant
+START_TIMEOUT_S = 600.0  # the first start compiles the plant: half a minute, or minutes on a busy machine
 STOP_TIMEOUT_S = 5.0
 
 

@@ -6,10 +6,12 @@ beyond their bounds, that the loop loses its proof, that the drive moves while i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import re
+import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +30,10 @@ from .effects import effect_limits, effect_problems, reason_against, services, s
 
 CONFIDENCE_SDS = 1.96
 HISTORY_SUFFIX = ".adoptions.yaml"
+DISABLED = "drive disabled"
+SAME_AXIS = "same axis"
+# factor by which a refit may move a parameter of the model in service; beyond it the runs are of another axis
+OTHER_AXIS = {"inertia_kg_m2": 2.0, "friction.coulomb_nm": 4.0}
 
 
 class Gate(NamedTuple):
@@ -132,11 +138,23 @@ def stability_gate(axis: AxisFile, model: ModelFile) -> Gate:
     return Gate("stability", not problems, "; ".join([text, *problems]))
 
 
-def same_axis_gate(axis_model: ModelFile, model: ModelFile) -> Gate:
-    """The declared torque constant is that of the model in service: all torques scale with it."""
-    ours, theirs = axis_model.torque_constant_nm_per_a, model.torque_constant_nm_per_a
-    text = f"{theirs:g} Nm/A, in service {ours:g} Nm/A"
-    return Gate("torque constant", math.isclose(ours, theirs, rel_tol=1e-3), text)
+def same_axis_gate(in_service: ModelFile, model: ModelFile) -> Gate:
+    """The model is one of this axis: its torque constant, with which all torques scale, and about its inertia."""
+    ours, theirs = in_service.torque_constant_nm_per_a, model.torque_constant_nm_per_a
+    same = math.isclose(ours, theirs, rel_tol=1e-3)
+    said = [f"torque constant {theirs:g} Nm/A, in service {ours:g}"]
+    for key, factor in OTHER_AXIS.items():
+        before, after = (_value(m, key) for m in (in_service, model))
+        same = same and 1.0 / factor <= after / before <= factor
+        said.append(f"{key.rpartition('.')[2]} {after:.3g}, in service {before:.3g} (factor {factor:g} allowed)")
+    return Gate(SAME_AXIS, same, "; ".join(said))
+
+
+def _value(model: ModelFile, key: str) -> float:
+    found: Any = model
+    for part in key.split("."):
+        found = getattr(found, part)
+    return float(found.value)
 
 
 def gates(
@@ -145,7 +163,7 @@ def gates(
     """All of them. `torque_on`: what the axis' daemon says; None where none answers."""
     found = [
         Gate(
-            "drive disabled",
+            DISABLED,
             not torque_on,
             {True: "the daemon has torque on: `fffo-drive ctl disable` first", False: "the daemon has no torque on",
              None: "no daemon serves this axis"}[torque_on],
@@ -189,17 +207,25 @@ def read_history(axis_path: Path) -> History:
 
 
 def put_in_service(axis_path: Path, model_path: Path, passed: list[Gate]) -> Adoption:
-    """Name the model in the axis file, and keep the former one in the history. Raises DocumentError."""
+    """Name the model in the axis file, and keep the former one in the history. Raises DocumentError, OSError."""
     axis = read_axis(axis_path)
+    require_other_model(axis_path, axis, model_path)
     name = os.path.relpath(model_path.resolve(), axis_path.resolve().parent)
     entry = Adoption(
         date=time.strftime("%Y-%m-%d %H:%M:%S"), model=name, model_hash=content_hash(read_model(model_path)),
         former=axis.model, gates=[f"{gate.name}: {gate.text}" for gate in passed],
     )  # fmt: skip
     history = read_history(axis_path)
+    text = _renamed(axis_path, name)  # refused before anything is written
     _write_history(axis_path, History(adoptions=[*history.adoptions, entry]))
-    rename_model(axis_path, name)
+    _replace(axis_path, text)
     return entry
+
+
+def require_other_model(axis_path: Path, axis: AxisFile, model_path: Path) -> None:
+    """Raise DocumentError for the model that the axis file names already: there would be no way back."""
+    if beside(axis_path, axis.model).resolve() == model_path.resolve():
+        raise DocumentError(f"{model_path}: is in service already: {axis_path} names it")
 
 
 def roll_back(axis_path: Path) -> Adoption:
@@ -221,6 +247,11 @@ def roll_back(axis_path: Path) -> Adoption:
 
 def rename_model(axis_path: Path, name: str) -> None:
     """Replace the `model:` line of an axis file and leave the rest, with its comments, as it is."""
+    _replace(axis_path, _renamed(axis_path, name))
+
+
+def _renamed(axis_path: Path, name: str) -> str:
+    """The text of an axis file that names another model. Raises DocumentError where its line cannot be replaced."""
     text = read_text(axis_path)
     _, lines = parse(text, str(axis_path))
     rows = text.splitlines(keepends=True)
@@ -230,7 +261,22 @@ def rename_model(axis_path: Path, name: str) -> None:
     found, _ = parse("".join(rows), str(axis_path))
     if found.get("model") != name:
         raise DocumentError(f"{axis_path}:{at + 1}: model: write `model: {name}` on a line of its own yourself")
-    axis_path.write_text("".join(rows), encoding="utf-8")
+    return "".join(rows)
+
+
+def _replace(path: Path, text: str) -> None:
+    """The whole file or none of it, with its rights; a link stays one. Raises OSError."""
+    path = path.resolve()
+    fresh = path.with_name(f".{path.name}.new")
+    try:
+        fresh.write_text(text, encoding="utf-8")
+        if path.exists():
+            shutil.copymode(path, fresh)
+        fresh.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            fresh.unlink()
+        raise
 
 
 def _line(match: re.Match[str], name: str) -> str:
@@ -239,4 +285,4 @@ def _line(match: re.Match[str], name: str) -> str:
 
 def _write_history(axis_path: Path, history: History) -> None:
     text = yaml.safe_dump(history.model_dump(mode="json"), sort_keys=False, width=110)
-    history_path(axis_path).write_text(text, encoding="utf-8")
+    _replace(history_path(axis_path), text)

@@ -72,6 +72,21 @@ def compensated_terms(axis: AxisFile, model: ModelFile) -> list[Term]:
     return [terms[k] for k in order_of_service(terms)]
 
 
+def service_bits(axis: AxisFile, model: ModelFile) -> list[tuple[Service, int | None]]:
+    """Every effect of the model with its bit in the row; None for one that is not compensated."""
+    found = services(axis, model)
+    taken = [k for k, service in enumerate(found) if service.reason is None]
+    order = order_of_service([found[k].effect.term() for k in taken])
+    bits = {taken[place]: bit for bit, place in enumerate(order)}
+    return [(service, bits.get(k)) for k, service in enumerate(found)]
+
+
+def compensated_names(axis: AxisFile, model: ModelFile) -> list[str]:
+    """Names of the compensated effects in the order of their bits; one of a name that stands twice has a number."""
+    names = [term.name for term in compensated_terms(axis, model)]
+    return [f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
 def effect_limits(axis: AxisFile, model: ModelFile) -> Limits:
     """Bounds of the torque that is added."""
     section = axis.controller.effects

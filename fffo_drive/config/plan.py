@@ -11,7 +11,7 @@ from ..control.reference import Profile
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
-from ..runtime.effect_monitor import EffectMonitor
+from ..runtime.effect_monitor import EffectMonitor, MonitorConfig
 from ..runtime.runs import run_metadata
 from ..runtime.session import SessionConfig
 from ..units import NS_PER_S
@@ -27,8 +27,7 @@ from .axis import (
 )
 from .checks import bus_problems, law_problems, motion_problems, profile_problems, require
 from .commissioning import Permission, require_identity
-from .effects import compensated_terms, effect_problems
-from .simulated import read_simulated
+from .effects import compensated_names, effect_problems
 
 YAML_TYPE = "application/yaml"
 
@@ -96,6 +95,7 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
             on_bus = dataclasses.replace(on_bus, eds=str(beside(plan.path, on_bus.eds)))
         return CanopenDrive(on_bus)
     from ..drive.simulated.in_process import SimulatedDrive
+    from .simulated import read_simulated
 
     if bus is not None:
         require(plan.path, [f"drive.kind: simulated runs in process and has no bus: leave --bus {bus} out"])
@@ -111,9 +111,11 @@ def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
 
 def effect_monitor(plan: Plan) -> EffectMonitor | None:
     """What watches the model's effects in a live run; None where none is compensated, or none is to be watched."""
-    if not plan.axis.controller.effects.monitor or not compensated_terms(plan.axis, plan.model):
+    section = plan.axis.controller.effects
+    names = compensated_names(plan.axis, plan.model)
+    if not section.monitor or not names:
         return None
-    return EffectMonitor(plan.axis.loop.period_s)
+    return EffectMonitor(plan.axis.loop.period_s, names, MonitorConfig(window_s=section.monitor_window_s))
 
 
 def connect(drive: Drive, given: Permission) -> DriveIdentity:

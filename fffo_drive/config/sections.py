@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..documents import Record
+from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
 Amperes = Annotated[float, Field(gt=0, le=1000)]
@@ -48,6 +49,9 @@ class EffectsSection(Record):
     monitor: Annotated[
         bool, Field(description="try windows with and without them, and take them out where tracking gets worse")
     ] = True
+    monitor_window_s: Annotated[
+        float, Field(ge=0.05, le=60, description="of such a window: long enough for what the axis does again and again")
+    ] = 1.0
 
 
 class ControllerSection(Record):
@@ -254,6 +258,12 @@ class DaemonSection(Record):
     supervisor_timeout_s: Annotated[
         float, Field(ge=0.1, le=60, description="a supervisor silent for so long: the loop quick-stops and ends")
     ] = 1.0
+    scope: Annotated[
+        Listen | None, Field(description="[HOST:]PORT of the scope page; HOST is 127.0.0.1; null: none (extra `live`)")
+    ] = None
+    foxglove: Annotated[
+        Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
+    ] = None
     record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
     record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
     profiles: Annotated[

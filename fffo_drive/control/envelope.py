@@ -33,7 +33,8 @@ TRIP_BUS_OFF = 10
 TRIP_HEARTBEAT = 11
 TRIP_REBOOT = 12
 TRIP_DRIVE_LEFT = 13
-TRIP_COUNT = 14
+TRIP_NOT_OPERATIONAL = 14
+TRIP_COUNT = 15
 
 TRIP_TEXTS = {
     TRIP_NONE: "no fault",
@@ -50,6 +51,7 @@ TRIP_TEXTS = {
     TRIP_HEARTBEAT: "the drive's heartbeat is missing",
     TRIP_REBOOT: "the drive rebooted while in use",
     TRIP_DRIVE_LEFT: "the drive left Operation Enabled by itself",
+    TRIP_NOT_OPERATIONAL: "the drive left NMT state operational, as its heartbeat says",
 }
 
 REACTION_COAST = 0
@@ -100,6 +102,7 @@ class EnvelopeInputs(NamedTuple):
     statusword: int
     emergencies: int  # EMCY frames since the loop began
     reboots: int  # boot-up messages since the loop began
+    not_operational: bool  # a heartbeat says that the drive is not in NMT state OPERATIONAL, or was not for a while
     bus_off: bool
     heartbeat_age_ns: int  # -1: none has come yet
     wanted: bool  # torque is wanted in this tick
@@ -131,6 +134,8 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
         return TRIP_EMERGENCY
     if seen.statusword & STATUS_FAULT:
         return TRIP_DRIVE_FAULT
+    if seen.not_operational:
+        return TRIP_NOT_OPERATIONAL
     if config.heartbeat_timeout_ns > 0 and seen.heartbeat_age_ns > config.heartbeat_timeout_ns:
         return TRIP_HEARTBEAT
     if not seen.wanted:

@@ -17,7 +17,7 @@ from ..drive.port import Drive, DriveIdentity
 from ..runtime import blocks as b
 from ..runtime.realtime import RealtimeReport
 from ..runtime.ring import HEAD
-from ..runtime.session import Session
+from ..runtime.session import LoopHungError, Session
 
 Row = np.ndarray[Any, np.dtype[np.void]]
 
@@ -108,6 +108,10 @@ def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
     return Connection(number, drive, identity, session, report)
 
 
-def leave(connection: Connection) -> None:
-    """End the loop, then leave the drive without torque."""
-    connection.session.close()
+def leave(connection: Connection) -> LoopHungError | None:
+    """End the loop, then leave the drive without torque. Returns why that cannot be gone on after."""
+    try:
+        connection.session.close()
+    except LoopHungError as error:
+        return error
+    return None

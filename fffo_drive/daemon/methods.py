@@ -4,11 +4,12 @@ Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) 
 `watch.sock`. Parameters are objects with names (`parameters.py`). What a method answers:
 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
-status      state, state_s, obstacles, fault {name, text, tick}, toggle, model {name, hash}, profile {name, sample,
-            samples, duration_s}, recording {on, wanted, file, finished, rows_*, write_errors, trouble}, last_event,
-            loop {connection, running, tick, rows, late, skipped, missing_feedback, stale_blocks, trip, exchange},
-            drive {name, statusword, state, emergency_code, nmt_state}, motion {velocity_rps, position_rev, current_a,
-            current_command_a, reference_rps, error_rps, friction_nm, mode, age}; null where there is none
+status      state, state_s, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor, list of
+            {name, in_service, reason}}, profile {name, sample, samples, duration_s}, recording {on, wanted, file,
+            finished, rows_*, write_errors, trouble}, last_event, loop {connection, running, tick, rows, late, skipped,
+            missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code, nmt_state},
+            motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps, friction_nm,
+            mode, age}; null where there is none
 enable, disable, start, stop, quick_stop, reset_fault
             {"state": ..., "reached": true}; error -32004 when it does not come about within wait_s
 toggle, model, set, reload

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from .. import __version__
+from ..config.axis import realtime_request
 from ..config.plan import Plan, make_plan
 from ..documents import DocumentError
 from ..recording.events import Level
 from ..runtime.journal import Journal
 from ..runtime.notify import Notifier
+from ..runtime.realtime import require_realtime
 from ..runtime.states import AT_REST, Event
 from .connection import require_served
 from .methods import Api
@@ -30,6 +32,11 @@ STATUS_S = 0.5
 class Attachment(Protocol):
     """What runs beside the daemon, on threads of its own, while its sockets are open."""
 
+    @property
+    def greeting(self) -> str:
+        """What it serves and where, for the log."""
+        ...
+
     def close(self) -> None:
         """End it."""
         ...
@@ -42,13 +49,18 @@ class Options(NamedTuple):
     bus: str | None = None
     sockets: Path | None = None
     uncommissioned: bool = False
-    attach: Callable[[Supervisor, Path], Attachment] | None = None  # with the directory of the sockets; may wait
+    attach: Callable[[Supervisor, Path], Attachment | None] | None = None  # with the sockets' directory; may wait
 
 
 def serve(options: Options) -> None:
-    """Serve one axis until SIGTERM or SIGINT. Raises DocumentError for bad files, and what ends it for good."""
+    """Serve one axis until SIGTERM or SIGINT.
+
+    Raises DocumentError for bad files, RealtimeRefusedError, and what ends it for good.
+    """
     plan = make_plan(options.file)
     require_served(plan)
+    if plan.axis.realtime.required:
+        require_realtime(realtime_request(plan.axis))  # before the service counts as started
     asyncio.run(_Service(plan, options).run())
 
 
@@ -82,6 +94,8 @@ class _Service:
                 attached = await asyncio.to_thread(options.attach, supervisor, directory)
             self._catch_signals()
             supervisor.log.add("started", f"fffo-drive {__version__} serves {options.file} on {directory}")
+            if attached is not None:
+                supervisor.log.add("started", attached.greeting)
             living = asyncio.create_task(supervisor.run())
             turning = asyncio.create_task(self._turn_for_ever())
             self.notifier.ready()
@@ -95,6 +109,8 @@ class _Service:
             turning.cancel()
         finally:
             await supervisor.close()
+            if supervisor.fatal is not None:
+                supervisor.log.add("stopping", f"it cannot go on: {supervisor.fatal}", Level.FATAL)
             if attached is not None:
                 await asyncio.to_thread(attached.close)
             await self.server.close()

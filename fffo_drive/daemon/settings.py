@@ -31,7 +31,7 @@ LIVE_KEYS = (*GAIN_KEYS, *LAW_KEYS)
 
 # of the axis file: what a running loop was made from; a change needs a restart of the service
 FIXED = ("name", "drive", "envelope", "loop", "realtime", "commissioning")
-FIXED_DAEMON = ("control_group", "clients", "supervisor_timeout_s")
+FIXED_DAEMON = ("control_group", "clients", "supervisor_timeout_s", "scope", "foxglove")
 APPLIED = ("controller", "recording", "profile", "daemon")
 
 
@@ -125,7 +125,7 @@ def reload(plan: Plan, toggle: int, rest: bool) -> Reload:
         section = axis.controller.model_copy(update={"feedforward": old.controller.feedforward})
         axis = axis.model_copy(update={"controller": section})
     model_changed = content_hash(fresh.model) != content_hash(plan.model)
-    model = fresh.model
+    model = fresh.model if model_changed else plan.model
     if model_changed and fresh.model.torque_constant_nm_per_a != plan.model.torque_constant_nm_per_a:
         restart.append("model: torque_constant_nm_per_a")
         model, model_changed = plan.model, False

@@ -35,6 +35,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
         "fault": None if fault is None else fault._asdict(),
         "toggle": toggle_name(supervisor.toggle),
         "model": {"name": plan.model.name, "hash": supervisor.model_hash},
+        "effects": supervisor.effects.status(),
         "profile": _profile_of(supervisor),
         "recording": supervisor.recorder.status(),
         "last_event": supervisor.log.last_number,

@@ -27,6 +27,7 @@ from ..runtime import blocks as b
 from ..runtime.journal import Journal
 from ..runtime.states import AT_REST, TORQUE_STATES, Action, Event, State, step
 from .connection import Connection, bring_up, leave
+from .effects_watch import EffectsWatch
 from .event_log import EventLog
 from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
@@ -50,6 +51,7 @@ class Supervisor:
         self.toggle = plan.toggle
         self.log = EventLog(journal, self._context)
         self.recorder = RecordKeeper(self.log, recordings)
+        self.effects = EffectsWatch(plan, self.log)
         self.log.listeners.append(self.recorder.tell)
         self.state = State.OFFLINE
         self.since_s = clock()
@@ -93,6 +95,7 @@ class Supervisor:
         if action is Action.RELEASE:
             self.fault = None
             self._to_leave, self.connection = self.connection, None
+            self.effects.attach(None)
             self._watcher = self.motion = None
             self._wake.set()
             return
@@ -148,6 +151,7 @@ class Supervisor:
                 self._follow(now_s)
         self._watch_deadline(now_s)
         self._watch_recording()
+        self.effects.look(now_s)
 
     def _meet(self, trouble: Trouble) -> None:
         """Something ended what the axis did."""
@@ -264,11 +268,13 @@ class Supervisor:
 
     def set_plan(self, plan: Plan) -> None:
         """Gains, model and what else changes without a new loop; the loop takes the law at a tick boundary."""
-        self.plan = plan
+        before, self.plan = self.plan, plan
         self.model_hash = content_hash(plan.model)
         if self.connection is not None:
             self.connection.session.set_controller(controller_config(plan.axis, plan.model))
             self.connection.session.set_effects(compensation_table(plan.axis, plan.model))
+        if plan.model is not before.model or plan.axis.controller.effects != before.axis.controller.effects:
+            self.effects.begin(plan)
 
     def set_toggle(self, toggle: int) -> None:
         """Friction from the reference, the feedback, or not."""
@@ -295,7 +301,7 @@ class Supervisor:
     async def run(self) -> None:
         """Keep the drive connected until `close`. What is no matter of the drive ends it: see `fatal`."""
         try:
-            while not self._closing:
+            while not self._closing and self.fatal is None:
                 await self._leave_old()
                 if self.state is State.OFFLINE and self.connection is None:
                     await self._try_to_connect()
@@ -316,7 +322,7 @@ class Supervisor:
         old, self._to_leave = self._to_leave, None
         if old is not None:
             await self.recorder.end()
-            await asyncio.to_thread(leave, old)
+            self.fatal = await asyncio.to_thread(leave, old)
 
     async def _try_to_connect(self) -> None:
         plan = self.plan
@@ -339,6 +345,7 @@ class Supervisor:
         connection.session.request(b.TOGGLE, self.toggle)
         connection.session.set_controller(controller_config(self.plan.axis, self.plan.model))
         connection.session.set_effects(compensation_table(self.plan.axis, self.plan.model))
+        self.effects.attach(connection)
         for refusal in connection.realtime.refusals:
             self.log.add("drive", f"without real-time properties: {refusal}", Level.WARNING)
         identity = connection.identity
@@ -365,7 +372,7 @@ class Supervisor:
         connection, self.connection = self.connection or self._to_leave, None
         self._to_leave = self._watcher = self.motion = None
         if connection is not None:
-            await asyncio.to_thread(leave, connection)
+            self.fatal = await asyncio.to_thread(leave, connection) or self.fatal
         self.state = State.OFFLINE
 
     # -- what it says ----------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ LOST_TRIPS = frozenset(
         env.TRIP_BUS_OFF,
         env.TRIP_HEARTBEAT,
         env.TRIP_REBOOT,
+        env.TRIP_NOT_OPERATIONAL,
         env.TRIP_FEEDBACK_MISSING,
         env.TRIP_STATUS_MISSING,
     }

@@ -13,6 +13,8 @@ import numpy as np
 
 from ..jit import generic
 
+NMT_OPERATIONAL = 5  # state in a heartbeat (CiA 301, 7.2.8.3.2.2)
+
 FEEDBACK = np.dtype(
     [
         # measured values as last received, in the units of signals.py
@@ -31,6 +33,7 @@ FEEDBACK = np.dtype(
         ("heartbeat_ns", "<i8"),  # when the drive's last heartbeat came; -1 before the first
         ("boot_count", "<i8"),  # boot-up messages seen
         ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
+        ("nmt_exits", "<i8"),  # heartbeats that said: no longer OPERATIONAL; a boot-up counts as that alone
         # statistics of the exchange, counted since the port was made
         ("late_feedback", "<i8"),  # answers that came too late or once too often: counted, never used
         ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was outstanding
@@ -66,6 +69,7 @@ class ExchangeCounts(NamedTuple):
     dropped_frames: int = 0  # lost by the socket's queue; -1: unknown
     emergency_count: int = 0  # EMCY messages with an error
     boot_count: int = 0  # the drive restarted
+    nmt_exits: int = 0  # a heartbeat said that the drive left NMT operational
 
     def since(self, before: ExchangeCounts) -> ExchangeCounts:
         """What came after `before`."""
@@ -161,6 +165,9 @@ class Drive(Protocol):
         """True when the port's clock is the wall's: the loop then needs a thread and a priority of its own."""
         ...
 
-    def close(self) -> None:
-        """Leave the drive without torque and the bus without traffic of ours. Never raises."""
+    def close(self, loop_ended: bool = True) -> None:
+        """Leave the drive without torque and the bus without traffic of ours. Never raises.
+
+        `loop_ended` False: the loop's thread hangs and may wake; what it uses stays open.
+        """
         ...

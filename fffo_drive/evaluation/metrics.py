@@ -44,6 +44,7 @@ class TickStatistics(NamedTuple):
     dropped_frames: int
     emergency_count: int
     boot_count: int
+    nmt_exits: int
     lateness_us_p50: float
     lateness_us_p99: float
     lateness_us_max: float

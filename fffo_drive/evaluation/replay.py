@@ -107,6 +107,7 @@ def replay_into(
             0,
             0,
             False,
+            False,
             -1,
             wanted,
             is_operation_enabled(row["statusword"]),

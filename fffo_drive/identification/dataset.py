@@ -17,6 +17,7 @@ from ..recording.load import read_log
 from ..recording.reader import Run
 from ..recording.table import Table, read_table
 from .facts import DriveFacts
+from .gaps import Timing, mended
 
 Floats = npt.NDArray[np.float64]
 
@@ -98,7 +99,8 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     }
     warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
     if isinstance(log, Run):
-        columns = _while_running(log, columns)
+        columns, filled = _while_running(log, columns)
+        warnings += [f"{path}: {filled}"] if filled else []
     return _record(path, columns, facts, warnings)
 
 
@@ -124,8 +126,11 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return [f"{name} ({names[:k].count(name) + 1})" if name in names[:k] else name for k, name in enumerate(names)]
 
 
-def _while_running(run: Run, columns: dict[str, Floats]) -> dict[str, Floats]:
-    """The part of a recording in which the loop applied torque, with a closed loop told from an open one."""
+def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floats], str]:
+    """The part of a recording in which the loop applied torque, with a closed loop told from an open one.
+
+    What the bus did to it is mended; how much that was is said.
+    """
     mode = np.asarray(run.column("mode"))
     active = np.flatnonzero(mode)
     if not active.size:
@@ -135,7 +140,18 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> dict[str, Floats]:
     kept = {name: np.ascontiguousarray(values[part]) for name, values in columns.items()}
     if not (mode[part] == 1).any():
         kept.pop("reference_rps", None)
-    return kept
+    names = ("tick", "velocity_age", "lateness_ns")
+    if part.stop - part.start < 2 or any(name not in run.columns for name in names):
+        return kept, ""
+    timing = Timing(*(run.columns[name][part].astype(np.int64) for name in names))
+    whole = mended(kept, timing, float(np.median(np.diff(kept["time_s"]))))
+    if not whole.filled:
+        return whole.columns, ""
+    share = 100.0 * whole.filled / whole.columns["time_s"].size
+    return (
+        whole.columns,
+        f"{share:.2g} % of the ticks had no SYNC, or no answer in time; what the drive did is filled in",
+    )
 
 
 def _record(path: Path, columns: dict[str, Any], facts: DriveFacts, warnings: list[str]) -> Record:

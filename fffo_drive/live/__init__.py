@@ -1,1 +1,1 @@
-"""Live view of a running axis: rows decimated on a thread of their own, and a scope page over HTTP and WebSocket."""
+"""Live view of a running axis: rows decimated on a thread of their own, a scope page, and a WebSocket for viewers."""

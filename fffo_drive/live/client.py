@@ -12,6 +12,8 @@ import hmac
 import json
 import time
 from collections import deque
+from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
@@ -24,8 +26,10 @@ from .feed import CAPTURE_S
 if TYPE_CHECKING:
     from .hub import Hub
 
+Call = Callable[[], Awaitable[Any]]
+
 COMMANDS = {"enable": 10.0, "disable": 10.0, "start": 0.0, "stop": 10.0, "toggle": None, "reset_fault": 10.0}
-STALL_S = 5.0  # for one frame to leave
+STALL_S = 10.0  # for one frame to leave
 MOST_WAITING = 500  # frames: several seconds
 RATE_HZ, BURST = 20.0, 40.0  # messages of one client
 WRONG_TOKENS = 5
@@ -121,11 +125,11 @@ class Client:
     def _do(self, wanted: dict[str, Any]) -> None:
         what = wanted.get("do")
         if what == "stop":
-            self._start(wanted, self._hub.stop())
+            self._hub.keep(self._answer(wanted, self._hub.stop))
         elif what == "token":
             self._check_token(wanted.get("token"))
         elif what == "capture":
-            self._begin_capture(wanted.get("seconds"))
+            self._begin_capture(wanted.get("seconds"), wanted.get("until_tick"))
         elif what == "call":
             self._call(wanted)
         else:
@@ -140,12 +144,14 @@ class Client:
                 raise DroppedError("wrong token, again and again")
         self.offer(frames.text("rights", command=self._may_command))
 
-    def _begin_capture(self, seconds: object) -> None:
+    def _begin_capture(self, seconds: object, until_tick: object) -> None:
         if not isinstance(seconds, int | float) or not 0 < seconds <= CAPTURE_S:
             raise DroppedError("asks for a capture of no length")
+        if until_tick is not None and (not isinstance(until_tick, int) or not 0 <= until_tick < 1 << 63):
+            raise DroppedError("asks for a capture at no tick")
         if self._bulk:
             return  # the one before is on its way
-        self._bulk.extend(self._hub.feed.captured(float(seconds)))
+        self._bulk.extend(self._hub.feed.captured(float(seconds), until_tick))
         self._filled.set()
 
     def _call(self, wanted: dict[str, Any]) -> None:
@@ -157,24 +163,23 @@ class Client:
         else:
             wait_s = COMMANDS[method]
             given = {**params, "wait_s": wait_s} if wait_s is not None else params
-            self._start(wanted, self._link.call(method, **given))
+            self._start(wanted, partial(self._link.call, method, **given))
 
     def _refuse(self, wanted: dict[str, Any], why: str) -> None:
         self.offer(frames.text("answer", id=_number(wanted), error=why))
 
-    def _start(self, wanted: dict[str, Any], call: Any) -> None:
-        """Answer later; what waits (enable) holds up nothing, a stop least of all."""
-        if len(self._calls) >= CALLS and wanted.get("do") != "stop":
-            call.close()
+    def _start(self, wanted: dict[str, Any], call: Call) -> None:
+        """Answer later; what waits (enable) holds up nothing."""
+        if len(self._calls) >= CALLS:
             self._refuse(wanted, "too many commands wait already")
             return
         task = asyncio.create_task(self._answer(wanted, call))
         self._calls.add(task)
         task.add_done_callback(self._calls.discard)
 
-    async def _answer(self, wanted: dict[str, Any], call: Any) -> None:
+    async def _answer(self, wanted: dict[str, Any], call: Call) -> None:
         try:
-            answer = frames.text("answer", id=_number(wanted), result=await call)
+            answer = frames.text("answer", id=_number(wanted), result=await call())
         except (LinkError, TypeError) as error:
             answer = frames.text("answer", id=_number(wanted), error=str(error))
         self.offer(answer)

@@ -1,4 +1,4 @@
-"""From the loop's ring to frames: a reader with a tail of its own, bins for everybody, and the last rows as they were.
+"""From the loop's ring to bins: a reader with a tail of its own, bins for everybody, and the last rows as they were.
 
 Runs on the thread of the live server. The loop is the only writer of the ring and knows nothing of its readers; the
 recorder has a reader of its own. While nobody listens nothing is read and nothing kept.
@@ -13,12 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..recording.ring_reader import Ring, RingReader
+from ..recording.writer import wall_clock_offset_ns
 from ..runtime.ring import new_ring
 from ..signals import ROW
 from . import frames
-from .decimation import Decimator, bin_ticks_of, lateness_counts
+from .decimation import Counts, Decimator, Matrix, bin_ticks_of, lateness_counts
 
 CAPTURE_S = 10.0
+KEPT_S = CAPTURE_S + 5.0  # a page asks for what is around an event after it has seen it
 CHUNK_ROWS = 256  # of a capture, in one frame
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
@@ -31,6 +33,25 @@ class Source(NamedTuple):
     ring: Ring
     rate_hz: float
     torque_constant_nm_per_a: float
+
+
+class Taken(NamedTuple):
+    """What came of a loop since the last time."""
+
+    loop: int
+    bins: Matrix  # (bins, signals, 3), see Decimator
+    ticks: int
+    late: int
+    lost: int  # rows that were overwritten before they could be read
+    lateness: Counts
+    wall_offset_ns: int  # CLOCK_REALTIME minus CLOCK_MONOTONIC when this loop was met
+
+    def frame(self) -> bytes:
+        """For the scope: a frame of kind `rows`."""
+        return frames.binary(
+            "rows", self.bins.tobytes(), loop=self.loop, bins=len(self.bins), lost=self.lost,
+            late=self.late, ticks=self.ticks, lateness=self.lateness.tolist(),
+        )  # fmt: skip
 
 
 class Capture:
@@ -49,13 +70,12 @@ class Capture:
         while self._batches and self._count - len(self._batches[0]) >= self._most:
             self._count -= len(self._batches.popleft())
 
-    def newest(self, count: int) -> bytes:
-        """At most so many of the newest rows, oldest first, as bytes of signals.ROW."""
-        wanted = min(count, self._most, self._count)
-        if wanted < 1:
-            return b""
-        data = b"".join(batch.tobytes() for batch in self._batches)
-        return data[-wanted * ROW.itemsize :]
+    def newest(self, count: int, until_tick: int | None = None) -> Rows:
+        """At most so many of the newest rows, oldest first; `until_tick`: of those up to this tick."""
+        rows = np.frombuffer(b"".join(batch.tobytes() for batch in self._batches), ROW)  # NumPy's way is field by field
+        if until_tick is not None:
+            rows = rows[: np.searchsorted(rows["tick"], until_tick, side="right")]
+        return rows[max(0, len(rows) - count) :]
 
 
 class Feed:
@@ -75,8 +95,8 @@ class Feed:
         """Nobody listens: let go of everything."""
         self._reader = None
 
-    def poll(self) -> bytes | None:
-        """What came since the last time, as a frame of kind `rows`; None when there is nothing."""
+    def poll(self) -> Taken | None:
+        """What came since the last time; None when there is nothing."""
         source = self._source()
         if source is None:
             return None
@@ -87,19 +107,19 @@ class Feed:
         if not len(batch.rows):
             return None
         self._capture.add(batch.rows)
-        bins = self._decimator.feed(batch.rows)
-        return frames.binary(
-            "rows", bins.tobytes(), loop=source.number, bins=len(bins), lost=batch.lost,
-            late=int(np.count_nonzero(batch.rows["late"])), ticks=len(batch.rows),
-            lateness=lateness_counts(batch.rows).tolist(),
+        late = int(np.count_nonzero(batch.rows["late"]))
+        return Taken(
+            source.number, self._decimator.feed(batch.rows), len(batch.rows), late, batch.lost,
+            lateness_counts(batch.rows), self._wall_offset_ns,
         )  # fmt: skip
 
     def _follow(self, source: Source) -> None:
         self._number = source.number
         self._rate_hz = source.rate_hz
+        self._wall_offset_ns = wall_clock_offset_ns()
         self._reader = RingReader(source.ring, from_now=True)
         self._decimator = Decimator(bin_ticks_of(source.rate_hz))
-        self._capture = Capture(round(CAPTURE_S * source.rate_hz))
+        self._capture = Capture(round(KEPT_S * source.rate_hz))
 
     def facts(self) -> dict[str, Any]:
         """What the page has to know of the loop; nulls where none runs."""
@@ -113,16 +133,18 @@ class Feed:
             "torque_constant_nm_per_a": source.torque_constant_nm_per_a,
         }
 
-    def captured(self, seconds: float) -> list[bytes]:
-        """The rows of the last seconds at the full rate, as frames of kind `capture`; one without rows if none."""
+    def captured(self, seconds: float, until_tick: int | None = None) -> list[bytes]:
+        """The rows of the last seconds at the full rate (or of those before a tick), as frames of kind `capture`.
+
+        One without rows if there are none.
+        """
         if self._reader is None:
             return [frames.binary("capture", b"", loop=None, first=0, rows=0, total=0)]
-        data = self._capture.newest(round(min(seconds, CAPTURE_S) * self._rate_hz))
-        size = ROW.itemsize
-        total = len(data) // size
+        rows = self._capture.newest(round(min(seconds, CAPTURE_S) * self._rate_hz), until_tick)
+        total = len(rows)
         return [
             frames.binary(
-                "capture", data[first * size : (first + CHUNK_ROWS) * size],
+                "capture", rows[first : first + CHUNK_ROWS].tobytes(),
                 loop=self._number, first=first, rows=min(CHUNK_ROWS, total - first), total=total,
             )
             for first in range(0, max(total, 1), CHUNK_ROWS)

@@ -1,10 +1,11 @@
-"""What all pages share: one feed, one look at the status, one way to stop. Lives on the live server's thread."""
+"""What everybody who looks shares: one feed, one look at the status, one way to stop. On the live server's thread."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from websockets.asyncio.server import ServerConnection
 
@@ -12,7 +13,7 @@ from . import frames
 from .client import Client
 from .control_link import ControlLink, LinkError
 from .decimation import LATENESS_EDGES_US
-from .feed import CAPTURE_S, Feed
+from .feed import CAPTURE_S, Feed, Taken
 
 FRAMES_HZ = 25.0
 STATUS_HZ = 10.0
@@ -20,14 +21,41 @@ RETRY_S = 0.5
 EVENTS = 50
 
 
+class Audience(Protocol):
+    """Somebody besides the pages who is shown the same: the viewers."""
+
+    @property
+    def looking(self) -> bool:
+        """Wants to be shown something now."""
+        ...
+
+    def begin(self) -> None:
+        """What follows has nothing to do with what was before."""
+        ...
+
+    def rows(self, taken: Taken) -> None:
+        """What came of the loop."""
+        ...
+
+    def status(self, status: Mapping[str, Any]) -> None:
+        """A status of the control API."""
+        ...
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """An event of the control API."""
+        ...
+
+
 class Hub:
-    """The pages that look, and what they are shown."""
+    """The pages that look, and what they and the viewers are shown."""
 
     def __init__(self, feed: Feed, control_path: Path, token: str) -> None:
         self.feed, self.control_path, self.token = feed, control_path, token
         self.clients: set[Client] = set()
-        self._link = ControlLink(control_path, self._hear)  # stands all the time: a stop finds its way open
+        self.audience: Audience | None = None
+        self.link = ControlLink(control_path, self._hear)  # stands all the time: a stop finds its way open
         self._somebody = asyncio.Event()
+        self._kept: set[asyncio.Task[None]] = set()
         self._status_hz = -1.0
         self._state = ""
         self._loop: int | None = -1
@@ -47,8 +75,8 @@ class Hub:
             self.clients.discard(client)
 
     async def _greeting(self) -> str:
-        info, status = await self._link.call("info"), await self._link.call("status")
-        events = await self._link.call("events", limit=EVENTS)
+        info, status = await self.link.call("info"), await self.link.call("status")
+        events = await self.link.call("events", limit=EVENTS)
         return frames.text(
             "hello", info={name: info[name] for name in ("axis", "profiles", "fffo_drive")}, status=status,
             events=events["events"], fields=frames.fields(), lateness_edges_us=LATENESS_EDGES_US,
@@ -57,60 +85,89 @@ class Hub:
 
     async def run(self) -> None:
         """Read the ring and tell everybody, while there is anybody; for ever."""
+        looked = False
         while True:
-            await self._subscribe()
-            if not self.clients:
-                self._somebody.clear()
-                self.feed.end()
-                try:
-                    await asyncio.wait_for(self._somebody.wait(), RETRY_S)
-                except TimeoutError:
-                    continue
-                self.feed.begin()
-            self._turn()
-            await asyncio.sleep(1.0 / FRAMES_HZ)
+            looking = self._looking
+            if looking != looked:
+                looked = looking
+                self._begin() if looking else self.feed.end()
+            await self._subscribe(STATUS_HZ if looking else 0.0)
+            if looking:
+                self._turn()
+                await asyncio.sleep(1.0 / FRAMES_HZ)
+            else:
+                await self._wait_for_somebody()
+
+    def _begin(self) -> None:
+        self.feed.begin()
+        if self.audience is not None:
+            self.audience.begin()
+
+    @property
+    def _looking(self) -> bool:
+        return bool(self.clients) or (self.audience is not None and self.audience.looking)
+
+    async def _wait_for_somebody(self) -> None:
+        self._somebody.clear()
+        try:
+            await asyncio.wait_for(self._somebody.wait(), RETRY_S)
+        except TimeoutError:
+            return
 
     def _turn(self) -> None:
         facts = self.feed.facts()
         if facts["loop"] != self._loop:
             self._loop = facts["loop"]
             self._tell(frames.text("loop", **facts))
-        frame = self.feed.poll()
-        if frame is not None:
-            self._tell(frame)
+            if self.audience is not None:
+                self.audience.begin()
+        taken = self.feed.poll()
+        if taken is None:
+            return
+        if self.clients:
+            self._tell(taken.frame())
+        if self.audience is not None:
+            self.audience.rows(taken)
 
     def _tell(self, frame: str | bytes) -> None:
         for client in list(self.clients):
             client.offer(frame)
 
-    async def _subscribe(self) -> None:
+    async def _subscribe(self, wanted_hz: float) -> None:
         """Statuses while somebody looks; events always, so that the connection is never taken for forgotten."""
-        wanted = STATUS_HZ if self.clients else 0.0
-        if self._link.is_open and wanted == self._status_hz:
+        if self.link.is_open and wanted_hz == self._status_hz:
             return
         try:
-            await self._link.call("subscribe", status_hz=wanted, events=True)
-            self._status_hz = wanted
+            await self.link.call("subscribe", status_hz=wanted_hz, events=True)
+            self._status_hz = wanted_hz
         except LinkError:
             self._status_hz = -1.0
             await asyncio.sleep(RETRY_S)
 
     def _hear(self, method: str, params: dict[str, Any]) -> None:
+        if method not in ("status", "event"):
+            return
         if method == "status":
             self._state = params["state"]
-            self._tell(frames.text("status", status=params))
-        elif method == "event":
-            self._tell(frames.text("event", event=params))
+        self._tell(frames.text(method, **{method: params}))
+        if self.audience is not None:
+            getattr(self.audience, method)(params)
 
     async def stop(self) -> Any:
         """Brake to standstill, then no torque; asked for again while it stops: the drive's quick stop."""
         method = "quick_stop" if self._state == "stopping" else "disable"
-        result = await self._link.call(method, wait_s=0.0)
+        result = await self.link.call(method, wait_s=0.0)
         self._state = result["state"]
         return {"method": method, **result}
+
+    def keep(self, asked: Coroutine[Any, Any, None]) -> None:
+        """Do it to the end, even when who asked is gone by then: a stop."""
+        task = asyncio.create_task(asked)
+        self._kept.add(task)
+        task.add_done_callback(self._kept.discard)
 
     def close(self) -> None:
         """Drop everybody."""
         for client in list(self.clients):
             client.drop("the service ends")
-        self._link.close()
+        self.link.close()

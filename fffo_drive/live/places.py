@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-URL_FILE, TOKEN_FILE = "scope.url", "scope.token"
-URL_MODE, TOKEN_MODE = 0o644, 0o600
+URL_FILE, VIEWERS_FILE, TOKEN_FILE = "scope.url", "viewers.url", "scope.token"
+URL_MODE, TOKEN_MODE = 0o644, 0o640

@@ -1,7 +1,7 @@
-"""The live server: HTTP and WebSocket on one port, on a thread and an asyncio loop of its own.
+"""The live server of one daemon, on a thread and an asyncio loop of its own: scope page and viewers' WebSocket.
 
-It answers with the page on `/` and speaks WebSocket on `/live`. A request must name us as its host, a WebSocket must
-come from our own page (Origin); commands need the token besides. Stop needs neither token nor a free place in a queue.
+The daemon's own loop is asked through its control socket alone, like by any other client; the tick's loop is only read,
+through its ring. Whatever happens here, both go on.
 """
 
 from __future__ import annotations
@@ -10,78 +10,56 @@ import asyncio
 import contextlib
 import os
 import secrets
+import stat
 import threading
 from collections.abc import Callable
-from functools import partial
-from http import HTTPStatus
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
-
+from ..config.address import Address
+from .control_link import ControlLink
 from .feed import Feed, Source
 from .hub import Hub
-from .page import headers, page
-from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE
+from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE, VIEWERS_FILE
+from .web import Web
 
-PATH = "/live"
-CLIENTS = 8
-CONNECTIONS = 32  # open at all, half-open ones among them
-MESSAGE_BYTES = 4096
-START_S, END_S = 120.0, 5.0  # a first start may compile
-WILDCARDS = ("", "0.0.0.0", "::", "*")
+START_S, END_S = 120.0, 10.0  # a first start may compile
+THREAD_NAME = "fffo-live"  # for `top -H` as well
 
 
-class Address(NamedTuple):
-    """Where to listen. Port 0: a free one."""
+class Wanted(NamedTuple):
+    """What is to be served, and where; None: not at all."""
 
-    host: str
-    port: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What a browser may call us."""
-        hosts = ("127.0.0.1", "localhost") if self.host in ("127.0.0.1", "localhost") else (self.host,)
-        return tuple(f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}" for host in hosts)
-
-
-def address_of(text: str) -> Address:
-    """`PORT`, or `HOST:PORT`. Raises ValueError."""
-    host, _, port = text.rpartition(":")
-    host = host.strip("[]") if host else "127.0.0.1"
-    if not port.isdecimal() or int(port) > 65535:
-        raise ValueError(f"'{text}': give PORT or HOST:PORT")
-    if ":" in text and host in WILDCARDS:
-        raise ValueError(f"'{text}': give the address or name that browsers use, not all of them")
-    return Address(host, int(port))
+    scope: Address | None
+    viewers: Address | None = None
 
 
 class LiveServer:
-    """Serves the scope of one daemon, from `start` to `close`."""
+    """Serves from `start` to `close`."""
 
-    def __init__(self, address: Address, directory: Path, control: str, source: Callable[[], Source | None]) -> None:
-        """`directory` has the daemon's socket `control`; address and token are left there as files."""
-        self.address = address
+    def __init__(
+        self, wanted: Wanted, directory: Path, control: str, source: Callable[[], Source | None], name: str = "axis"
+    ) -> None:
+        """`directory` has the daemon's socket `control`; addresses and key are left there as files."""
+        self.wanted = wanted  # with the ports that were given, once started
         self.token = secrets.token_urlsafe(24)
-        self._directory, self._control, self._source = directory, control, source
-        self._thread = threading.Thread(target=self._work, name="fffo-live", daemon=True)
+        self._directory, self._control, self._source, self._name = directory, control, source, name
+        self._thread = threading.Thread(target=self._work, name=THREAD_NAME, daemon=True)
         self._ready = threading.Event()
         self._failure: BaseException | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
-        self._open = 0
 
     def start(self) -> None:
-        """Listen. Raises OSError when the address cannot be had."""
+        """Listen. Raises OSError when an address cannot be had."""
         self._thread.start()
         if not self._ready.wait(START_S):
-            raise OSError(f"{self.url}: the live server does not start")
+            raise OSError("the live server does not start")
         if self._failure is not None:
             raise self._failure
-        _write(self._directory / URL_FILE, self.url, URL_MODE)
-        _write(self._directory / TOKEN_FILE, self.token, TOKEN_MODE)
+        group = (self._directory / self._control).stat().st_gid  # who may use the control socket may read the key
+        for name, text, mode in self._files():
+            _write(self._directory / name, text, mode, group)
 
     def close(self) -> None:
         """Drop all clients and end the thread."""
@@ -89,15 +67,33 @@ class LiveServer:
             with contextlib.suppress(RuntimeError):  # ended by itself
                 self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join(END_S)
-        for name in (URL_FILE, TOKEN_FILE):
+        for name in (URL_FILE, VIEWERS_FILE, TOKEN_FILE):
             (self._directory / name).unlink(missing_ok=True)
 
     @property
     def url(self) -> str:
-        """For a browser."""
-        return f"http://{self.address.names[0]}/"
+        """Of the scope page, for a browser; empty without one."""
+        return f"http://{self.wanted.scope.names[0]}/" if self.wanted.scope else ""
+
+    @property
+    def viewers_url(self) -> str:
+        """For Foxglove and the like; empty where there is none."""
+        return f"ws://{self.wanted.viewers.names[0]}" if self.wanted.viewers else ""
+
+    @property
+    def greeting(self) -> str:
+        """One line for the log."""
+        told = [f"the scope is on {self.url}"] if self.url else []
+        told += [f"Foxglove connects to {self.viewers_url}"] if self.viewers_url else []
+        return "; ".join((*told, "fffo-drive scope gives the addresses with the key"))
+
+    def _files(self) -> list[tuple[str, str, int]]:
+        urls = [(URL_FILE, self.url, URL_MODE), (VIEWERS_FILE, self.viewers_url, URL_MODE)]
+        return [*(file for file in urls if file[1]), (TOKEN_FILE, self.token, TOKEN_MODE)]
 
     def _work(self) -> None:
+        with contextlib.suppress(OSError):
+            Path("/proc/thread-self/comm").write_text(THREAD_NAME)
         try:
             asyncio.run(self._run())
         except BaseException as error:
@@ -109,73 +105,42 @@ class LiveServer:
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
         self.hub = hub = Hub(Feed(self._source), self._directory / self._control, self.token)
-        async with serve(
-            hub.serve, self.address.host, self.address.port, process_request=self._process,
-            create_connection=cast(type[ServerConnection], partial(_Connection, self)), compression=None,
-            max_size=MESSAGE_BYTES, max_queue=4, open_timeout=5.0,
-            ping_interval=10.0, ping_timeout=10.0, close_timeout=1.0, server_header=None, backlog=CONNECTIONS,
-        ) as server:  # fmt: skip
-            port = next(iter(server.sockets)).getsockname()[1]
-            self.address = self.address._replace(port=port)
+        async with contextlib.AsyncExitStack() as served:
+            served.callback(hub.close)
+            if self.wanted.scope is not None:
+                web = Web(self.wanted.scope, hub)
+                self.wanted = self.wanted._replace(scope=await web.start())
+                served.callback(web.close)
+            if self.wanted.viewers is not None:
+                self.wanted = self.wanted._replace(viewers=await self._open_viewers(self.wanted.viewers, served))
             working = asyncio.create_task(hub.run())
             self._ready.set()
-            await asyncio.wait({working, asyncio.create_task(self._end.wait())}, return_when="FIRST_COMPLETED")
-            hub.close()
-            server.close(close_connections=True)
+            ending = asyncio.create_task(self._end.wait())
+            await asyncio.wait({working, ending}, return_when=asyncio.FIRST_COMPLETED)
             if working.done():
                 working.result()
             working.cancel()
 
-    def _process(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The page, the WebSocket, or why not."""
-        if request.headers.get_all("Host") not in [[name] for name in self.address.names]:
-            return _answer(HTTPStatus.MISDIRECTED_REQUEST, f"this is {self.url}\n")
-        if request.path == "/":
-            return _answer(HTTPStatus.OK, page(), headers())
-        if request.path != PATH:
-            return _answer(HTTPStatus.NOT_FOUND, "not here\n")
-        if request.headers.get_all("Origin") not in [[f"http://{name}"] for name in self.address.names]:
-            return _answer(HTTPStatus.FORBIDDEN, "not from this page\n")
-        if len(self.hub.clients) >= CLIENTS:
-            return _answer(HTTPStatus.SERVICE_UNAVAILABLE, f"{CLIENTS} pages are open already\n")
-        return None
+    async def _open_viewers(self, address: Address, served: contextlib.AsyncExitStack) -> Address:
+        """The viewers' WebSocket, with a connection to the daemon of its own."""
+        from .viewers import Viewers  # the SDK is large: only where it is wanted
 
-    def joined(self) -> bool:
-        """A connection was made; False when it is one too many."""
-        self._open += 1
-        return self._open <= CONNECTIONS
-
-    def left(self) -> None:
-        """A connection is gone."""
-        self._open -= 1
+        others = ControlLink(self._directory / self._control)
+        viewers = Viewers(address, self._name, self.token, (self.hub.link, others))
+        served.push_async_callback(viewers.close)
+        served.callback(others.close)  # first of all: what waits for an answer has one, and the SDK can end
+        address = await viewers.start()
+        self.hub.audience = viewers
+        return address
 
 
-class _Connection(ServerConnection):
-    """A connection that counts."""
-
-    def __init__(self, owner: LiveServer, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._owner = owner
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        if not self._owner.joined():
-            self.transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._owner.left()
-        super().connection_lost(exc)
-
-
-def _answer(status: HTTPStatus, text: str, more: dict[str, str] | None = None) -> Response:
-    body = text.encode()
-    given = more or {"Content-Type": "text/plain; charset=utf-8", "X-Content-Type-Options": "nosniff"}
-    head = Headers([*given.items(), ("Content-Length", str(len(body))), ("Connection", "close")])
-    return Response(status.value, status.phrase, head, body)
-
-
-def _write(path: Path, text: str, mode: int) -> None:
-    """A file that never was readable for more than `mode` says."""
+def _write(path: Path, text: str, mode: int, group: int) -> None:
+    """A file that never was readable for more than `mode` says, nor for another group than this one."""
     path.unlink(missing_ok=True)
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w") as file:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
         file.write(text + "\n")
+        try:
+            os.fchown(file.fileno(), -1, group)
+        except PermissionError:  # the service is not in it: what is not for everybody stays its own user's
+            mode = mode if mode & stat.S_IROTH else 0o600
+        os.fchmod(file.fileno(), mode)

@@ -1,17 +1,22 @@
 """Whether compensated effects help on this axis today: windows with them and without, compared by a sequential test.
 
-A trial alternates windows with and without the feed-forward of effects (with, without, without, with, ...: a trend
-cancels). Of each pair the logarithm of the ratio of the squared tracking errors counts; its mean is tested after every
-pair, at a level that holds for all looks together. Worse: out of service. Better, or no difference after the last pair:
-in service. In service the squared error is watched by a cumulative sum against what it was in the trial; when it has
-grown the next trial begins, so that what is another load or another reference is not taken for a wrong model.
+A trial alternates windows with and without what is tried (with, without, without, with, ...: a trend cancels). Of each
+pair the logarithm of the ratio of the squared tracking errors counts; its mean is tested after every pair, at a level
+that holds for all looks together. Worse: out of service. Better, or no difference after the last pair: in service.
 
-`monitor_step` is pure: one window in, the state after it and what is to be in service out.
+First all effects are tried together. Then each of several: together no worse, each against all the others; together
+worse, each by itself, beginning with none in service. What is left is watched by a cumulative sum of its squared error
+against what it was in the trial; when that has grown the next trial begins, so that what is another load or another
+reference is not taken for a wrong model. What was taken out stays out until the model is put in service again.
+
+`monitor_step` is pure: one window in, the state after it and what is to be in service out. Effects are bits, as in the
+row: bit k is the k-th effect in the order in which they are compensated.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -48,110 +53,181 @@ class Window(NamedTuple):
     """One window of the loop."""
 
     squared_error_rps2: float  # mean
-    with_effects: bool
+    effects: int  # bits in service
     moves: bool
+
+
+class Moments(NamedTuple):
+    """Mean and spread of numbers that come one by one (Welford)."""
+
+    number: int = 0
+    mean: float = 0.0
+    squares: float = 0.0  # sum of squared deviations
+
+    def added(self, value: float) -> Moments:
+        """With one more."""
+        number = self.number + 1
+        change = value - self.mean
+        mean = self.mean + change / number
+        return Moments(number, mean, self.squares + change * (value - mean))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation; 1 where there is none yet."""
+        return math.sqrt(self.squares / (self.number - 1)) if self.number > 1 else 1.0
+
+
+class Trial(NamedTuple):
+    """Some effects tried on top of others."""
+
+    base: int  # bits in service in every window
+    tried: int  # bits in service in every other one
+    number: int = 0  # windows so far
+    pending: float = math.nan  # logarithm of the first window of the pair
+    ratios: Moments = Moments()  # logarithms of with over without
+    with_them: Moments = Moments()  # logarithms of the squared error
+    without: Moments = Moments()
+
+    @property
+    def wanted(self) -> int:
+        """Bits that the next window is to have: with, without, without, with, with, ..."""
+        return self.base | self.tried if self.number % 4 in (0, 3) else self.base
 
 
 class MonitorState(NamedTuple):
     """Memory of the monitor."""
 
-    phase: Phase
-    number: int  # windows of the trial so far
-    pending: float  # logarithm of the first window of the pair; NaN: none yet
-    pairs: int
-    mean: float  # of the logarithm of with over without
-    squares: float  # sum of squared deviations
-    usual: float  # mean logarithm with effects
-    usual_squares: float
-    windows: int  # with effects, in the trial
-    growth: float  # cumulative sum in service, in standard deviations
+    trial: Trial | None  # None: what is kept is in service
+    kept: int  # bits that no trial has taken out
+    queue: tuple[int, ...] = ()  # to be tried one by one
+    usual: Moments = Moments()  # logarithm of the squared error in service
+    growth: float = 0.0  # cumulative sum in service, in standard deviations
+
+    @property
+    def phase(self) -> Phase:
+        """What is done."""
+        if self.trial is not None:
+            return Phase.TRIAL
+        return Phase.SERVICE if self.kept else Phase.OUT
+
+    @property
+    def wanted(self) -> int:
+        """Bits that are to be in service now."""
+        return self.kept if self.trial is None else self.trial.wanted
+
+
+class Verdict(NamedTuple):
+    """The end of a trial, or the beginning of another one."""
+
+    effects: int  # bits that it speaks of
+    worse: bool
+    change: float = math.nan  # of the squared error with them, as a logarithm; NaN: it has grown in service
+    pairs: int = 0
 
 
 class Decision(NamedTuple):
-    """What is to be done next."""
+    """What is to be in service next."""
 
-    with_effects: bool
-    verdict: str  # empty, or a sentence for the event log
-    worse: bool
-
-
-def monitor_start() -> MonitorState:
-    """A trial begins."""
-    return MonitorState(Phase.TRIAL, 0, math.nan, 0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
+    effects: int  # bits
+    verdict: Verdict | None = None
 
 
-def wants_effects(state: MonitorState) -> bool:
-    """Whether the next window is one with effects: in a trial with, without, without, with."""
-    if state.phase is Phase.TRIAL:
-        return state.number % 4 in (0, 3)
-    return state.phase is Phase.SERVICE
+def monitor_start(effects: int = 1) -> MonitorState:
+    """A trial of these bits together begins."""
+    return MonitorState(Trial(0, effects), effects)
 
 
 def monitor_step(config: MonitorConfig, state: MonitorState, window: Window) -> tuple[MonitorState, Decision]:
-    """One window. A window that does not move, or is of the other kind than was asked for, does not count."""
-    if not window.moves or window.squared_error_rps2 <= 0.0 or window.with_effects != wants_effects(state):
-        return state, Decision(wants_effects(state), "", False)
+    """One window. A window that does not move, or has other effects than were asked for, does not count."""
+    if not window.moves or window.squared_error_rps2 <= 0.0 or window.effects != state.wanted:
+        return state, Decision(state.wanted)
     logarithm = math.log(window.squared_error_rps2)
-    if state.phase is Phase.TRIAL:
-        return _tried(config, state, window, logarithm)
-    if state.phase is Phase.SERVICE:
-        return _watched(config, state, logarithm)
-    return state, Decision(False, "", False)
+    if state.trial is None:
+        return _watched(config, state, logarithm) if state.kept else (state, Decision(0))
+    trial = _with_window(state.trial, logarithm)
+    worse = _outcome(config, trial)
+    if worse is None:
+        state = state._replace(trial=trial)
+        return state, Decision(state.wanted)
+    state = _after(state, trial, worse)
+    return state, Decision(state.wanted, Verdict(trial.tried, worse, trial.ratios.mean, trial.ratios.number))
 
 
-def _tried(
-    config: MonitorConfig, state: MonitorState, window: Window, logarithm: float
-) -> tuple[MonitorState, Decision]:
-    windows, usual, usual_squares = state.windows, state.usual, state.usual_squares
-    if window.with_effects:
-        windows, usual, usual_squares = _welford(windows, usual, usual_squares, logarithm)
-    state = state._replace(number=state.number + 1, windows=windows, usual=usual, usual_squares=usual_squares)
-    if math.isnan(state.pending):
-        state = state._replace(pending=logarithm)
-        return state, Decision(wants_effects(state), "", False)
-    ratio = logarithm - state.pending if window.with_effects else state.pending - logarithm
-    pairs, mean, squares = _welford(state.pairs, state.mean, state.squares, ratio)
-    state = state._replace(pending=math.nan, pairs=pairs, mean=mean, squares=squares)
-    if pairs < config.least_pairs:
-        return state, Decision(wants_effects(state), "", False)
-    reach = config.level_sds * math.sqrt(squares / (pairs - 1) / pairs)
+def _with_window(trial: Trial, logarithm: float) -> Trial:
+    """The trial with one more window of the kind that it wanted."""
+    with_them = trial.wanted != trial.base
+    number, pending = trial.number + 1, trial.pending
+    if with_them:
+        trial = trial._replace(with_them=trial.with_them.added(logarithm))
+    else:
+        trial = trial._replace(without=trial.without.added(logarithm))
+    if math.isnan(pending):
+        return trial._replace(number=number, pending=logarithm)
+    ratio = logarithm - pending if with_them else pending - logarithm
+    return trial._replace(number=number, pending=math.nan, ratios=trial.ratios.added(ratio))
+
+
+def _outcome(config: MonitorConfig, trial: Trial) -> bool | None:
+    """Worse, or not; None while it is open."""
+    ratios = trial.ratios
+    if not math.isnan(trial.pending) or ratios.number < config.least_pairs:
+        return None
+    reach = config.level_sds * ratios.sd / math.sqrt(ratios.number)
     # few pairs know their own spread badly: Student's tails, by the usual approximation for the level
-    reach *= 1.0 + config.level_sds * config.level_sds / (4.0 * (pairs - 1))
+    reach *= 1.0 + config.level_sds * config.level_sds / (4.0 * (ratios.number - 1))
     tolerated = math.log1p(0.01 * config.tolerated_percent)
-    change = f"{100.0 * math.expm1(mean):+.0f} % in {pairs} pairs of windows"
-    if mean - reach > tolerated:
-        out = state._replace(phase=Phase.OUT)
-        return out, Decision(False, f"effects out of service: squared tracking error {change}", True)
-    if mean + reach < tolerated or pairs >= config.most_pairs:
-        kept = state._replace(phase=Phase.SERVICE, growth=0.0)
-        return kept, Decision(True, f"effects stay in service: squared tracking error {change}", False)
-    return state, Decision(wants_effects(state), "", False)
+    if ratios.mean - reach > tolerated:
+        return True
+    if ratios.mean + reach < tolerated or ratios.number >= config.most_pairs:
+        return False
+    return None
+
+
+def _after(state: MonitorState, trial: Trial, worse: bool) -> MonitorState:
+    """The next trial, or service."""
+    kept = trial.base if worse else trial.base | trial.tried
+    several = _bits(trial.tried)
+    queue = several if len(several) > 1 else state.queue
+    if queue:
+        others = kept & ~queue[0]
+        return MonitorState(Trial(others, queue[0]), kept, queue[1:])
+    return MonitorState(None, kept, (), trial.without if worse else trial.with_them)
+
+
+def _bits(effects: int) -> tuple[int, ...]:
+    return tuple(1 << k for k in range(effects.bit_length()) if effects >> k & 1)
 
 
 def _watched(config: MonitorConfig, state: MonitorState, logarithm: float) -> tuple[MonitorState, Decision]:
-    spread = math.sqrt(state.usual_squares / max(1, state.windows - 1)) if state.windows > 1 else 1.0
-    sds = (logarithm - state.usual) / max(spread, 0.05)
+    sds = (logarithm - state.usual.mean) / max(state.usual.sd, 0.05)
     growth = max(0.0, state.growth + sds - config.slack_sds)
     if growth < config.alarm_sds:
-        return state._replace(growth=growth), Decision(True, "", False)
-    again = monitor_start()
-    return again, Decision(wants_effects(again), "tracking error has grown: effects are tried again", False)
+        state = state._replace(growth=growth)
+        return state, Decision(state.wanted)
+    again = monitor_start(state.kept)
+    return again, Decision(again.wanted, Verdict(state.kept, False))
 
 
-def _welford(count: int, mean: float, squares: float, value: float) -> tuple[int, float, float]:
-    count += 1
-    change = value - mean
-    mean += change / count
-    return count, mean, squares + change * (value - mean)
+def sentence(verdict: Verdict, names: Sequence[str]) -> str:
+    """A verdict in words; `names` by the number of the bit."""
+    said = ", ".join(names[k] if k < len(names) else f"effect {k}" for k in range(8) if verdict.effects >> k & 1)
+    if math.isnan(verdict.change):
+        return f"tracking error has grown: {said} tried again"
+    change = f"squared tracking error {100.0 * math.expm1(verdict.change):+.0f} % in {verdict.pairs} pairs of windows"
+    return f"{said} {'taken out of service' if verdict.worse else 'in service'}: {change}"
 
 
 class EffectMonitor:
-    """Cuts rows of the loop into windows, and says what is to be in service. `observe` is given every row once."""
+    """Cuts rows of the loop into windows, and says what is to be in service. `observe` is given every row once.
 
-    def __init__(self, period_s: float, config: MonitorConfig | None = None) -> None:
+    `names` of the compensated effects, in the order of their bits.
+    """
+
+    def __init__(self, period_s: float, names: Sequence[str] = ("effects",), config: MonitorConfig | None = None):
         self.config = config or MonitorConfig()
-        self.state = monitor_start()
-        self.with_effects = wants_effects(self.state)
+        self.names = tuple(names)
+        self.state = monitor_start((1 << len(self.names)) - 1)
+        self.effects = self.state.wanted  # bits that are to be in service now
         self._settling = math.ceil(2.0 * RAMP_S / period_s)
         self._samples = max(1, round(self.config.window_s / period_s))
         self._skip = self._settling
@@ -159,13 +235,17 @@ class EffectMonitor:
         self._count = 0
 
     def observe(self, rows: Rows) -> list[Decision]:
-        """Decisions with a sentence or a change in them; the last one holds."""
+        """Decisions with a verdict or a change in them; the last one holds."""
         found: list[Decision] = []
         for begin in range(0, rows.size, self._samples):
             part = rows[begin : begin + self._samples]
-            acting = (part["mode"] == MODE_VELOCITY) & ((part["effects"] != 0) == self.with_effects)
+            acting = (part["mode"] == MODE_VELOCITY) & (part["effects"] == self.effects)
             found += self._take(part, acting)
         return found
+
+    def sentence(self, verdict: Verdict) -> str:
+        """A verdict in words."""
+        return sentence(verdict, self.names)
 
     def _take(self, part: Rows, acting: np.ndarray[Any, np.dtype[np.bool_]]) -> list[Decision]:
         if not acting.all():
@@ -187,15 +267,15 @@ class EffectMonitor:
             if self._count < self._samples:
                 continue
             moves = math.sqrt(self._reference / self._count) > self.config.least_motion_rps
-            window = Window(self._error / self._count, self.with_effects, moves)
+            window = Window(self._error / self._count, self.effects, moves)
             self.state, decision = monitor_step(self.config, self.state, window)
-            changed = decision.with_effects != self.with_effects
+            changed = decision.effects != self.effects
             self._error = self._reference = 0.0
             self._count = 0
-            if changed or decision.verdict:
+            if changed or decision.verdict is not None:
                 found.append(decision)
             if changed:
-                self.with_effects = decision.with_effects
+                self.effects = decision.effects
                 self._restart()
                 break  # what follows in this batch is still of the former kind
         return found

@@ -32,6 +32,7 @@ MESSAGE_IDS = {
     "recording": "a94f7b3b5d7c4f0d9bb2a61c8f3e7d98",
     "drive": "58d7c1e3a2f64d0ab1c9e4b7f6a3d2c9",
     "parameters": "b15c7f9e2d8a4a6f93c1d0e5b8f7a6da",
+    "effects": "64790da58888bf64c49e371c686ef238",
 }
 
 

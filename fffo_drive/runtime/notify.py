@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from ..units import NS_PER_S
 
 US_PER_S = 1_000_000
+AWAITED = ("READY=1", "RELOADING=1", "STOPPING=1")  # said once, and the manager waits for them
+LONGEST_WAIT_S = 0.1  # for room in its queue
 
 
 class Notifier:
@@ -34,11 +36,10 @@ class Notifier:
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`; sent when it changes."""
+        """One line for `systemctl status`; sent when it changes, and again while the manager is too busy to take it."""
         line = " ".join(text.split())
-        if line != self._status:
+        if line != self._status and self._send(f"STATUS={line}"):
             self._status = line
-            self._send(f"STATUS={line}")
 
     def alive(self) -> None:
         """Feed the watchdog."""
@@ -48,15 +49,18 @@ class Notifier:
         """Starting takes longer than the unit allows (kernels are being compiled)."""
         self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * US_PER_S)}")
 
-    def _send(self, *lines: str) -> None:
+    def _send(self, *lines: str) -> bool:
         if not self._address:
-            return
+            return True
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as sock:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
+                sock.settimeout(LONGEST_WAIT_S if lines[0] in AWAITED else 0.0)
                 sock.sendto("\n".join(lines).encode(), address)
         except OSError:  # a manager that is gone, or busy: the service goes on
             self.failures += 1
+            return False
+        return True
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 from typing import NamedTuple
 
 PR_SET_TIMERSLACK = 29
@@ -44,6 +45,21 @@ def enter_realtime(request: RealtimeRequest) -> RealtimeReport:
     locked = request.lock_memory and _lock_memory(refusals)
     fifo = request.priority > 0 and _set_fifo(request.priority, refusals)
     return RealtimeReport(fifo, cpu, locked, tuple(refusals))
+
+
+def require_realtime(request: RealtimeRequest) -> None:
+    """Raise RealtimeRefusedError for what the system would refuse, now and not after seconds of connecting.
+
+    Tried on a thread that ends at once. Memory that it locked is let go again: not to be called beside a loop.
+    """
+    reports: list[RealtimeReport] = []
+    thread = threading.Thread(target=lambda: reports.append(enter_realtime(request)))
+    thread.start()
+    thread.join()
+    if request.lock_memory:
+        unlock_memory()
+    if reports and reports[0].refusals:
+        raise RealtimeRefusedError("; ".join(reports[0].refusals))
 
 
 def _pin(cpu: int, refusals: list[str]) -> int:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .. import __version__
-from ..control.compensation import ALL_EFFECTS
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.friction_observer import TOGGLE_NAMES
 from ..control.reference import Profile
@@ -136,13 +135,15 @@ def _watch(session: Session, recorder: Recorder, monitor: EffectMonitor | None) 
     if monitor is None:
         return lambda: None
     reader = RingReader(session.ring, from_now=True)
-    session.request(b.EFFECTS, ALL_EFFECTS if monitor.with_effects else 0)
+    session.request(b.EFFECTS, monitor.effects)
 
     def look() -> None:
         for decision in monitor.observe(reader.read().rows):
-            session.request(b.EFFECTS, ALL_EFFECTS if decision.with_effects else 0)
-            if decision.verdict:
-                recorder.event(Level.WARNING if decision.worse else Level.INFO, "effects", decision.verdict)
+            session.request(b.EFFECTS, decision.effects)
+            verdict = decision.verdict
+            if verdict is not None:
+                level = Level.WARNING if verdict.worse else Level.INFO
+                recorder.event(level, "effects", monitor.sentence(verdict))
 
     return look
 

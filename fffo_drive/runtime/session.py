@@ -19,14 +19,27 @@ from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
+from ..jit.linear_algebra import leave_out as leave_out_linear_algebra
 from . import blocks as b
 from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile
 from .loop import run_loop
-from .realtime import RealtimeRefusedError, RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
+from .realtime import (
+    RealtimeRefusedError,
+    RealtimeReport,
+    RealtimeRequest,
+    enter_realtime,
+    require_realtime,
+    unlock_memory,
+)
 from .ring import Ring, new_ring
 from .tick import LoopConfig
 
 START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
+STOP_TIMEOUT_S = 10.0  # for the thread of a loop that needs two periods to end
+
+
+class LoopHungError(Exception):
+    """The loop's thread does not end. The process has to: nothing else takes the bus from that thread."""
 
 
 class SessionConfig(NamedTuple):
@@ -107,6 +120,7 @@ class Session:
         """Compile all that the loop calls, and allow no compilation after: it would stop the tick for seconds."""
         if INTERPRETED:
             return
+        leave_out_linear_algebra()
         dispatcher: Any = run_loop
         dispatcher.disable_compile(False)
         dispatcher.compile(tuple(typeof(argument) for argument in self._arguments(0)))
@@ -142,7 +156,7 @@ class Session:
         Raises RealtimeRefusedError when the configuration requires what the system refuses.
         """
         if self.config.realtime_required:
-            self._rehearse_realtime()
+            require_realtime(self.config.realtime._replace(lock_memory=False))  # that is told by the thread itself
         self.compile()
         self._thread = threading.Thread(target=self._run, name="fffo-loop", daemon=True)
         self._thread.start()
@@ -153,17 +167,30 @@ class Session:
         return self.realtime_report
 
     def stop(self) -> None:
-        """Ask for no torque, let the loop leave, and join its thread."""
+        """Ask for no torque, let the loop leave, and join its thread. Raises LoopHungError when it does not end."""
         self.request(b.GOAL, GOAL_DISABLED)
         self.request(b.STOP, 1)
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-            unlock_memory()
+        if self._thread is None:
+            return
+        self._thread.join(STOP_TIMEOUT_S)
+        if self._thread.is_alive():
+            raise LoopHungError(
+                f"the loop's thread hangs in tick {self.status(b.TICK)} and did not end within {STOP_TIMEOUT_S:g} s: "
+                "the drive was told to stop without it, and this process has to end"
+            )
+        self._thread = None
+        unlock_memory()
 
     def close(self) -> None:
-        """Stop the loop, then leave the drive without torque."""
-        self.stop()
+        """Stop the loop, then leave the drive without torque.
+
+        Raises LoopHungError after the drive was left all the same.
+        """
+        try:
+            self.stop()
+        except LoopHungError:
+            self.drive.close(loop_ended=False)
+            raise
         self.drive.close()
 
     @staticmethod
@@ -182,16 +209,6 @@ class Session:
             self.ring,
             first_deadline_ns,
         )
-
-    def _rehearse_realtime(self) -> None:
-        """On a thread that ends at once: a refusal is told now, not after the seconds that compiling takes."""
-        request = self.config.realtime._replace(lock_memory=False)  # that one holds for the whole process
-        reports: list[RealtimeReport] = []
-        thread = threading.Thread(target=lambda: reports.append(enter_realtime(request)))
-        thread.start()
-        thread.join()
-        if reports and reports[0].refusals:
-            raise RealtimeRefusedError("; ".join(reports[0].refusals))
 
     def _run(self) -> None:
         try:

@@ -9,7 +9,7 @@ from ..control.controller import ControllerConfig, ControllerState, ControllerTe
 from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
-from ..drive.port import port_now_ns, port_receive, port_sleep_until, port_sync
+from ..drive.port import NMT_OPERATIONAL, port_now_ns, port_receive, port_sleep_until, port_sync
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 from . import blocks as b
@@ -62,12 +62,13 @@ class Baseline(NamedTuple):
     emergencies: int
     boots: int
     bus_losses: int
+    nmt_exits: int
 
 
 @njit
 def baseline_of(feedback: Any) -> Baseline:
     """The counters now."""
-    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"])
+    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"], feedback["nmt_exits"])
 
 
 @njit
@@ -166,6 +167,8 @@ def look(
         feedback["statusword"],
         feedback["emergency_count"] - baseline.emergencies,
         feedback["boot_count"] - baseline.boots,
+        (feedback["nmt_state"] >= 0 and feedback["nmt_state"] != NMT_OPERATIONAL)
+        or feedback["nmt_exits"] != baseline.nmt_exits,
         # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
         heartbeat_age_ns,

@@ -8,14 +8,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from bad_days.world import NS_PER_MS, PERIOD_NS, RPDO1, SYNC, TPDO1, Day, World, live
+from bad_days.world import NODE, NS_PER_MS, PERIOD_NS, RPDO1, SYNC, TPDO1, Day, World, live
 
-from fffo_drive.can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, Frame, pack_frame
+from fffo_drive.can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, NMT, Frame, pack_frame
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 
 US = 1_000
 BEGIN, BACK, TICKS = 200, 260, 480  # by BEGIN the drive is enabled and the profile runs
 ENOBUFS, ENETDOWN = 105, 100
+HEARTBEAT_MS = 50  # world.SET_UP
 
 Effect = Callable[[bytes, int], list[tuple[int, bytes]]]
 
@@ -134,6 +135,39 @@ def bus_off(world: World) -> None:
     world.to_host = lambda frame, raw, flight_ns: [] if BEGIN <= world.tick < BACK else [(flight_ns, raw)]
 
 
+def bus_off_within_a_tick(world: World) -> None:
+    """The CAN controller is off the bus and on it again between two ticks."""
+
+    def off_and_on(w: World) -> None:
+        w.say(ERROR_BUS_OFF, error=True)
+        w.say(ERROR_RESTARTED, error=True)
+
+    world.at = [(BEGIN, off_and_on)]
+
+
+def put_into(command: int) -> Callable[[World], None]:
+    """Somebody commands the drive's NMT state; its next heartbeat is due one millisecond later."""
+    heartbeat = pack_frame(0x600 + NODE, struct.pack("<BHBHxx", 0x2B, 0x1017, 0, HEARTBEAT_MS))
+
+    def prepare(world: World) -> None:
+        world.at = [
+            (BEGIN + 2 - HEARTBEAT_MS * NS_PER_MS // PERIOD_NS, lambda w: w.tell(heartbeat)),
+            (BEGIN, lambda w: w.tell(pack_frame(NMT, bytes([command, NODE])))),
+        ]
+
+    return prepare
+
+
+def pre_operational(world: World) -> None:
+    """Somebody puts the drive into NMT pre-operational; its heartbeat says so a millisecond later."""
+    put_into(0x80)(world)
+
+
+def stopped_by_nmt(world: World) -> None:
+    """Somebody puts the drive into NMT stopped; its heartbeat says so a millisecond later."""
+    put_into(0x02)(world)
+
+
 def stopped_shortly(world: World) -> None:
     """The process is stopped for 5 ms."""
     world.stalls = {BEGIN: 10 * PERIOD_NS + 150 * US}
@@ -160,8 +194,8 @@ def clock_stepped(world: World) -> None:
 
 DAYS = (
     quiet, late, a_period_late, duplicate, reordered, missing_once, missing_for_good, short, extended, remote,
-    sync_lost_once, sync_lost_for_good, commands_lost, send_queue_full, interface_gone, bus_off, stopped_shortly,
-    stopped_long, rebooted, clock_stepped,
+    sync_lost_once, sync_lost_for_good, commands_lost, send_queue_full, interface_gone, bus_off, bus_off_within_a_tick,
+    stopped_shortly, stopped_long, rebooted, pre_operational, stopped_by_nmt, clock_stepped,
 )  # fmt: skip
 
 
@@ -181,6 +215,7 @@ def told(day: Day) -> dict[str, object]:
         "held_but_changed": int(np.count_nonzero(rows["velocity_rps"][1:][held] != rows["velocity_rps"][:-1][held])),
         "torque_after_trip": sum(torque != 0 for tick, _, torque in commands if day.trip and tick >= trip_tick),
         "away": [tick for tick, _ in world.sent if BEGIN <= tick < BACK],
+        "first_command": next(((word, torque) for tick, word, torque in commands if tick >= BEGIN), None),
         "first_back": next(((word, torque) for tick, word, torque in commands if tick >= BACK), None),
         "applied_back": sum(torque != 0 for tick, torque in world.torques if tick >= BACK),
         "smallest_gap": float(np.diff(woke_ns).min() / PERIOD_NS),

@@ -43,9 +43,12 @@ COUNTED = {
         {MISSING: BACK - BEGIN, "send_errors": BACK - BEGIN, "bus_losses": 1, "emergency_count": 1}, env.TRIP_BUS_OFF,
     ),
     "bus_off": ({MISSING: BACK - BEGIN, "error_frames": 2, "bus_losses": 1}, env.TRIP_BUS_OFF),
+    "bus_off_within_a_tick": ({"error_frames": 2, "bus_losses": 1}, env.TRIP_BUS_OFF),
     "stopped_shortly": ({"late": 1, "skipped": 10}, env.TRIP_NONE),
-    "stopped_long": ({"skipped": 800, MISSING: REST, "emergency_count": 3}, env.TRIP_EMERGENCY),
+    "stopped_long": ({"skipped": 800, MISSING: REST, "emergency_count": 3, "nmt_exits": 1}, env.TRIP_EMERGENCY),
     "rebooted": ({MISSING: REST, "boot_count": 1}, env.TRIP_REBOOT),
+    "pre_operational": ({MISSING: REST, "nmt_exits": 1}, env.TRIP_NOT_OPERATIONAL),
+    "stopped_by_nmt": ({MISSING: REST, "nmt_exits": 1}, env.TRIP_NOT_OPERATIONAL),
     "clock_stepped": ({}, env.TRIP_NONE),
 }  # fmt: skip
 HARMLESS = [day for day, (_, trip) in COUNTED.items() if trip == env.TRIP_NONE]
@@ -97,6 +100,21 @@ def test_no_stale_command_goes_out_when_the_bus_comes_back(days, day):
     assert days[day]["first_back"] == [0x02, 0]
     assert days[day]["applied_back"] == 0
     assert days[day]["trip_tick"] == BEGIN
+
+
+def test_a_bus_off_that_ends_within_the_tick_is_a_bus_off_all_the_same(days):
+    """It is not seen as a state any more: the count of losses trips, and the first frame afterwards is a stop."""
+    day = days["bus_off_within_a_tick"]
+    assert day["trip_tick"] == BEGIN
+    assert day["away"][0] == BEGIN
+    assert day["first_command"] == [0x02, 0]
+
+
+@pytest.mark.parametrize("day", ["pre_operational", "stopped_by_nmt"])
+def test_a_drive_that_left_operational_stops_the_axis_when_its_heartbeat_says_so(days, day):
+    """Not only when the answers, which ended with it, have been missing for feedback_missing_ticks."""
+    assert BEGIN < days[day]["trip_tick"] < days["missing_for_good"]["trip_tick"]
+    assert days[day]["trip_tick"] == BEGIN + 2
 
 
 def test_a_process_that_was_stopped_finds_a_drive_that_stopped_by_itself(days):

@@ -79,6 +79,7 @@ class World:
         self.tick = -1
         self.sent: list[tuple[int, Frame]] = []  # what the kernel took: (tick, frame)
         self.torques: list[tuple[int, int]] = []  # what the drive applies: (tick, 0x6071)
+        self.blocks: b.Blocks  # of the loop, once it lives
         self._order = count()
         self._flying: list[tuple[int, int, bool, bytes]] = []
         self._sleeps = 0
@@ -171,6 +172,10 @@ class World:
         """Somebody puts a frame on the bus."""
         self.wire_end.send(pack_frame(can_id, data, **flags))
 
+    def tell(self, raw: bytes) -> None:
+        """Somebody says something to the drive."""
+        self._answer(self.node.handle(raw, self.now_ns))
+
 
 SET_UP = (
     (0x1006, 0, 500, 4), (0x60C2, 1, 5, 1), (0x60C2, 2, -4, 1),
@@ -259,11 +264,12 @@ def ramp_to(velocity_rps: float, step_rps: float, ticks: int) -> Profile:
 
 def live(
     world: World, ticks: int = 400, axis_file: str = "bad_days/axis.yaml", profile: Profile | None = None,
-    change: Callable[[Any], Any] = lambda envelope: envelope, silence: int = 0,
+    change: Callable[[Any], Any] = lambda envelope: envelope, silence: int = 0, afterwards_ns: int = 0,
 ) -> Day:  # fmt: skip
     """Run the loop in the world: enabled at once, a profile of constant acceleration and then constant velocity.
 
-    `change` makes another envelope of the file's. `silence`: LoopConfig.supervisor_ticks.
+    `change` makes another envelope of the file's. `silence`: LoopConfig.supervisor_ticks. The drive lives on for
+    `afterwards_ns` when the loop has ended.
     """
     from interpreted import TESTS
 
@@ -274,7 +280,7 @@ def live(
     inner = make_port(config, EndlessEnd(world.host_end), ServiceQueue(10_000_000_000).memory)
     _replace_machine(world)
     port = WorldPort(inner.feedback, inner, world)
-    blocks = b.new_blocks(controller_config(axis, model), 2 * ticks)
+    blocks = world.blocks = b.new_blocks(controller_config(axis, model), 2 * ticks)
     blocks.control[b.GOAL] = GOAL_ENABLED
     blocks.control[b.TOGGLE] = TOGGLE_OFF
     b.publish_profile(blocks, profile or ramp_to(2.0, 0.02, 2 * ticks))
@@ -282,6 +288,7 @@ def live(
     scratch = np.zeros((2, b.CONTROLLER_BLOCK_SIZE))
     loop = loop_config(axis)._replace(max_ticks=ticks, supervisor_ticks=silence)
     run_loop(port, loop, change(envelope_config(axis)), blocks, scratch, ring, world.now_ns + PERIOD_NS)
+    world.advance_to(world.now_ns + afterwards_ns)
     rows = RingReader(ring).read().rows
     statistics = tick_statistics(rows, exchange_counts(port.feedback))._asdict()
     for end in (world.host_end, world.wire_end):

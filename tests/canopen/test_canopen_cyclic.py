@@ -303,6 +303,27 @@ def test_heartbeat_and_boot_up(bench):
     assert (bench.count("boot_count"), bench.count("nmt_state")) == (1, 0)
 
 
+def test_a_heartbeat_that_says_no_longer_operational_is_counted_once(bench):
+    """What stays away from operational is one exit, whatever it says then; a boot-up counts as that alone."""
+    found = []
+    for state in (0x7F, 0x05, 0x05, 0x7F, 0x7F, 0x04, 0x05, 0x84, 0x05, 0x00, 0x7F, 0x05):
+        bench.say(0x700 + NODE, bytes([state]))
+        bench.sync()
+        found.append((bench.count("nmt_exits"), bench.count("boot_count")))
+    assert found == [(0, 0)] * 3 + [(1, 0)] * 4 + [(2, 0)] * 2 + [(2, 1)] * 3
+
+
+def test_a_heartbeat_of_another_node_or_of_another_length_says_nothing(bench):
+    bench.say(0x700 + NODE, b"\x05")
+    bench.say(0x700 + NODE + 1, b"\x7f")
+    bench.say(0x700 + NODE, b"\x7f\x00")
+    bench.say(0x700 + NODE, b"")
+    bench.say(0x700 + NODE, b"\x7f", remote=True)
+    bench.say(0x700 + NODE, b"\x7f", extended=True)
+    bench.sync()
+    assert (bench.count("nmt_state"), bench.count("nmt_exits"), bench.count("bad_frames")) == (5, 0, 4)
+
+
 def test_nothing_goes_out_while_the_controller_is_off_the_bus(bench):
     bench.sync()
     bench.say(ERROR_BUS_OFF, bytes(8), error=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,7 @@ from fffo_drive.config.adoption import (
     compensation_gate,
     gates,
     held_out_gate,
+    history_path,
     interval_gate,
     put_in_service,
     read_history,
@@ -30,6 +34,7 @@ from fffo_drive.config.effects import (
     services,
 )
 from fffo_drive.control.compensation import COUNT
+from fffo_drive.daemon.places import WATCH
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.table import Term
 from fffo_drive.model.parameters import EffectModel, Quantity, read_model, write_model
@@ -192,3 +197,121 @@ def test_what_is_wrong_with_a_report_is_said(axis_path, capsys):
     report.write_text(json.dumps(yaml.safe_load(other)))
     assert main(["adopt", str(model_path), "--axis", str(axis_path), "--report", str(report)]) == 78
     assert main(["adopt", str(model_path), "--axis", str(axis_path)]) == 1  # somebody else's: as if there were none
+
+
+def model_in(path, model):
+    write_model(path, model)
+    return path
+
+
+def told(capsys, words, code):
+    """The command ends with this code and one message, which is given back."""
+    assert main(words) == code
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path, capsys):
+    """Missing, damaged, of another axis, already in service, not to be compensated; nothing is changed by any of it."""
+    before = axis_path.read_text()
+    found = axis_path.parent / "found"
+    model_path, axis = found / "model.yaml", ["--axis", str(axis_path)]
+
+    def fails(model, code, *said, axis=axis):
+        message = told(capsys, ["adopt", str(model), *axis], code)
+        for part in said:
+            assert part in message
+        assert axis_path.read_text() == before
+        assert not history_path(axis_path).exists()
+
+    fails(found / "nowhere.yaml", 78, "nowhere.yaml: cannot be read")
+    fails(model_path, 78, "nowhere.yaml: cannot be read", axis=["--axis", "nowhere.yaml"])
+    fails(axis_path.parent / "table1.yaml", 78, "is in service already")
+
+    other = MODEL.model_copy(update={"torque_constant_nm_per_a": 0.3, "effects": [effect()]})
+    fails(model_in(found / "kt.yaml", other), 78, "not adopted: same axis", "0.3 Nm/A, in service 0.148")
+    heavy = MODEL.inertia_kg_m2.model_copy(update={"value": 5.0 * MODEL.inertia_kg_m2.value})
+    other = MODEL.model_copy(update={"inertia_kg_m2": heavy, "effects": [effect()]})
+    fails(model_in(found / "heavy.yaml", other), 78, "not adopted: same axis", "factor 2 allowed")
+
+    elastic = effect("elasticity", share=0.2, frequency_hz=40.0, damping=0.03)
+    text = "not adopted: compensation: elasticity: its torque is not known ahead"
+    fails(model_in(found / "elastic.yaml", with_effects(elastic)), 1, text)
+    steep = effect(cos_nm=0.02, order=40.0)
+    fails(model_in(found / "steep.yaml", with_effects(steep)), 1, "not adopted: stability", "condition (14)")
+
+    whole = model_path.read_text()
+    for damaged, said in (
+        (whole[: len(whole) // 2], "content_hash"),
+        (whole.replace("value: 0.067", "value: 0.068"), "content_hash: does not match the content"),
+        (whole.replace("name: cogging", "name: coging"), "did you mean 'cogging'?"),
+        ("name: [", "not valid YAML"),
+        ("", "missing"),
+    ):
+        model_path.write_text(damaged)
+        if said == "content_hash":  # cut in two, what is left may still be a model: then its effects are gone
+            assert main(["adopt", str(model_path), *axis]) != 0
+            capsys.readouterr()
+        else:
+            assert main(["adopt", str(model_path), *axis]) == 78
+            assert said in capsys.readouterr().err
+        assert axis_path.read_text() == before
+    model_path.write_bytes(b"\xff\xfe\x00")
+    fails(model_path, 78, "not UTF-8 text")
+
+
+def test_a_history_that_is_damaged_is_said_before_anything_changes(axis_path, capsys):
+    before = axis_path.read_text()
+    history_path(axis_path).write_text("adoptions: {")
+    words = ["adopt", str(axis_path.parent / "found" / "model.yaml"), "--axis", str(axis_path)]
+    assert main(words) == 78
+    assert f"{history_path(axis_path)}:1: not valid YAML" in capsys.readouterr().err
+    assert main(["adopt", "--rollback", "--axis", str(axis_path)]) == 78
+    assert axis_path.read_text() == before
+
+
+def test_an_axis_with_torque_on_is_left_alone(axis_path, tmp_path, capsys):
+    """A daemon's socket that answers with a state; the real one is asked in tests/daemon."""
+    words = ["adopt", str(axis_path.parent / "found" / "model.yaml"), "--axis", str(axis_path)]
+    before = axis_path.read_text()
+    for state, code in (("running", 70), ("ready", 0)):
+        with answering(tmp_path / state, state) as sockets:
+            assert main([*words, "--sockets", str(sockets)]) == code
+        captured = capsys.readouterr()
+        if code:
+            assert captured.err.startswith("fffo-drive adopt: not adopted: drive disabled: the daemon has torque on")
+            assert "`fffo-drive ctl disable` first" in captured.err
+            assert axis_path.read_text() == before
+    assert "ctl reload" in captured.out
+
+
+@contextlib.contextmanager
+def answering(directory, state):
+    """One answer to `status` on a watch socket."""
+    directory.mkdir()
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(directory / WATCH))
+    listener.listen(1)
+
+    def answer():
+        connection, _ = listener.accept()
+        with connection, connection.makefile("rw") as file:
+            request = json.loads(file.readline())
+            file.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], "result": {"state": state}}) + "\n")
+            file.flush()
+
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    yield directory
+    thread.join(10.0)
+    listener.close()
+
+
+def test_the_help_says_what_comes_of_it(capsys):
+    for command in ("adopt", "close-the-loop"):
+        with pytest.raises(SystemExit) as ended:
+            main([command, "--help"])
+        assert ended.value.code == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "Exit codes: 0 adopted" in text

@@ -17,7 +17,7 @@ from fffo_drive.control import envelope as env
 PERIOD_S = 2.0**-11
 STEP_A = 2.0  # slew in a period
 CAPACITY_A2S = 150.0  # (10^2 - 5^2) 2 s
-REACTIONS = np.zeros(14, dtype=np.int64)
+REACTIONS = np.zeros(15, dtype=np.int64)
 CONFIG = env.EnvelopeConfig(
     current_limit_a=10.0, slew_a_per_s=4096.0, speed_limit_rps=20.0, continuous_current_a=5.0, i2t_time_s=2.0,
     i2t_trips=True, position_low_rev=-3.0, position_high_rev=5.0, following_error_rps=2.0, following_error_s=2.0**-7,
@@ -27,8 +27,8 @@ CONFIG = env.EnvelopeConfig(
 REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False)
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
-    statusword=0x0637, emergencies=0, reboots=0, bus_off=False, heartbeat_age_ns=0, wanted=True, enabled=True,
-    closed_loop=True, skipped_ticks=0,
+    statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, heartbeat_age_ns=0, wanted=True,
+    enabled=True, closed_loop=True, skipped_ticks=0,
 )  # fmt: skip
 
 # one cause of each trip, most certain first; numbers as in recordings, so that they never change
@@ -38,6 +38,7 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (12, {"reboots": 1}, {}),
     (9, {"emergencies": 1}, {}),
     (8, {"statusword": 0x0218}, {}),
+    (14, {"not_operational": True}, {}),
     (11, {"heartbeat_age_ns": 500_000_001}, {}),
     (13, {"enabled": False}, {"was_enabled": True}),
     (1, {"requested_a": math.nan}, {}),
@@ -48,7 +49,7 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (4, {"error_rps": 2.5}, {"following_s": 2.0**-7}),
     (5, {}, {"i2t_a2s": 151.0}),
 )
-WITHOUT_TORQUE = (10, 12, 9, 8, 11)  # also where no torque is wanted
+WITHOUT_TORQUE = (10, 12, 9, 8, 14, 11)  # also where no torque is wanted
 
 
 def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: float, was_enabled: bool, seen) -> int:
@@ -60,6 +61,7 @@ def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: floa
         12: seen.reboots == 0,
         9: seen.emergencies == 0,
         8: (seen.statusword // 8) % 2 == 0,
+        14: not seen.not_operational,
         11: heard,
         13: seen.enabled or not was_enabled,
         1: all(-math.inf < number < math.inf for number in numbers),

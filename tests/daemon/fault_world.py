@@ -22,10 +22,13 @@ from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED, STATE_NA
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.drive.simulated.node.simulated_plant import SimulatedPlant
+from fffo_drive.runtime import blocks as b
 
 SPEED_RPS, STEP_RPS = 10.0, 0.05  # 100 rps^2
 BEGIN, TICKS, LONG = 300, 1250, 2000
 SLICE_NS = 500_000
+SILENCE = 300  # ticks without a sign of life of the supervisor
+AFTERWARDS_NS = 300 * NS_PER_MS  # a loop that has ended is no reason not to look at the shaft
 STANDSTILL_RPS = 0.05
 OUR_HEARTBEAT = 0x700 + 127
 
@@ -164,9 +167,14 @@ def wall_clock_gone(world: FaultWorld) -> None:
     time.time = time.time_ns = read  # type: ignore[assignment]
 
 
-def silent_from_the_beginning(world: FaultWorld) -> None:
-    """Nobody gives a sign of life to the loop, which runs for `supervisor_ticks` from its first tick."""
-    world.at = [(0, lambda w: world.begin())]
+def supervisor_falls_silent(world: FaultWorld) -> None:
+    """A sign of life to the loop with each SYNC, and none any more from tick BEGIN on."""
+
+    def beat(w: World) -> None:
+        w.blocks.control[b.SUPERVISOR_BEAT] += 1
+
+    at_begin(lambda w: None)(world)
+    world.at[:0] = [(tick, beat) for tick in range(BEGIN)]
 
 
 def limit(**changes: Any) -> Script:
@@ -192,7 +200,7 @@ SCRIPTS: dict[str, Script] = {
     "drive_bus_off": Script(drive_fault(FaultKind.BUS_OFF)),
     "bus_off": Script(at_begin(host_bus_off)),
     "interface_gone": Script(at_begin(interface_gone)),
-    "supervisor_silent": Script(silent_from_the_beginning, supervisor_ticks=BEGIN),
+    "supervisor_silent": Script(supervisor_falls_silent, supervisor_ticks=SILENCE),
     "following_error": limit(following_error_rps=0.2, following_error_s=0.01),
     "overspeed": limit(speed_limit_rps=9.0),
     "position_window": limit(position_high_rev=0.5),
@@ -223,7 +231,14 @@ def live_through(name: str) -> Outcome:
     clocks = time.time, time.time_ns
     try:
         profile = ramp_to(SPEED_RPS, STEP_RPS, 2 * script.ticks)
-        day = live(world, script.ticks, profile=profile, change=script.envelope, silence=script.supervisor_ticks)
+        day = live(
+            world,
+            script.ticks,
+            profile=profile,
+            change=script.envelope,
+            silence=script.supervisor_ticks,
+            afterwards_ns=AFTERWARDS_NS,
+        )
     finally:
         time.time, time.time_ns = clocks
     began_ns = int(day.rows["deadline_ns"][(day.rows["trip"] != 0).argmax()]) if by_a_limit else world.began_ns

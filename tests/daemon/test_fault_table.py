@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from daemon.fault_table import GOES_ON, QUICK, ROWS, TABLE, markdown, measured
+from shared_once import once
 
 from fffo_drive.control import envelope as env
 from fffo_drive.drive.simulated.node import emcy
@@ -41,8 +42,8 @@ NOTICED = {
 
 
 @pytest.fixture(scope="module")
-def outcomes():
-    return measured()
+def outcomes(tmp_path_factory):
+    return once(tmp_path_factory, "faults", measured)
 
 
 def test_every_script_has_its_expectation(outcomes):

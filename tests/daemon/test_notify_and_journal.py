@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import re
@@ -57,6 +58,24 @@ def test_without_a_manager_nothing_happens_and_one_that_is_gone_is_only_counted(
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})
     notifier.ready()
     assert notifier.failures == 1
+
+
+def test_a_busy_manager_is_told_the_status_again(manager):
+    sock, environment = manager
+    notifier = Notifier(environment)
+    while not notifier.failures:  # its queue is full
+        notifier.alive()
+    notifier.status("running")
+    assert notifier.failures == 2
+    while sock.recv(4096) == b"WATCHDOG=1":
+        notifier.status("running")
+    notifier.status("running")  # once was enough
+    sock.setblocking(False)
+    left = set()
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            left.add(sock.recv(4096))
+    assert left <= {b"WATCHDOG=1"}
 
 
 @pytest.mark.parametrize(

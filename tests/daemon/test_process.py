@@ -156,3 +156,10 @@ def test_a_bad_file_exits_78_and_a_second_daemon_74(daemon, tmp_path, capsys):
     assert main(["serve", str(daemon.axis), "--bus", daemon.bus, "--sockets", str(daemon.sockets)]) == 74
     assert "another daemon" in capsys.readouterr().err
     assert daemon.process.poll() is None
+
+
+def test_real_time_properties_that_are_required_and_refused_exit_77_before_anything_is_connected(tmp_path, capsys):
+    axis = axis_file(tmp_path)
+    edit(axis, lambda content: content["realtime"].update(cpu=100_000, required=True))
+    assert main(["serve", str(axis), "--bus", f"loopback:{free_loopback_port()}", "--sockets", str(tmp_path)]) == 77
+    assert "CPU 100000 for the loop" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -15,6 +16,8 @@ from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime import session as sessions
+from fffo_drive.runtime.session import LoopHungError
 from fffo_drive.runtime.states import State
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -218,6 +221,23 @@ def test_the_watchdog_is_fed_only_while_the_head_moves_and_all_fits_together(tmp
         assert not rig.do(in_a_state_that_does_not_fit)
         assert rig.do(with_a_loop_that_hangs) == ("loop_stalled", False)
         rig.until_status(lambda s: rig.do(lambda: supervisor.consistent))
+
+
+def test_a_loop_that_cannot_be_ended_ends_the_daemon_which_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(sessions, "STOP_TIMEOUT_S", 0.2)
+    for_ever = threading.Event()
+    rig = Rig(tmp_path).__enter__()
+    rig.until("ready")
+    hung = threading.Thread(target=for_ever.wait, daemon=True)
+    hung.start()
+    session = rig.do(lambda: rig.supervisor.connection.session)
+    session._thread = hung  # the true one ends when it is asked to
+    with pytest.raises(LoopHungError, match="has to end"):
+        rig.__exit__()
+    for_ever.set()
+    session.drive.close()
+    assert rig.node is not None
+    assert rig.node.provocations() == []
 
 
 def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):

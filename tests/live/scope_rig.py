@@ -12,21 +12,24 @@ from typing import Any
 from daemon.rig import PATIENCE_S, Rig
 from websockets.sync.client import ClientConnection, connect
 
+from fffo_drive.config.address import Address
 from fffo_drive.daemon.places import CONTROL
 from fffo_drive.live import frames
 from fffo_drive.live.feed import Source
-from fffo_drive.live.server import Address, LiveServer
+from fffo_drive.live.server import LiveServer, Wanted
 from fffo_drive.runtime.ring import new_ring
 
 
 class ScopeRig:
     """`rig` is the daemon, `server` the live server."""
 
-    def __init__(self, directory: Path, ring_rows: int = 4096) -> None:
+    def __init__(self, directory: Path, ring_rows: int = 4096, viewers: bool = False) -> None:
         self.ring = new_ring(ring_rows)
         self.rig = Rig(directory, drive=False)
         self.source: Source | None = Source(1, self.ring, 2000.0, 0.148)
-        self.server = LiveServer(Address("127.0.0.1", 0), self.rig.sockets, CONTROL, lambda: self.source)
+        free = Address("127.0.0.1", 0)
+        wanted = Wanted(free, free if viewers else None)
+        self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, "bench")
         self._pages = contextlib.ExitStack()
 
     def __enter__(self) -> ScopeRig:
@@ -40,6 +43,11 @@ class ScopeRig:
         self.rig.__exit__(*error)
 
     @property
+    def port(self) -> int:
+        assert self.server.wanted.scope is not None
+        return self.server.wanted.scope.port
+
+    @property
     def origin(self) -> str:
         return self.server.url.rstrip("/")
 
@@ -50,6 +58,11 @@ class ScopeRig:
         page = self._pages.enter_context(connect(address, **given))
         assert hear(page, "hello")["info"]["axis"]
         return page
+
+    def leave(self) -> None:
+        """Close all pages, until the server knows."""
+        self._pages.close()
+        self.until(lambda: not self.server.hub.clients and self.server.hub.feed._reader is None)
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait for something that the server's thread does."""

@@ -79,9 +79,12 @@ def test_a_capture_is_the_newest_rows_bit_for_bit():
     capture, rows = Capture(250), rows_of(0, 1000)
     for begin in range(0, 1000, 70):
         capture.add(rows[begin : begin + 70])
-    assert capture.newest(100) == rows[-100:].tobytes()
-    assert capture.newest(10_000) == rows[-250:].tobytes()
-    assert Capture(10).newest(5) == b""
+    assert capture.newest(100).tobytes() == rows[-100:].tobytes()
+    assert capture.newest(250).tobytes() == rows[-250:].tobytes()
+    assert capture.newest(50, 899).tobytes() == rows[850:900].tobytes()  # around an event that is over
+    assert len(capture.newest(50, 100)) == 0
+    assert len(capture.newest(10_000)) < 250 + 70  # what is older is let go
+    assert len(Capture(10).newest(5)) == 0
 
 
 def test_the_feed_follows_the_loop_and_the_next_one():
@@ -93,7 +96,7 @@ def test_the_feed_follows_the_loop_and_the_next_one():
     assert feed.poll() is None
     rows = rows_of(64, 300)
     write(rings[0], rows)
-    head, payload = frames.taken_apart(feed.poll())
+    head, payload = frames.taken_apart(feed.poll().frame())
     assert (head["kind"], head["loop"], head["ticks"], head["lost"]) == ("rows", 1, 300, 0)
     values = np.frombuffer(payload).reshape(head["bins"], len(SIGNALS), 3)
     assert values[0, NAMES.index("tick"), MINIMUM] == 64
@@ -106,7 +109,7 @@ def test_the_feed_follows_the_loop_and_the_next_one():
     sources[0] = Source(2, rings[1], 1000.0, 0.148)
     assert feed.poll() is None
     write(rings[1], rows_of(0, 20))
-    assert frames.taken_apart(feed.poll())[0]["loop"] == 2
+    assert feed.poll().loop == 2
 
 
 def test_nothing_is_kept_while_nobody_listens():

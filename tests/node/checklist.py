@@ -98,7 +98,8 @@ CHECKLIST: dict[str, dict[str, tuple[str, ...]]] = {
             "store 0x1010 and restore 0x1011, with their signatures",
             "EDS: access, type, default, limits and PDO flag of every object equal the device",
             "EDS passes dcfchk",
-            "LSS, TIME, multiplexed PDO",
+            "LSS: node-ID over the bus (CiA 305)",
+            "TIME, multiplexed PDO",
         ),
     },
     "CiA 402": {
@@ -179,10 +180,8 @@ CHECKLIST: dict[str, dict[str, tuple[str, ...]]] = {
 }
 
 NOT_DONE: dict[str, str] = {
-    "node guarding and life guarding (0x100C, 0x100D)": "heartbeat replaces it; CiA 301 advises against it",
     "local control (08000021)": "the device has no local control; bit 9 (remote) is always set",
-    "SYNC producer (bit 30 of 0x1005)": "the drive follows; the controller gives the clock",
-    "LSS, TIME, multiplexed PDO": "the node-ID is configured, nothing in the drive needs the date, mappings are static",
+    "TIME, multiplexed PDO": "nothing in the drive needs the date, mappings are static",
     "0x7304, 0x8311, 0x8400, 0x8611": "one resolver, and a torque drive: no speed or position controller to watch",
     "resolver signal degraded (DOS)": "the plant's resolver has an angle, no amplitude",
 }

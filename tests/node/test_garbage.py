@@ -19,6 +19,7 @@ from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.faults import FaultKind
 
 OWN_IDS = [0x000, 0x080, 0x201, 0x301, 0x601, 0x77F]
+LSS = 0x7E5
 MAY_BRAKE = (cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION_ACTIVE)
 # injected faults have tests of their own; "load" is not hit by chance, "save" would keep what chance wrote
 NOT_BY_CHANCE = (0x2100, 0x1010, 0x1011)
@@ -74,12 +75,13 @@ def bombard(rig: Rig, batches: object, seed: int) -> None:
 def malformed_frames_change_nothing(count: int) -> None:
     rig = guarded()
     rig.map_cyclic()
+    assert rig.write(0x1017, 0, 1000, 2) == 0  # with a heartbeat the remote frame of node guarding is no question
     rig.operational()
     rig.send("080#")
     rig.wait(20)
     before = list(rig.node.od.values)
     sent: list[bytes] = []
-    for frames in malformed(1, count, [*OWN_IDS, 0x701]):
+    for frames in malformed(1, count, [*OWN_IDS, 0x701, LSS]):
         for frame in raw(frames):
             sent += rig.node.handle(frame, rig.now_ns)
     assert sent == []

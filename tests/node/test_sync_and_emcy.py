@@ -39,9 +39,9 @@ def test_counter_overflow_is_settled_before_the_cycle_period() -> None:
 
 
 @pytest.mark.conformance("CiA 301", "another COB-ID 0x1005")
-def test_sync_identifier_can_be_another_but_not_a_restricted_or_produced_one() -> None:
+def test_sync_identifier_can_be_another_but_not_a_restricted_one() -> None:
     rig = Rig()
-    for refused in (0x40000080, 0x20000080, 0x601, 0x701, 0x000, 0x581):
+    for refused in (0x20000080, 0x60000080, 0x40000601, 0x601, 0x701, 0x000, 0x581):
         assert rig.write(0x1005, 0, refused, 4) == INVALID_VALUE
     assert rig.write(0x1005, 0, 0x90, 4) == 0
     rig.operational()

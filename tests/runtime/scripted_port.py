@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fffo_drive.drive.port import (
+    NMT_OPERATIONAL,
     new_feedback,
     port_command,
     port_housekeeping,
@@ -24,8 +25,8 @@ FAULT = 0x0218
 # columns of the log
 SYNC_NS, CONTROLWORD, CURRENT_A = 0, 1, 2
 # columns of the script
-WAKE_DELAY_NS, ANSWERS, STATUSWORD, EMERGENCIES, BUS_OFF, BOOTS = 0, 1, 2, 3, 4, 5
-SCRIPT_COLUMNS = 6
+WAKE_DELAY_NS, ANSWERS, STATUSWORD, EMERGENCIES, BUS_OFF, BOOTS, NMT_STATE, NMT_EXITS = range(8)
+SCRIPT_COLUMNS = 8
 
 
 class ScriptedPort(NamedTuple):
@@ -42,6 +43,7 @@ def scripted(n: int, velocity_rps: float = 0.0) -> ScriptedPort:
     script = np.zeros((n, SCRIPT_COLUMNS), np.int64)
     script[:, ANSWERS] = 1
     script[:, STATUSWORD] = ENABLED
+    script[:, NMT_STATE] = NMT_OPERATIONAL
     log = np.full((n, 3), np.nan)
     return ScriptedPort(
         new_feedback(), np.zeros(1, np.int64), np.zeros(1, np.int64), script, np.full(n, velocity_rps), log
@@ -78,6 +80,8 @@ def receive(port, tick, cutoff_ns):
     record["emergency_count"] = row[EMERGENCIES]
     record["bus_off"] = row[BUS_OFF]
     record["boot_count"] = row[BOOTS]
+    record["nmt_state"] = row[NMT_STATE]
+    record["nmt_exits"] = row[NMT_EXITS]
     if row[ANSWERS] == 0:
         port.clock_ns[0] = cutoff_ns
         return 0

@@ -12,6 +12,8 @@ from runtime.scripted_port import (
     CURRENT_A,
     EMERGENCIES,
     FAULT,
+    NMT_EXITS,
+    NMT_STATE,
     STATUSWORD,
     SWITCH_ON_DISABLED,
     SYNC_NS,
@@ -189,6 +191,9 @@ def test_missing_feedback_holds_the_last_value_then_trips():
         (EMERGENCIES, 1, env.TRIP_EMERGENCY, 0x0000),
         (BUS_OFF, 1, env.TRIP_BUS_OFF, 0x0002),
         (BOOTS, 1, env.TRIP_REBOOT, 0x0000),
+        (NMT_STATE, 0x7F, env.TRIP_NOT_OPERATIONAL, 0x0002),
+        (NMT_STATE, 0x04, env.TRIP_NOT_OPERATIONAL, 0x0002),
+        (NMT_EXITS, 1, env.TRIP_NOT_OPERATIONAL, 0x0002),
         (STATUSWORD, FAULT, env.TRIP_DRIVE_FAULT, 0x0000),
         (STATUSWORD, SWITCH_ON_DISABLED, env.TRIP_DRIVE_LEFT, 0x0002),
     ],
@@ -203,6 +208,31 @@ def test_bad_news_of_the_drive_stops_within_the_tick(column, value, trip, contro
     assert (rows["current_command_a"][30:] == 0.0).all()
     assert (rig.port.log[30:, CURRENT_A] == 0.0).all()
     assert (rig.port.log[30:, CONTROLWORD] == controlword).all()
+
+
+@pytest.mark.parametrize("state", [0x7F, 0x04])
+def test_a_drive_that_left_operational_is_noticed_without_torque_too(state):
+    rig = Rig(scripted(60), goal=GOAL_DISABLED)
+    rig.port.script[30:, NMT_STATE] = state
+    rows = rig.run()
+    assert (rows["trip"][:30] == env.TRIP_NONE).all()
+    assert (rows["trip"][30:] == env.TRIP_NOT_OPERATIONAL).all()
+
+
+def test_a_drive_that_was_away_from_operational_between_two_ticks_is_noticed():
+    """Pre-operational and operational again: nothing of it is left but the count. A reset makes it old news."""
+    rig = Rig(scripted(300))
+    rig.port.script[30:, NMT_EXITS] = 1
+    assert (rig.run(60)["trip"][30:] == env.TRIP_NOT_OPERATIONAL).all()
+    rig.port.clock_ns[0] = 0
+    rig.port.script[:, NMT_EXITS] = 1
+    assert (rig.run(60)["trip"] == env.TRIP_NOT_OPERATIONAL).sum() == 0
+
+
+def test_a_drive_that_has_sent_no_heartbeat_yet_is_not_judged_by_it():
+    rig = Rig(scripted(60))
+    rig.port.script[:, NMT_STATE] = -1
+    assert (rig.run()["trip"] == env.TRIP_NONE).all()
 
 
 def test_a_trip_stays_until_it_is_reset_and_the_cause_is_gone():

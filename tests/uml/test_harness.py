@@ -1,4 +1,4 @@
-"""tools/uml/run: what goes in and comes out, what stays as it was, and how it ends; and systemd in it."""
+"""tools/uml/run: what goes in and comes out, what stays as it was, and how it ends."""
 
 from __future__ import annotations
 
@@ -13,16 +13,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.uml, pytest.mark.timeout(400)]
 
 RUN = ROOT / "tools" / "uml" / "run"
 TIMED_OUT, NO_RESULT = 124, 125
-PROBE = """\
-[Service]
-Type=oneshot
-DynamicUser=yes
-ProtectHome=yes
-ProtectSystem=strict
-Environment=NUMBA_DISABLE_JIT=1 PYTHONDONTWRITEBYTECODE=1
-CacheDirectory=probe
-ExecStart=/opt/fffo_drive/.venv/bin/python -c "import os, fffo_drive as f; print('probe', os.getuid(), f.__file__)"
-"""
 
 
 def run(*words: str | Path, limit_s: float = 120.0) -> subprocess.CompletedProcess[str]:
@@ -76,26 +66,3 @@ def test_a_kernel_that_ends_without_a_result_is_no_success():
     done = run("sh", "-c", "echo o >/proc/sysrq-trigger; sleep 100")
     assert done.returncode == NO_RESULT
     assert "without a result" in done.stderr
-
-
-@pytest.mark.systemd
-def test_systemd_boots_and_runs_a_sandboxed_service_of_the_project(tmp_path):
-    (tmp_path / "probe.service").write_text(PROBE)
-    script = """
-    set -e
-    systemctl is-system-running --wait
-    cat /proc/1/comm
-    tools/uml/relocate "$PWD" /opt/fffo_drive
-    cp "$UML_EXCHANGE/probe.service" /etc/systemd/system/
-    systemctl daemon-reload
-    systemctl start probe.service
-    journalctl --no-pager -o cat -u probe.service >"$UML_EXCHANGE/journal"
-    """
-    done = run("--systemd", "--exchange", tmp_path, "sh", "-c", script, limit_s=300.0)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.split()[-2:] == ["running", "systemd"]
-    journal = (tmp_path / "journal").read_text()
-    (line,) = [line for line in journal.splitlines() if line.startswith("probe ")]
-    _, user, file = line.split()
-    assert int(user) >= 61184  # a dynamic one
-    assert file == "/opt/fffo_drive/fffo_drive/__init__.py"

@@ -134,10 +134,11 @@ class CanopenDrive:
             raise DriveError("the drive is not connected: call connect() first")
         return self._service
 
-    def close(self) -> None:
+    def close(self, loop_ended: bool = True) -> None:
         """After the loop: no torque, no voltage, pre-operational. Never raises.
 
-        The drive is told to stop monitoring our heartbeat too: leaving in order is no fault.
+        The drive is told to stop monitoring our heartbeat too: leaving in order is no fault. `loop_ended` False: the
+        loop's link stays open, for nobody else shall get a descriptor that a hung thread may yet write to.
         """
         service, link = self._service, self._link
         if service is not None:
@@ -156,15 +157,18 @@ class CanopenDrive:
                         service.write(index, sub, data)
             with contextlib.suppress(BusUnavailableError):
                 service.command_nmt(NMT_PRE_OPERATIONAL)
-        self._leave()
+        self._leave(loop_ended)
 
-    def _leave(self) -> None:
+    def _leave(self, loop_ended: bool = True) -> None:
         if self._service is not None:
             self._service.close()
+        self._service = None
+        if not loop_ended:
+            return
         if self._link is not None:
             with self._lock, contextlib.suppress(OSError):
                 self._link.close()
-        self._service, self._link, self._port = None, None, None
+        self._link, self._port = None, None
 
     def __enter__(self) -> Self:
         self.connect()

@@ -8,12 +8,10 @@ import numpy as np
 
 from ...can import frame as can
 from ...can.link import Link
-from ..port import new_feedback
+from ..port import NMT_OPERATIONAL, new_feedback
 from .config import CanopenDriveConfig
 from .object_map import CONTROLWORD, TARGET_TORQUE, Scaling, command_payload, field_table, pdo_table
 from .service_queue import QueueMemory
-
-NMT_OPERATIONAL = 5
 
 # words of the port's memory
 ANSWERED = 0  # TPDOs that answered this tick's SYNC, one bit each

@@ -9,6 +9,7 @@ import numpy as np
 from ...can import frame as can
 from ...jit import njit
 from ...jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv
+from ..port import NMT_OPERATIONAL
 from .object_map import FIELD_POSITION, FIELD_STATUSWORD, FIELD_TORQUE, FIELD_VELOCITY
 from .port_memory import (
     AMBIGUOUS,
@@ -102,9 +103,11 @@ def _take_node_message(port: CanopenPort, can_id: int, length: int) -> int:
         feedback["bad_frames"] += 1
         return 0
     state = np.int64(port.received[can.DATA_OFFSET]) & 0x7F
-    feedback["nmt_state"] = state
     if state == 0:
         feedback["boot_count"] += 1
+    elif state != NMT_OPERATIONAL and feedback["nmt_state"] == NMT_OPERATIONAL:
+        feedback["nmt_exits"] += 1
+    feedback["nmt_state"] = state
     feedback["heartbeat_ns"] = monotonic_ns(port.scratch)
     return 0
 

@@ -16,6 +16,7 @@ import numpy as np
 from ...jit import njit
 from ...units import NS_PER_S, permille_per_a
 from ..port import (
+    NMT_OPERATIONAL,
     DriveIdentity,
     new_feedback,
     port_command,
@@ -61,7 +62,6 @@ from .sync_cycle import (
 )
 
 INT16_MAX = 32767
-NMT_OPERATIONAL = 5
 
 
 class SimulatedPort(NamedTuple):
@@ -250,7 +250,7 @@ class SimulatedDrive:
         self._port.words[FAULT_PRESENT] = 0
         self._port.feedback[0]["emergency_code"] = 0
 
-    def close(self) -> None:
+    def close(self, loop_ended: bool = True) -> None:
         """Leave the drive without torque."""
         self._port.words[CONTROLWORD] = 0
         self._port.words[TARGET_PERMILLE] = 0

@@ -2,12 +2,12 @@
 // The five pictures. Series differ in dash and weight as well as in colour and carry their names and values.
 
 const PICTURES = [
-  { title: "Velocity", unit: "rps", height: 1.25, series: [
-    { name: "reference_rps", label: "reference", colour: "ink", dash: [7, 4], width: 1.6 },
-    { name: "velocity_rps", label: "velocity", colour: "blue", width: 1.6, band: true }] },
-  { title: "Error (reference minus velocity)", unit: "rps", height: 1, series: [
-    { name: "error_rps", label: "error, with its extremes", colour: "orange", width: 1.6, band: true }] },
-  { title: "Current and its terms", unit: "A", height: 1.25, series: [
+  { title: "Velocity", unit: "rps", series: [
+    { name: "velocity_rps", label: "velocity", colour: "blue", width: 2.2, band: true },
+    { name: "reference_rps", label: "reference", colour: "ink", dash: [7, 5], width: 1.2 }] },
+  { title: "Error", unit: "rps", series: [
+    { name: "error_rps", label: "reference minus velocity", colour: "orange", width: 1.6, band: true }] },
+  { title: "Current and its terms", unit: "A", series: [
     { name: "current_command_a", label: "command", colour: "ink", width: 2 },
     { name: "current_a", label: "measured", colour: "grey", width: 1, dash: [2, 2] },
     { name: "proportional_a", label: "proportional", colour: "orange", width: 1.4, dash: [9, 4] },
@@ -15,15 +15,15 @@ const PICTURES = [
     { name: "friction_nm", label: "friction", colour: "green", width: 1.8, dash: [3, 3], perKt: true },
     { name: "inertia_nm", label: "inertia", colour: "blue", width: 1.4, dash: [14, 4], perKt: true },
     { name: "effects_nm", label: "effects", colour: "grey", width: 1.4, dash: [1, 4], perKt: true }] },
-  { title: "Friction estimate", unit: "Nm", height: 1, series: [
+  { title: "Friction estimate", unit: "Nm", series: [
     { name: "friction_nm", label: "estimate", colour: "green", width: 1.8 }] },
-  { title: "Tick lateness", unit: "µs", height: 1, series: [
-    { name: "lateness_ns", label: "latest tick of 20 ms", part: 1, factor: 1e-3, colour: "purple", width: 1.2 },
-    { name: "busy_ns", label: "longest work of a tick", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
+  { title: "Ticks, largest of 20 ms", unit: "µs", series: [
+    { name: "lateness_ns", label: "lateness", part: 1, factor: 1e-3, colour: "purple", width: 1.2 },
+    { name: "busy_ns", label: "work", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
 ];
 
 function cssColour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
-function shown(value) { return value == null ? "–" : (Math.abs(value) >= 1000 ? value.toFixed(0) : value.toPrecision(4)).replace("-", "−"); }
+function shown(value) { return value == null ? "–" : (Math.abs(value) >= 1000 ? value.toFixed(0) : value.toPrecision(3)).replace("-", "−"); }
 
 class Picture {
   constructor(spec, parent, onSelect, onReset) {
@@ -39,7 +39,7 @@ class Picture {
     this.plotAt = document.createElement("div");
     this.plotAt.className = "plot";
     this.figure.append(head, this.plotAt);
-    parent.append(this.figure);
+    parent.insertBefore(this.figure, parent.lastElementChild); // the histogram stays last
     this.build();
   }
 
@@ -63,7 +63,8 @@ class Picture {
     return button;
   }
 
-  size() { return { width: Math.max(240, this.plotAt.clientWidth || 600), height: Math.round(150 * this.spec.height) }; }
+  // three rows of pictures fit a laptop's screen
+  size() { return { width: Math.max(240, this.plotAt.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
 
   build() {
     const data = this.plot ? this.plot.data : null, scale = this.plot ? this.plot.scales.x : null;
@@ -81,7 +82,7 @@ class Picture {
     });
     const own = this;
     this.plot = new uPlot({
-      ...this.size(), series, bands, legend: { show: false }, pxAlign: 0,
+      ...this.size(), series, bands, legend: { show: false }, pxAlign: 0, padding: [8, 14, 0, 0],
       scales: { x: { time: false } },
       axes: [{ ...axis(26), values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...axis(58), values: (u, ticks) => ticks.map((t) => String(+t.toPrecision(6)).replace("-", "−")) }],
       cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { own.onReset(); return null; } } },

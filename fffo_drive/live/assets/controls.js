@@ -67,5 +67,5 @@ class Wire {
     return Promise.race([answer, late]);
   }
 
-  capture(seconds) { if (this.open) this.socket.send(JSON.stringify({ do: "capture", seconds })); }
+  capture(seconds, untilTick) { if (this.open) this.socket.send(JSON.stringify({ do: "capture", seconds, until_tick: untilTick })); }
 }

@@ -3,9 +3,9 @@
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
   const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", running: "a profile runs", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
-  const FRAME_MS = 40;
-  const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], frames: 0, mayCommand: false };
-  let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false;
+  const FRAME_MS = 40, SILENT_MS = 1500;
+  const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], mayCommand: false };
+  let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0;
 
   const token = location.hash.slice(1) || sessionStorage.getItem("scope-token") || "";
   if (location.hash) { // out of the address bar, for the next screenshot
@@ -93,7 +93,7 @@
     const { head, at } = takeApart(buffer);
     if (head.kind === "capture") { captured(head, buffer.slice(at)); return; }
     if (!scope.store || head.loop !== scope.loop) return;
-    scope.frames++;
+    heardMs = performance.now();
     const values = new Float64Array(buffer, at), width = scope.fields.length * 3;
     scope.store.add(values, head.bins, scope.rate, scope.binTicks);
     for (let i = 0; i < head.bins; i++) watchTrigger(values.subarray(i * width, (i + 1) * width));
@@ -101,9 +101,10 @@
     scope.late.push([head.ticks, head.late]);
     if (scope.late.length > 250) scope.late.shift();
     dirty = true;
+    if (scope.trigger && scope.store.now >= scope.trigger.until) fire();
   }
 
-  // trigger
+  // trigger: by the axis' own time, so that a busy browser takes the same rows
 
   function watchTrigger(bin) {
     const index = scope.store.index, reference = bin[index.reference_rps * 3 + 2], now = bin[index.tick * 3 + 2] / scope.rate;
@@ -117,17 +118,20 @@
 
   function armed(what, time) {
     if ($("trigger").value !== what || scope.trigger || scope.view) return;
-    scope.trigger = { what, time, seconds: Math.min(scope.seconds, scope.captureS || 10) };
+    const seconds = Math.min(scope.seconds, scope.captureS || 10);
+    scope.trigger = { what, time, seconds, until: time + seconds / 2 };
     say(`Trigger: ${what}; the rest of the window is being taken`);
-    setTimeout(fire, 500 * scope.trigger.seconds + 100);
   }
+
+  // a loop that has ended sends no more: what there is, is taken
+  setInterval(() => { if (scope.trigger && !scope.view && performance.now() - heardMs > SILENT_MS) fire(); }, 250);
 
   function fire() {
     const t = scope.trigger;
     if (!t || scope.view) { scope.trigger = null; return; }
-    pause([t.time - t.seconds / 2, t.time + t.seconds / 2]);
+    pause([t.time - t.seconds / 2, t.until]);
     say(`Triggered on ${t.what}: paused around it, at the full rate`);
-    ask(t.seconds, (buffer) => {
+    ask(t.seconds, Math.ceil(t.until * scope.rate), (buffer) => {
       scope.trigger = null;
       if (!scope.view || !buffer.byteLength) return;
       scope.triggered = buffer;
@@ -138,9 +142,9 @@
 
   // capture at the full rate
 
-  function ask(seconds, done) {
+  function ask(seconds, untilTick, done) {
     capture = { parts: [], rows: 0, done };
-    wire.capture(seconds);
+    wire.capture(seconds, untilTick);
   }
 
   function captured(head, payload) {
@@ -165,7 +169,7 @@
       setTimeout(() => URL.revokeObjectURL(link.href), 60000);
       say(`Saved ${rows} rows at the full rate`);
     };
-    if (scope.triggered) write(scope.triggered); else ask(seconds, write); // what the trigger has taken is what is looked at
+    if (scope.triggered) write(scope.triggered); else ask(seconds, null, write); // what the trigger has taken is what is looked at
   }
 
   // view

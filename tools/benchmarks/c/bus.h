@@ -169,8 +169,10 @@ static void take_node_message(struct canopen_port *port, int64_t can_id, int64_t
     } else if (length != 1) {
         feedback->bad_frames += 1;
     } else {
-        feedback->nmt_state = data[0] & 0x7F;
-        feedback->boot_count += feedback->nmt_state == 0;
+        int64_t before = feedback->nmt_state, state = data[0] & 0x7F;
+        feedback->boot_count += state == 0;
+        feedback->nmt_exits += state != 0 && state != NMT_OPERATIONAL && before == NMT_OPERATIONAL;
+        feedback->nmt_state = state;
         feedback->heartbeat_ns = monotonic_ns();
     }
 }

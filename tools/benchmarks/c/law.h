@@ -112,6 +112,8 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
         return TRIP_EMERGENCY;
     if (seen->statusword & STATUS_FAULT)
         return TRIP_DRIVE_FAULT;
+    if (seen->not_operational)
+        return TRIP_NOT_OPERATIONAL;
     if (c->heartbeat_timeout_ns > 0 && seen->heartbeat_age_ns > c->heartbeat_timeout_ns)
         return TRIP_HEARTBEAT;
     if (!seen->wanted)

@@ -172,6 +172,8 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .statusword = feedback->statusword,
         .emergencies = feedback->emergency_count - baseline->emergencies,
         .reboots = feedback->boot_count - baseline->boots,
+        .not_operational = (feedback->nmt_state >= 0 && feedback->nmt_state != NMT_OPERATIONAL) ||
+                           feedback->nmt_exits != baseline->nmt_exits,
         .bus_off = feedback->bus_off != 0 || feedback->bus_losses != baseline->bus_losses,
         .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
         .wanted = wanted,
@@ -237,7 +239,8 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct controller_state controller = {.toggle = TOGGLE_OFF};
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
-    struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses};
+    struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
+                                feedback->nmt_exits};
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
@@ -274,7 +277,8 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             reset_ticks = FAULT_RESET_TICKS;
             trip = TRIP_NONE;
             envelope = (struct envelope_state){.i2t_a2s = envelope.i2t_a2s};
-            baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses};
+            baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
+                                feedback->nmt_exits};
         }
         int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
         if (stopping_ticks > 0)

@@ -7,6 +7,7 @@ compute the command, queue the TPDOs.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 from ....can.frame import (
@@ -20,21 +21,25 @@ from ....can.frame import (
     NMT,
 )
 from . import emcy
-from .bus import NS_PER_MS, Bus, Handler, Timed, identifier
+from .bus import NEVER, NS_PER_MS, Bus, Handler, Timed, identifier
 from .config import NodeConfig, device_defaults
 from .dictionary import ObjectDictionary
 from .drive_profile import DriveProfile
 from .emcy import Emergency
 from .fault_target import FaultTarget
 from .faults import FaultInjector
+from .guarding import NodeGuarding
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer
-from .nmt import NmtSlave, NmtState
+from .inbox import Box
+from .lss import REQUEST_ID, LssSlave
+from .nmt import UNCONFIGURED, NmtSlave, NmtState
 from .objects import ENTRIES, PDO_COUNT
 from .plant_port import PlantPort
 from .rpdo import Rpdo
 from .sdo_server import SdoServer
 from .storage import Storage
 from .sync import STATISTICS, SyncConsumer
+from .sync_producer import SyncProducer
 from .tpdo import Tpdo
 
 ERROR_BEHAVIOUR = 0x1029
@@ -61,6 +66,7 @@ class Node:
         self._plant_due = Timed(bus)
         self.od = od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
         self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset)
+        self.lss = LssSlave(bus, od, self.nmt, lambda: self.nmt.reset(whole_node=False))
         self.emergency = Emergency(bus, od, self.nmt)
         self.storage = Storage(od)
         self.drive = DriveProfile(bus, od, self.emergency, plant, config.ratings)
@@ -74,8 +80,12 @@ class Node:
             self._wire_up,
         )
         self.sync.supervised = not config.step_by_sync
+        self.clock = SyncProducer(bus, od, self.nmt, self.sync.receive)
         self.producer = HeartbeatProducer(bus, od, self.nmt)
         self.consumer = HeartbeatConsumer(bus, od, self._on_heartbeat_loss, self._on_heartbeat_recovery, self._wire_up)
+        self.guarding = NodeGuarding(
+            bus, od, self.nmt, lambda: self._on_heartbeat_loss(0), lambda: self._on_heartbeat_recovery(0)
+        )
         self.sdo = SdoServer(bus, od, self.nmt)
         self.tpdos = [Tpdo(bus, od, self.nmt, n, self._wire_up) for n in range(PDO_COUNT)]
         self.rpdos = [
@@ -96,7 +106,9 @@ class Node:
         self._services: tuple[Service, ...] = (
             self.producer,
             self.consumer,
+            self.guarding,
             self.emergency,
+            self.clock,
             self.sync,
             self.sdo,
             *self.rpdos,
@@ -161,7 +173,7 @@ class Node:
             self._count_malformed()
             return
         word = identifier(frame)
-        handler = self.bus.listeners.get(word)  # flags are part of the word: only plain data frames match
+        handler = self.bus.listeners.get(word)  # flags are part of the word: a remote frame is another
         if handler is not None:
             handler(frame)
         elif word & ERROR_FLAG:
@@ -190,6 +202,18 @@ class Node:
         """Who listens to what: after a change of any identifier."""
         bus = self.bus
         bus.listeners.clear()
+        bus.listen(REQUEST_ID, self._acting(self.lss.receive))
+        if self.nmt.node_id != UNCONFIGURED:
+            self._listen()
+        self.clock.renew()
+        self._sync_rpdos = [rpdo for rpdo in self.rpdos if rpdo.exists and rpdo.synchronous]
+        self._sync_tpdos = [tpdo for tpdo in self.tpdos if tpdo.synchronous or tpdo.acyclic]
+        self._event_tpdos = [tpdo for tpdo in self.tpdos if tpdo.event_driven]
+        self._patient = tuple(self._waiting_for_sync())
+        self.faults.renew()
+
+    def _listen(self) -> None:
+        bus = self.bus
         bus.listen(NMT, self._acting(self.nmt.receive))
         bus.listen(self.sync.can_id, self.sync.receive)
         for rpdo in self.rpdos:
@@ -198,10 +222,19 @@ class Node:
         bus.listen(self.sdo.request_id, self._acting(self.sdo.receive))
         for node_id in self.consumer.node_ids:
             bus.listen(HEARTBEAT + node_id, self._acting(self.consumer.receive))
-        self._sync_rpdos = [rpdo for rpdo in self.rpdos if rpdo.exists and rpdo.synchronous]
-        self._sync_tpdos = [tpdo for tpdo in self.tpdos if tpdo.synchronous or tpdo.acyclic]
-        self._event_tpdos = [tpdo for tpdo in self.tpdos if tpdo.event_driven]
-        self.faults.renew()
+        bus.listen(self.guarding.question, self._acting(self.guarding.receive))
+
+    def _waiting_for_sync(self) -> Iterator[Box]:
+        """RPDOs of which nothing but the last before SYNC matters: alone on their identifier, and in no window."""
+        for rpdo in self._sync_rpdos:
+            can_id = rpdo.parameters.can_id
+            if self.bus.listeners.get(can_id) == rpdo.receive and self.sync.window_ns == NEVER:
+                yield Box(can_id, rpdo.mapping.length)
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """Frames that may be handed over late, as of their time, before anything that comes after them."""
+        return self._patient if self.faults.quiet else ()
 
     def _acting(self, handler: Handler) -> Handler:
         """What may change the drive meets it as it is now."""
@@ -263,6 +296,7 @@ class Node:
         for pdo in self._pdos:
             pdo.restart()
         self.sync.watch()
+        self.clock.renew()
         if new is NmtState.STOPPED:
             self.sdo.reset()
         self.emergency.flush()
@@ -270,16 +304,22 @@ class Node:
     def _on_reset(self, whole_node: bool) -> None:
         self._advance()
         self._drive_lost(emcy.COMMUNICATION, announce=True)
+        self._take_node_id(self.lss.adopt(whole_node))
         self.storage.reset(whole_node)
         for pdo in self._pdos:
             pdo.configure()
             pdo.restart()
-        for service in (self.sync, self.producer, self.consumer, self.sdo):
+        for service in (self.sync, self.producer, self.consumer, self.guarding, self.sdo):
             service.reset()
         self.emergency.reset(whole_node)
         if whole_node:
             self.drive.restart()
         self._wire_up()
+
+    def _take_node_id(self, node_id: int) -> None:
+        self.nmt.node_id = node_id
+        if node_id != UNCONFIGURED:
+            self.od.node_id = node_id
 
     def _drive_lost(self, code: int, announce: bool = False) -> None:
         self.drive.connection_lost(code, announce)

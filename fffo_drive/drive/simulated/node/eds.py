@@ -82,7 +82,7 @@ def _device_info(config: NodeConfig) -> Iterator[str]:
         ("GroupMessaging", 0),
         ("NrOfRXPDO", PDO_COUNT),
         ("NrOfTXPDO", PDO_COUNT),
-        ("LSS_Supported", 0),
+        ("LSS_Supported", 1),
     ]
     return _section("DeviceInfo", pairs)
 

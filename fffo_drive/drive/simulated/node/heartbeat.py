@@ -12,7 +12,7 @@ from ....can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed, identifier
 from .dictionary import ObjectDictionary
-from .nmt import NmtSlave
+from .nmt import UNCONFIGURED, NmtSlave
 from .objects import MONITORED_NODES
 
 PRODUCER_TIME = 0x1017
@@ -32,7 +32,8 @@ class HeartbeatProducer(Timed):
         self._start(self.bus.now_ns + self.od.number(PRODUCER_TIME) * NS_PER_MS)
 
     def _start(self, first_ns: int) -> None:
-        self.deadline_ns = first_ns if self.od.number(PRODUCER_TIME) else NEVER
+        speaks = self.od.number(PRODUCER_TIME) and self.nmt.node_id != UNCONFIGURED
+        self.deadline_ns = first_ns if speaks else NEVER
 
     def poll(self) -> None:
         """Send when due; a late call sends one heartbeat and keeps the grid."""

@@ -32,6 +32,8 @@ class NmtCommand(IntEnum):
     RESET_COMMUNICATION = 130
 
 
+UNCONFIGURED = 255  # in place of a node-ID: none
+
 _TARGETS = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -42,7 +44,8 @@ _TARGETS = {
 class NmtSlave:
     """The state machine. `on_change(old, new)` follows each change, `on_reset(whole_node)` initialises.
 
-    A reset leads through INITIALISING to PRE-OPERATIONAL, announced by the boot-up message.
+    A reset leads through INITIALISING to PRE-OPERATIONAL, announced by the boot-up message. `on_reset` may change the
+    node-ID.
     """
 
     def __init__(
@@ -55,18 +58,10 @@ class NmtSlave:
         self.bus = bus
         self.node_id = node_id
         self.state = NmtState.INITIALISING
+        self.communicates = False  # SDO, SYNC and EMCY exist: PRE-OPERATIONAL and OPERATIONAL
+        self.exchanges = False  # PDOs exist: OPERATIONAL
         self._on_change = on_change
         self._on_reset = on_reset
-
-    @property
-    def communicates(self) -> bool:
-        """SDO, SYNC and EMCY exist: PRE-OPERATIONAL and OPERATIONAL."""
-        return self.state is NmtState.OPERATIONAL or self.state is NmtState.PRE_OPERATIONAL
-
-    @property
-    def exchanges(self) -> bool:
-        """PDOs exist: OPERATIONAL."""
-        return self.state is NmtState.OPERATIONAL
 
     def receive(self, frame: bytes) -> None:
         """An NMT command; one for another node, of a wrong length or unknown is ignored."""
@@ -82,6 +77,8 @@ class NmtSlave:
         """Initialise the node (or only its communication), send boot-up, and go to PRE-OPERATIONAL."""
         self.enter(NmtState.INITIALISING)
         self._on_reset(whole_node)
+        if self.node_id == UNCONFIGURED:  # LSS alone, until there is a node-ID
+            return
         self.bus.send(HEARTBEAT + self.node_id, b"\x00")
         self.enter(NmtState.PRE_OPERATIONAL)
 
@@ -90,4 +87,6 @@ class NmtSlave:
         old = self.state
         if state is not old:
             self.state = state
+            self.exchanges = state is NmtState.OPERATIONAL
+            self.communicates = self.exchanges or state is NmtState.PRE_OPERATIONAL
             self._on_change(old, state)

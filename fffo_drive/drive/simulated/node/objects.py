@@ -96,6 +96,8 @@ _COMMUNICATION = [
     Entry(0x1008, 0, "Manufacturer device name", TEXT, "const", b"fffo-drive simulated servo drive"),
     Entry(0x1009, 0, "Manufacturer hardware version", TEXT, "const", b"simulated"),
     Entry(0x100A, 0, "Manufacturer software version", TEXT, "const", b"0"),
+    Entry(0x100C, 0, "Guard time", U16, "rw"),
+    Entry(0x100D, 0, "Life time factor", U8, "rw"),
     *_numbered(0x1010, STORAGE_GROUPS, "Store parameters of group", U32, "rw", 1),
     *_numbered(0x1011, STORAGE_GROUPS, "Restore defaults of group", U32, "rw", 1),
     Entry(0x1014, 0, "COB-ID EMCY", U32, "rw", 0x80, relative=True),

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import os
 import resource
-import select
 import signal
 import struct
 import threading
@@ -25,6 +24,7 @@ from ..cia402_device import STATE_NAMES
 from .bus import NS_PER_MS
 from .config import NodeConfig
 from .core import Node
+from .inbox import BOXED, Box, Inbox, wait_for_frame
 from .simulated_plant import SimulatedPlant
 from .sync import STATISTICS
 
@@ -103,6 +103,7 @@ def rehearse(config: NodeConfig) -> None:
         now_ns += 20 * NS_PER_MS
         node.handle(pack_frame(SYNC), now_ns)
         node.poll(now_ns)
+    wait_for_frame(-1, Inbox().memory, 0)
 
 
 class _Shell:
@@ -113,8 +114,8 @@ class _Shell:
         self.send_errors = 0
         self.dropped = 0
         self._started_ns = self._drops_ns = time.monotonic_ns()
-        self._poller = select.poll()
-        self._poller.register(link.rx_fd, select.POLLIN)
+        self._inbox = Inbox()
+        self._boxes: tuple[Box, ...] = ()
         self._bus_present = True
 
     def begin(self) -> None:
@@ -124,28 +125,45 @@ class _Shell:
 
     def run(self, stop: StopSignal) -> None:
         """Until `stop`; looks at it at least every 10 ms."""
-        node = self.node
+        node, inbox = self.node, self._inbox
         while not stop.is_set():
-            deadline_ns = node.deadline_ns
-            wait_ms = max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_MS)
-            if self._poller.poll(wait_ms) or not self._bus_present:
-                self._receive()
+            if node.boxes is not self._boxes:
+                self._boxes = node.boxes
+                inbox.arrange(self._boxes)
+            result = wait_for_frame(self.link.rx_fd, inbox.memory, node.deadline_ns)
+            if result >= BOXED:
+                self._open_boxes()
+                result -= BOXED
+            if result > 0:
+                self._send(node.handle(inbox.frame(result), time.monotonic_ns()))
+            elif result < 0:
+                self._lose_bus()
+            elif not self._bus_present:
+                self._probe()
             now_ns = time.monotonic_ns()
-            if now_ns >= deadline_ns:  # what a frame has brought forward is seen in the next turn
+            if now_ns >= node.deadline_ns:  # after each frame: a full bus must not stop the node's own time
                 self._send(node.poll(now_ns))
             if now_ns - self._drops_ns > DROPS_EVERY_NS:
                 self._count_drops(now_ns)
 
-    def _receive(self) -> None:
-        """Take one frame. Between two the deadline is looked at: a full bus must not stop the node's own time."""
+    def _open_boxes(self) -> None:
+        """The node takes the frames that wait for a SYNC, as of the time when they came."""
+        for arrival_ns, frame in self._inbox.waiting():
+            self._send(self.node.handle(frame, arrival_ns))
+
+    def _lose_bus(self) -> None:
+        """The interface is down or gone."""
+        self._note_bus(False)
+        time.sleep(RETRY_S)
+
+    def _probe(self) -> None:
+        """See whether the interface is back."""
         try:
             frame = self.link.receive(0.0)
         except LinkError:
-            self._note_bus(False)
-            time.sleep(RETRY_S)
+            self._lose_bus()
             return
-        if not self._bus_present:
-            self._note_bus(True)
+        self._note_bus(True)
         if frame is not None:
             self._send(self.node.handle(frame, time.monotonic_ns()))
 

@@ -50,9 +50,12 @@ class SdoServer(Timed):
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
         super().__init__(bus)
         self.od, self.nmt = od, nmt
-        self.request_id = SDO_REQUEST + nmt.node_id
-        self._response_id = SDO_RESPONSE + nmt.node_id
         self._transfer: Transfer | None = None
+
+    @property
+    def request_id(self) -> int:
+        """The identifier to listen to."""
+        return SDO_REQUEST + self.nmt.node_id
 
     def reset(self) -> None:
         """Drop the transfer under way: NMT reset, or STOPPED."""
@@ -123,7 +126,7 @@ class SdoServer(Timed):
         self._answer(0x80, index, sub, _SIZE.pack(code))
 
     def _answer(self, command: int, index: int, sub: int, data: bytes = b"") -> None:
-        self.bus.send(self._response_id, struct.pack("<BHB4s", command, index, sub, data))
+        self.bus.send(SDO_RESPONSE + self.nmt.node_id, struct.pack("<BHB4s", command, index, sub, data))
 
     def _initiate_download(self, data: bytes) -> None:
         transfer = self._begin(data)
@@ -151,7 +154,7 @@ class SdoServer(Timed):
                 raise SdoAbortError(Abort.TOO_SHORT)
             self.od.download(transfer.index, transfer.sub, transfer.data)
             self._finish()
-        self.bus.send(self._response_id, bytes([0x20 | data[0] & 0x10]) + bytes(7))
+        self.bus.send(SDO_RESPONSE + self.nmt.node_id, bytes([0x20 | data[0] & 0x10]) + bytes(7))
 
     def _initiate_upload(self, data: bytes) -> None:
         transfer = self._begin(data)
@@ -174,7 +177,7 @@ class SdoServer(Timed):
         if last:
             self._finish()
         self.bus.send(
-            self._response_id,
+            SDO_RESPONSE + self.nmt.node_id,
             bytes([toggle << 4 | (SEGMENT - len(part)) << 1 | last]) + part.ljust(SEGMENT, b"\x00"),
         )
 
@@ -210,6 +213,6 @@ class SdoServer(Timed):
     def _continue_block(self, block: BlockDownload | BlockUpload, data: bytes) -> None:
         self.deadline_ns = self.bus.now_ns + TIMEOUT_NS
         for answer in block.receive(data):
-            self.bus.send(self._response_id, answer)
+            self.bus.send(SDO_RESPONSE + self.nmt.node_id, answer)
         if block.done:
             self._finish()

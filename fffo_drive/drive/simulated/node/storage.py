@@ -42,7 +42,8 @@ class Storage:
     def reset(self, whole_node: bool) -> None:
         """Power-on values: the saved ones, or the defaults. A communication reset leaves the rest alone."""
         for slot, entry in enumerate(self.od.entries):
-            if entry.access in WRITABLE and (whole_node or entry.index in COMMUNICATION):
+            changeable = entry.access in WRITABLE or entry.relative  # the node-ID may be another one now
+            if changeable and (whole_node or entry.index in COMMUNICATION):
                 saved = self._saved.get(multiplexer(entry.index, entry.sub))
                 self.od.values[slot] = self.od.power_on_value(entry) if saved is None else saved
 

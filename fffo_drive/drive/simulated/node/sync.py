@@ -21,13 +21,15 @@ CYCLE_PERIOD = 0x1006
 WINDOW_LENGTH = 0x1007
 COUNTER_OVERFLOW = 0x1019
 LOSS_TOLERANCE = 0x2010
+SYNC_PRODUCER = 1 << 30  # of 0x1005
+SHORTEST_PERIOD_US = 200  # that this device can produce
 STATISTICS = 0x2020
 
 
 class SyncConsumer(Timed):
     """Follows the SYNC. `on_sync(counter)` is called for each valid one; the counter is 0 where none is sent.
 
-    `on_change()` follows a change of the identifier.
+    `on_change()` follows a change of its objects.
     """
 
     def __init__(
@@ -47,13 +49,18 @@ class SyncConsumer(Timed):
         self._received_slot = od.slots[multiplexer(STATISTICS, 1)]
         od.guard(COB_ID_SYNC, self._check_cob_id)
         od.guard(COUNTER_OVERFLOW, self._check_overflow)
+        od.guard(CYCLE_PERIOD, self._check_period)
         od.on_write(COB_ID_SYNC, lambda sub, value: on_change())
         for index in (CYCLE_PERIOD, WINDOW_LENGTH, COUNTER_OVERFLOW, LOSS_TOLERANCE):
-            od.on_write(index, lambda sub, value: self._configure())
+            od.on_write(index, lambda sub, value: self._reconfigure(on_change))
         self.last_ns = -NEVER
         self.lost = False
         self.malformed = False
         self._configure()
+
+    def _reconfigure(self, on_change: Callable[[], None]) -> None:
+        self._configure()
+        on_change()
 
     def _configure(self) -> None:
         number = self.od.number
@@ -117,10 +124,18 @@ class SyncConsumer(Timed):
         return self.window_ns == NEVER or self.bus.now_ns - self.last_ns <= self.window_ns
 
     def _check_cob_id(self, sub: int, value: int) -> None:
-        if value & ~STANDARD_MASK:  # 29-bit identifiers, or this device as the producer
+        can_id = value & ~SYNC_PRODUCER
+        if can_id != SYNC:
+            check_can_id(can_id)
+        existing = self.od.number(COB_ID_SYNC)
+        if existing & value & SYNC_PRODUCER and can_id != existing & STANDARD_MASK:
             raise SdoAbortError(Abort.INVALID_VALUE)
-        if value != SYNC:
-            check_can_id(value)
+        if value & SYNC_PRODUCER and 0 < self.od.number(CYCLE_PERIOD) < SHORTEST_PERIOD_US:
+            raise SdoAbortError(Abort.DEVICE_STATE)
+
+    def _check_period(self, sub: int, value: int) -> None:
+        if self.od.number(COB_ID_SYNC) & SYNC_PRODUCER and 0 < value < SHORTEST_PERIOD_US:
+            raise SdoAbortError(Abort.VALUE_TOO_LOW)
 
     def _check_overflow(self, sub: int, value: int) -> None:
         if value == 1:

@@ -1,0 +1,53 @@
+"""Where a server of the daemon listens: `PORT` on this machine alone, or `HOST:PORT`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+LOCAL = ("127.0.0.1", "localhost")
+WILDCARDS = ("", "0.0.0.0", "::", "*")
+HIGHEST_PORT = 65535
+
+
+class Address(NamedTuple):
+    """Where to listen. Port 0: a free one."""
+
+    host: str
+    port: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What a browser may call us."""
+        hosts = LOCAL if self.host in LOCAL else (self.host,)
+        return tuple(f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}" for host in hosts)
+
+
+def address_of(text: str) -> Address:
+    """`PORT`, or `HOST:PORT`. Raises ValueError."""
+    host, colon, port = text.rpartition(":")
+    host = host.strip("[]") if colon else LOCAL[0]
+    if not port.isascii() or not port.isdecimal() or int(port) > HIGHEST_PORT:
+        raise ValueError(f"'{text}': give PORT or HOST:PORT")
+    if host in WILDCARDS:
+        raise ValueError(f"'{text}': give the address or name that browsers use, not all of them")
+    return Address(host, int(port))
+
+
+def _listen(value: Any) -> Any:
+    """A port as YAML has it, or text, as text that can be used."""
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        raise ValueError("give PORT or HOST:PORT")
+    address_of(str(value))
+    return str(value)
+
+
+_SCHEMA = {
+    "anyOf": [
+        {"type": "integer", "minimum": 0, "maximum": HIGHEST_PORT},
+        {"type": "string", "pattern": r"^(.+:)?[0-9]{1,5}$"},
+    ]
+}
+# a key of a configuration file
+Listen = Annotated[str, BeforeValidator(_listen), WithJsonSchema(_SCHEMA), Field(examples=[8700, "192.0.2.7:8700"])]

@@ -1,0 +1,259 @@
+"""The report of a whole circle: what was found and adopted, and the tracking error before and after.
+
+report.json is the usual one; its `results` are `as_object`, format fffo_drive/circle/1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..evaluation.metrics import ErrorMetrics, Rows, error_metrics, profile_rows
+from . import bench_figures as draw
+from .document import Cell, Column, Provenance, Report, Row, Section, Standing, Table, Verdict, count, number
+from .figures import Floats
+from .intervals import Interval, ratio_intervals
+from .page import ReportPaths, write_report
+
+KIND = "close-the-loop"
+FORMAT = "fffo_drive/circle/1"
+STRETCH_S = 1.0
+UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
+COLUMNS = {"measured": "velocity_rps", "true": "true_velocity_rps"}
+KINDS = {"measured": "measured velocity", "true": "shaft's velocity"}
+SOUND_SHARE = 0.01
+
+
+class CircleRun(NamedTuple):
+    """How one run of the circle went."""
+
+    name: str
+    rate_hz: int
+    ticks: int
+    lost_share: float  # skipped, or without an answer
+    longest_s: float  # between two answers
+
+
+class Pair(NamedTuple):
+    """Metrics of the run before the adoption and of the one with it (None: there was none)."""
+
+    before: ErrorMetrics
+    after: ErrorMetrics | None
+
+
+class Tracking(NamedTuple):
+    """The error before and after."""
+
+    metrics: dict[str, Pair]  # by kind: measured, and true where the drive knows the shaft
+    intervals: dict[str, dict[str, Interval]]  # of after over before, by kind and metric
+    data: draw.BenchData
+
+
+class CircleSource(NamedTuple):
+    """Everything that the report is made of."""
+
+    axis: str
+    verdict: str  # of the diagnosis
+    effects: tuple[str, ...]
+    gates: tuple[dict[str, Any], ...]
+    model_error: dict[str, Any]  # before, after: held-out figures of the diagnosis
+    tracking: Tracking
+    runs: tuple[CircleRun, ...]
+    provenance: Provenance
+
+    @property
+    def adopted(self) -> bool:
+        """The model with the effects is in service."""
+        return bool(self.gates) and all(gate["passed"] for gate in self.gates)
+
+
+def tracking_of(before: Rows, after: Rows | None, period_s: float, samples: int) -> Tracking:
+    """Metrics of the runs over one profile of `samples`.
+
+    The integral stands for the whole profile, so that runs compare in which other ticks were skipped.
+    """
+    rows = {"before": before} | ({"after": after} if after is not None else {})
+    metrics: dict[str, Pair] = {}
+    intervals: dict[str, dict[str, Interval]] = {}
+    for kind, column in COLUMNS.items():
+        errors = {name: _error(run, column, samples) for name, run in rows.items()}
+        if any(not np.isfinite(error).any() for error in errors.values()):
+            continue
+        found = [_metrics(error, period_s) for error in errors.values()]
+        metrics[kind] = Pair(found[0], found[1] if after is not None else None)
+        if after is not None:
+            against = dict.fromkeys(ErrorMetrics._fields, "before")
+            stretch = max(1, round(STRETCH_S / period_s))
+            intervals[kind] = ratio_intervals(errors, against, stretch).get("after", {})
+    return Tracking(metrics, intervals, draw.bench_data(rows, period_s, samples))
+
+
+def _error(rows: Rows, column: str, samples: int) -> Floats:
+    """Reference minus velocity on the profile's grid, NaN where a tick was skipped. (samples,)"""
+    inside = profile_rows(rows, samples)
+    grid = np.full(samples, np.nan)
+    grid[inside["profile_sample"]] = inside["reference_rps"] - inside[column]
+    return grid
+
+
+def _metrics(error_rps: Floats, period_s: float) -> ErrorMetrics:
+    known = error_rps[np.isfinite(error_rps)]
+    found = error_metrics(known, period_s)
+    return found._replace(ise=found.ise * error_rps.size / known.size)
+
+
+def as_object(source: CircleSource) -> dict[str, Any]:
+    """The circle for programs."""
+    tracking: dict[str, Any] = {}
+    for name in ("before", "after"):
+        pairs = {kind: getattr(pair, name) for kind, pair in source.tracking.metrics.items()}
+        if all(found is not None for found in pairs.values()):
+            tracking[name] = {kind: found._asdict() for kind, found in pairs.items()}
+    if "after" in tracking:
+        tracking["ratio"] = {
+            kind: {
+                key: {
+                    "value": _ratio(pair, key),
+                    "interval_95": list(ends) if (ends := source.tracking.intervals[kind].get(key)) else None,
+                }
+                for key in ErrorMetrics._fields
+            }
+            for kind, pair in source.tracking.metrics.items()
+        }
+    return {
+        "format": FORMAT,
+        "axis": source.axis,
+        "verdict": source.verdict,
+        "effects": list(source.effects),
+        "adopted": source.adopted,
+        "gates": list(source.gates),
+        "tracking": tracking,
+        "model_error": source.model_error,
+        "runs": [run._asdict() for run in source.runs],
+    }
+
+
+def _ratio(pair: Pair, key: str) -> float | None:
+    before = float(getattr(pair.before, key))
+    return None if pair.after is None or before == 0.0 else float(getattr(pair.after, key)) / before
+
+
+def write_circle_report(source: CircleSource, directory: Path) -> ReportPaths:
+    """Write report.html and report.json into a directory that exists."""
+    return write_report(circle_report(source), directory)
+
+
+def circle_report(source: CircleSource) -> Report:
+    """The report of a circle."""
+    data = source.tracking.data
+    cutouts = draw.choose_cutouts(data.reference_rps, data.period_s)
+    sections = (
+        Section("Tracking", "Where the direction changes.", tuple(draw.cutout_figures(data, cutouts))),
+        Section(
+            "Error", "Reference minus measured velocity.",
+            (*draw.error_figures(data), *draw.histogram_figures(data), draw.exceedance_figure(data)),
+        ),
+    )  # fmt: skip
+    tables = [_tracking_table(source.tracking), _runs_table(source.runs)]
+    if source.gates:
+        tables.insert(1, _gates_table(source.gates))
+    return Report(
+        kind=KIND,
+        title=f"Circle of {source.axis}",
+        subtitle="Run, record, diagnose, adopt, run again; the diagnosis has a page of its own in diagnosis/.",
+        verdict=_verdict(source),
+        tables=tuple(tables),
+        sections=sections,
+        provenance=source.provenance,
+        results=as_object(source),
+    )
+
+
+def _verdict(source: CircleSource) -> Verdict:
+    pair = source.tracking.metrics["true" if "true" in source.tracking.metrics else "measured"]
+    names = ", ".join(source.effects)
+    standing: Standing = "good"
+    if not source.effects:
+        headline = "Nothing was found that the model lacks: it stays as it is."
+    elif not source.adopted:
+        standing = "caution"
+        refused = ", ".join(gate["name"] for gate in source.gates if not gate["passed"])
+        headline = f"Found: {names}. Not adopted: {refused}."
+    elif pair.after is None:
+        standing = "caution"
+        headline = f"Found and adopted: {names}. There is no run with it."
+    else:
+        change = 100.0 * (pair.after.ise / pair.before.ise - 1.0)
+        standing = "good" if change < 0.0 else "bad"
+        word = "falls" if change < 0.0 else "rises"
+        headline = f"Found and adopted: {names}. The squared tracking error {word} by {abs(change):.0f} %."
+    reasons = []
+    held_out = [(source.model_error.get(key) or {}).get("held_out") for key in ("before", "after")]
+    if source.effects and all(held_out):
+        old, new = (figures["torque_relative_percent"] for figures in held_out if figures)
+        reasons.append(f"The model's torque error on the run that was held out: {old:.2f} to {new:.2f} %.")
+    cautions = _cautions(source.runs)
+    standing = "caution" if cautions and standing == "good" else standing
+    return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
+
+
+def _cautions(runs: Sequence[CircleRun]) -> list[str]:
+    lost = [f"{run.name} {100.0 * run.lost_share:.1f} %" for run in runs if run.lost_share > SOUND_SHARE]
+    return [f"Ticks skipped or without an answer: {', '.join(lost)}."] if lost else []
+
+
+def _tracking_table(tracking: Tracking) -> Table:
+    columns = [
+        Column(label=label, unit=unit, group=KINDS[kind])
+        for kind in tracking.metrics
+        for label, unit in (("before", ""), ("after", ""), ("after over before", ""))
+    ]
+    rows = []
+    for key, unit in UNITS.items():
+        cells: list[Cell] = []
+        for kind, pair in tracking.metrics.items():
+            cells.append(number(getattr(pair.before, key)))
+            ratio = _ratio(pair, key)
+            if pair.after is None or ratio is None:
+                cells += [Cell(text="–")] * 2
+                continue
+            ends = tracking.intervals[kind].get(key)
+            cells.append(number(getattr(pair.after, key)))
+            cells.append(number(ratio, low=ends.low if ends else None, high=ends.high if ends else None))
+        rows.append(Row(label=key.upper(), unit=unit, cells=cells))
+    note = (
+        "Reference minus velocity over the file's profile, without and with the adopted model. Below the ratio its "
+        f"95 % interval over which parts of the profile count ({STRETCH_S:g} s stretches, the same ones of both runs)."
+    )
+    return Table(name="tracking", title="Tracking error", note=note, corner="metric", columns=columns, rows=rows)
+
+
+def _gates_table(gates: Sequence[dict[str, Any]]) -> Table:
+    columns = [Column(label="", words=True), Column(label="found", words=True)]
+    rows = [
+        Row(label=gate["name"], cells=[Cell(text="passed" if gate["passed"] else "refused"), Cell(text=gate["text"])])
+        for gate in gates
+    ]
+    note = "What a model has to pass before it is put in service."
+    return Table(name="gates", title="Gates", note=note, corner="gate", columns=columns, rows=rows)
+
+
+def _runs_table(runs: Sequence[CircleRun]) -> Table:
+    columns = [
+        Column(label="rate", unit="Hz"), Column(label="ticks"), Column(label="skipped or no answer", unit="%"),
+        Column(label="longest silence", unit="ms"),
+    ]  # fmt: skip
+    rows = [
+        Row(
+            label=run.name,
+            cells=[
+                count(run.rate_hz), count(run.ticks), number(100.0 * run.lost_share), number(1e3 * run.longest_s)
+            ],
+        )
+        for run in runs
+    ]  # fmt: skip
+    return Table(name="runs", title="Runs", note="Each is a recording in the directory.", corner="run",
+                 columns=columns, rows=rows)  # fmt: skip

@@ -1,0 +1,149 @@
+"""The whole circle as one command: in process, and in real time on a loopback bus; and what is wrong with a request."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from fffo_drive.can.link import free_loopback_port
+from fffo_drive.cli import main
+from fffo_drive.cli.circle_runs import MOST_LOST, health_of
+from fffo_drive.config.axis import read_axis
+from fffo_drive.recording.reader import read_run
+from fffo_drive.signals import ROW
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SHORT = {"kind": "paper", "duration_s": 12}
+AXIS, SIM = str(CONFIGS / "axis_undeclared.yaml"), str(CONFIGS / "simulated_undeclared.yaml")
+
+
+def circle(capsys, *words):
+    code = main(["close-the-loop", *words, "--quick", "--json"])
+    captured = capsys.readouterr()
+    assert code == 0, captured.err
+    return json.loads(captured.out)
+
+
+def the_loop_is_closed(result, out):
+    """The effect that nobody declared was found, adopted, and tracking is better with it; everything says so alike."""
+    assert result["verdict"] == "effects_found"
+    assert result["effects"][0] == "cogging"
+    assert result["adopted"]
+    ratio = result["tracking"]["ratio"]["measured"]["ise"]
+    assert ratio["value"] < 0.9
+    assert result["tracking"]["after"]["measured"]["ise"] < result["tracking"]["before"]["measured"]["ise"]
+    assert read_axis(out / "axis.yaml").model == "diagnosis/model.yaml"
+    report = json.loads((out / "report.json").read_text())
+    assert report["kind"] == "close-the-loop"
+    assert report["results"] == result
+    assert "Found and adopted: cogging" in report["verdict"]["headline"]
+    page = (out / "report.html").read_text()
+    assert "Tracking error" in page
+    assert report["verdict"]["headline"].split(":")[0] in page
+    assert (out / "diagnosis" / "report.html").exists()
+    rows = read_run(out / "after.mcap").rows
+    assert (rows["effects"][rows["mode"] == 1] & 1 == 1).all()
+    assert not read_run(out / "before.mcap").rows["effects_nm"].any()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_in_process(tmp_path, capsys):
+    axis = changed(tmp_path, "axis_undeclared.yaml", lambda axis: axis.update(profile=SHORT))
+    tmp_path = tmp_path / "out"
+    result = circle(capsys, axis, "--sim", SIM, "--out", str(tmp_path))
+    the_loop_is_closed(result, tmp_path)
+    assert result["tracking"]["ratio"]["true"]["ise"]["value"] < 0.4
+    # the same directory is not written over
+    assert main(["close-the-loop", axis, "--out", str(tmp_path)]) == 78
+    assert "another --out" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(900)
+def test_in_real_time_on_a_bus(tmp_path, capsys):
+    bus = f"loopback:{free_loopback_port()}"
+    axis = changed(tmp_path, "axis_bench.yaml", lambda axis: axis.update(profile=SHORT))
+    tmp_path = tmp_path / "out"
+    result = circle(capsys, axis, "--sim", SIM, "--bus", bus, "--rate", "500", "--out", str(tmp_path))
+    the_loop_is_closed(result, tmp_path)
+    assert "true" not in result["tracking"]["before"]
+    assert {run["rate_hz"] for run in result["runs"]} == {500}
+
+
+def test_the_health_of_a_run():
+    rows = np.zeros(20_000, ROW)
+    rows["tick"], rows["mode"] = np.arange(rows.size), 1
+    assert health_of(rows, 0.0005)[1:] == (0, 0, 0.0005, 1.0)
+    stalls = np.ones(rows.size, bool)
+    for begin in range(1000, 20_000, 5000):
+        stalls[begin : begin + 100] = False  # 50 ms each
+    found = health_of(rows[stalls], 0.0005)
+    assert found.skipped == 400
+    assert found.longest_s == pytest.approx(0.0505)
+    assert found.sound
+    rows["velocity_age"][::10] = 1
+    found = health_of(rows, 0.0005)
+    assert found.lost_share == pytest.approx(0.1)
+    assert not found.sound
+    assert found.lost_share > MOST_LOST
+    assert not health_of(rows[:0], 0.0005).sound
+
+
+def changed(tmp_path, name, change):
+    content = yaml.safe_load((CONFIGS / name).read_text())
+    content["model"] = str(CONFIGS / "models" / "table1.yaml")
+    if "file" in content["drive"]:
+        content["drive"]["file"] = SIM
+    change(content)
+    path = tmp_path / "given.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["nowhere.yaml"], 78, "nowhere.yaml: cannot be read"),
+        ([AXIS, "--sim", "nowhere.yaml"], 78, "nowhere.yaml: cannot be read"),
+        ([AXIS, "--drive", "nowhere.yaml"], 78, "nowhere.yaml: cannot be read"),
+        ([AXIS, "--bus", "loopback:29999"], 78, "has no bus: leave --bus out"),
+        ([str(CONFIGS / "axis_canopen.yaml")], 78, "were never checked"),
+        ([AXIS, "--rate", "100000"], 78, "loop.rate_hz"),
+    ],
+)
+def test_what_is_wrong_with_a_request_is_said_and_nothing_runs(tmp_path, capsys, words, code, said):
+    out = tmp_path / "out"
+    assert main(["close-the-loop", *words, "--out", str(out)]) == code
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert captured.out == ""
+    assert not list(out.glob("*.mcap*"))
+
+
+def test_files_that_the_axis_names_are_looked_at_before_anything_runs(tmp_path, capsys):
+    out = str(tmp_path / "out")
+    for change, said in (
+        (lambda axis: axis.update(model="nowhere.yaml"), "cannot be read"),
+        (lambda axis: axis.update(profile={"kind": "identify", "duration_s": 10}), "a velocity profile is needed"),
+        (lambda axis: axis["envelope"].update(speed_limit_rps=1.0), "speed_limit_rps"),
+    ):
+        axis = changed(tmp_path, "axis_undeclared.yaml", change)
+        assert main(["close-the-loop", axis, "--out", out]) == 78
+        assert said in capsys.readouterr().err
+    damaged = tmp_path / "damaged.yaml"
+    damaged.write_text("name: [")
+    assert main(["close-the-loop", str(damaged), "--out", out]) == 78
+    assert f"{damaged}:1: not valid YAML" in capsys.readouterr().err
+
+
+def test_a_bus_without_a_drive_is_unavailable(tmp_path, capsys):
+    bus = f"loopback:{free_loopback_port()}"
+    words = [str(CONFIGS / "axis_bench.yaml"), "--bus", bus, "--uncommissioned", "--out", str(tmp_path)]
+    assert main(["close-the-loop", *words]) == 69
+    assert "does not answer" in capsys.readouterr().err

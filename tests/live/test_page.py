@@ -1,0 +1,289 @@
+"""The scope page in a real browser, beside an axis that runs: what it shows, what its buttons and keys do."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from daemon.rig import PATIENCE_S
+from interpreted import TESTS
+from live.served import Served
+
+from fffo_drive.signals import SIGNALS
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.browser, pytest.mark.timeout(400)]
+LAPTOP, TABLET, UPRIGHT = (1366, 768), (1024, 768), (768, 1024)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    with Served(tmp_path_factory.mktemp("served")) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sys.path.append(str(TESTS.parent / "tools"))
+    from headless import chromium
+
+    with chromium() as browser:
+        yield browser
+
+
+class Page:
+    """A page that is looked at, and everything that it complained of or asked for."""
+
+    def __init__(self, browser, served, size=LAPTOP, key=True, **options):
+        width, height = size
+        self.context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        self.tab = self.context.new_page()
+        self.tab.set_default_timeout(PATIENCE_S * 1000)
+        self.troubles, self.requests = [], []
+        self.tab.on("pageerror", lambda error: self.troubles.append(str(error)))
+        self.tab.on("console", lambda message: message.type == "error" and self.troubles.append(message.text))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
+        self.address = f"{served.url}#{served.key}" if key else served.url
+
+    def open(self):
+        self.tab.goto(self.address)
+        self.until("document.body.dataset.state !== '' && fffoScope.store")
+        if "#" in self.address:
+            self.until("fffoScope.mayCommand")
+        return self
+
+    def js(self, expression):
+        return self.tab.evaluate(expression)
+
+    def until(self, expression):
+        """Wait until it is so. The page's own policy forbids what playwright would do for this."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (value := self.js(expression)):
+            assert time.monotonic() < deadline_s, f"never: {expression}; it says: {self.said}; {self.troubles}"
+            time.sleep(0.05)
+        return value
+
+    def until_state(self, state):
+        self.until(f"document.body.dataset.state === '{state}'")
+
+    @property
+    def said(self):
+        return self.tab.text_content("#said")
+
+    def see(self, seconds):
+        """So many seconds of the axis more than now."""
+        now_s = self.js("fffoScope.store.now")
+        self.until(f"fffoScope.store.now > {now_s + seconds} || fffoScope.store.now < {now_s}")
+
+
+@pytest.fixture
+def page(served, chromium):
+    served.rest()
+    page = Page(chromium, served).open()
+    yield page
+    page.context.close()
+    assert page.troubles == []
+
+
+# pixels of a picture that are of a series' colour
+INKED = """([title, colour]) => {
+  const figure = [...document.querySelectorAll("figure")].find((f) => f.textContent.startsWith(title));
+  const canvas = figure.querySelector("canvas"), probe = document.createElement("canvas").getContext("2d");
+  probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(`--series-${colour}`).trim();
+  probe.fillRect(0, 0, 1, 1);
+  const wanted = probe.getImageData(0, 0, 1, 1).data;
+  const all = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  let count = 0;
+  for (let i = 0; i < all.length; i += 4)
+    if (all[i + 3] > 200 && [0, 1, 2].every((c) => Math.abs(all[i + c] - wanted[c]) < 40)) count++;
+  return count;
+}"""
+CURVES = [
+    ("Velocity", "blue"), ("Velocity", "ink"), ("Error", "orange"), ("Current", "ink"), ("Current", "purple"),
+    ("Friction", "green"), ("Ticks", "purple"),
+]  # fmt: skip
+
+
+def test_a_run_is_drawn_and_nobody_else_is_asked(served, page):
+    page.tab.select_option("#seconds", "5")
+    served.run()
+    page.until_state("running")
+    before = page.js("fffoScope.pictures")
+    page.see(3.0)
+    assert page.js("fffoScope.pictures") > before
+    for title, colour in CURVES:
+        assert page.tab.evaluate(INKED, [title, colour]) > 20, (title, colour)
+    assert "sine" in page.tab.text_content("#meaning")
+    assert page.tab.text_content("#axis") == "bench"
+    assert float(page.tab.text_content("#rms")) > 0.0
+    assert page.js("document.querySelectorAll('#histogram tr:not([hidden])').length") > 0
+    assert "running" in page.tab.text_content("#events")
+    own = served.url.rstrip("/")
+    assert all(url.startswith((own, own.replace("http", "ws"))) for url in page.requests), page.requests
+
+
+def test_the_toggle_changes_the_error_visibly(served, page):
+    page.tab.select_option("#seconds", "5")
+    served.run()
+    page.until_state("running")
+    page.see(7.0)
+    with_friction_rps = float(page.tab.text_content("#rms"))
+    page.tab.click("label:has(input[value=off])")
+    page.until("document.querySelector('#facts').textContent.includes('friction off')")
+    page.see(7.0)
+    without_rps = float(page.tab.text_content("#rms"))
+    assert without_rps > 1.3 * with_friction_rps
+
+
+def test_a_fault_is_shown_as_one_and_triggers(served, page):
+    page.tab.select_option("#seconds", "2")
+    page.tab.select_option("#trigger", "fault")
+    served.run()
+    page.until_state("running")
+    page.see(2.0)
+    assert not page.tab.is_visible("#fault")
+    served.break_down()
+    page.until_state("fault")
+    assert page.tab.is_visible("#fault")
+    assert page.tab.get_attribute("#fault", "role") == "alert"
+    assert "emergency" in page.tab.text_content("#fault").lower()
+    assert page.tab.text_content("#state") == "FAULT"
+    page.until("!!fffoScope.triggered")
+    trips = page.js("columnsOf(fffoScope.triggered, fffoScope.fields, ['trip']).trip")
+    assert trips[0] == 0
+    assert trips[-1] != 0
+    assert page.tab.is_disabled("#start")
+    page.tab.click("#reset")
+    page.until_state("ready")
+    assert not page.tab.is_visible("#fault")
+
+
+def test_a_reversal_triggers_and_is_taken_at_the_full_rate(served, page, tmp_path):
+    page.tab.select_option("#seconds", "2")
+    served.run()
+    page.until_state("running")
+    page.see(1.0)
+    page.tab.select_option("#trigger", "reversal")
+    page.until("!!fffoScope.triggered")
+    assert page.tab.get_attribute("#pause", "aria-pressed") == "true"
+    begin_s, end_s = page.js("fffoScope.view")
+    taken = page.js("""(() => {
+      const { tick, reference_rps } = columnsOf(fffoScope.triggered, fffoScope.fields, ["tick", "reference_rps"]);
+      return { times: tick.map((t) => Number(t) / fffoScope.rate), reference: reference_rps };
+    })()""")
+    signs = [value > 0 for value in taken["reference"] if abs(value) > 1e-3]
+    assert signs[0] != signs[-1]
+    reversals = [
+        t for t, a, b in zip(taken["times"], taken["reference"], taken["reference"][1:], strict=False) if a * b < 0
+    ]
+    middle_s = 0.5 * (begin_s + end_s)
+    assert min(abs(t - middle_s) for t in reversals) < 0.05
+    with page.tab.expect_download() as coming:
+        page.tab.keyboard.press("c")
+    coming.value.save_as(tmp_path / "capture.csv")
+    with Path(tmp_path / "capture.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [signal.name for signal in SIGNALS]
+    assert len(rows) == len(taken["times"]) > 100
+    ticks = [int(row["tick"]) for row in rows]
+    assert all(a < b for a, b in pairwise(ticks))
+    assert [float(row["reference_rps"]) for row in rows] == taken["reference"]
+
+
+def test_stop_stops_with_the_key_and_without(served, page, chromium):
+    served.run()
+    page.until_state("running")
+    page.tab.click("#stop")
+    page.until_state("ready")
+    assert "standstill" in page.said
+    served.run()
+    watching = Page(chromium, served, key=False).open()
+    watching.until_state("running")
+    assert watching.tab.is_disabled("#enable")
+    assert watching.tab.is_visible("#rights")
+    watching.tab.click("#stop")
+    watching.until_state("ready")
+    watching.context.close()
+    assert watching.troubles == []
+
+
+def test_a_stop_that_nobody_confirms_says_so(served, chromium):
+    page = Page(chromium, served)
+    page.tab.route_web_socket("**/live", lambda socket: None)  # a daemon that hears and does not answer
+    page.tab.goto(page.address)
+    page.until("document.querySelector('#connection').textContent === 'connected'")
+    page.tab.click("#stop")
+    page.until("document.querySelector('#said').textContent.includes('NOT CONFIRMED')")
+    assert "emergency stop of the machine" in page.said
+    page.context.close()
+
+
+def test_everything_can_be_done_with_keys(served, page):
+    def reach(name):
+        for _ in range(40):
+            page.tab.keyboard.press("Tab")
+            if page.js("document.activeElement.id || document.activeElement.value") == name:
+                assert page.js("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+                return
+        pytest.fail(f"{name} is not reached with Tab")
+
+    page.js("document.activeElement.blur()")
+    page.tab.keyboard.press("Tab")
+    assert page.js("document.activeElement.id") == "stop"  # first of all
+    reach("enable")
+    page.tab.keyboard.press("Enter")
+    page.until_state("enabled")
+    reach("start")
+    page.tab.keyboard.press("Enter")
+    page.until_state("running")
+    reach("ff")
+    page.tab.keyboard.press("ArrowRight")
+    page.until("document.querySelector('#facts').textContent.includes('friction fb')")
+    reach("seconds")
+    page.tab.keyboard.press("Escape")
+    page.until_state("ready")
+
+
+def test_pause_and_zoom(served, page):
+    page.tab.select_option("#seconds", "5")
+    page.see(1.0)
+    page.tab.keyboard.press("Space")
+    begin_s, end_s = page.until("fffoScope.view")
+    assert end_s - begin_s == pytest.approx(5.0)
+    page.see(0.5)  # the axis goes on, the view does not
+    assert page.js("fffoScope.view") == [begin_s, end_s]
+    page.tab.keyboard.press("+")
+    middle = page.js("fffoScope.view")
+    assert middle[1] - middle[0] == pytest.approx(2.5)
+    page.tab.keyboard.press("ArrowLeft")
+    assert page.js("fffoScope.view")[0] < middle[0]
+    box = page.tab.locator("figure .u-over").first.bounding_box()
+    before_s = page.js("fffoScope.view")
+    page.tab.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 30)
+    page.tab.mouse.down()
+    page.tab.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 40, steps=5)
+    page.tab.mouse.up()
+    width_s = before_s[1] - before_s[0]
+    page.until(f"Math.abs(fffoScope.view[1] - fffoScope.view[0] - {0.5 * width_s}) < {0.05 * width_s}")
+    page.tab.keyboard.press("0")
+    assert page.js("fffoScope.view") is None
+    assert page.tab.get_attribute("#pause", "aria-pressed") == "false"
+
+
+@pytest.mark.parametrize("size", [LAPTOP, TABLET, UPRIGHT, (390, 844)])
+def test_it_fits_and_stop_is_at_hand(served, chromium, size):
+    page = Page(chromium, served, size, has_touch=True).open()
+    assert page.js("document.scrollingElement.scrollWidth <= innerWidth")
+    page.js("scrollTo(0, document.body.scrollHeight)")
+    box = page.js("document.querySelector('#stop').getBoundingClientRect().toJSON()")
+    assert 0 <= box["top"] < box["bottom"] <= size[1]  # also at the end of the page
+    assert box["bottom"] - box["top"] >= 44
+    if size != (390, 844):
+        header = page.js("document.querySelector('header').offsetHeight")
+        assert header < 0.3 * size[1]
+    page.context.close()
+    assert page.troubles == []
