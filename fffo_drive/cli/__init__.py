@@ -66,6 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = build_parser()
     command = next((word for word in words if not word.startswith("-")), None)
     if command in COMMANDS:
+        os.environ.setdefault(
+            "OPENBLAS_NUM_THREADS", "1"
+        )  # numpy is not loaded yet; work is shared out by threads here
         module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
         subparser = argparse.ArgumentParser(
             prog=f"fffo-drive {command}",

@@ -13,6 +13,7 @@ from ..model.axis import AxisConfig
 from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
+from ..model.friction import FrictionConfig
 from .base import Along, axis_config
 from .paths import Filter, Rows, Stretch, second_difference, thinning
 
@@ -46,8 +47,8 @@ class Scene(NamedTuple):
     """Motion of one stretch as laws see it, with the axis that it was made for.
 
     A torque that stands in a regressor carries the residual itself: u = J a + F + E + r. With the base projected out,
-    nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see the model's torque,
-    u - r, and only those that act on the command see the command.
+    nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see what the model
+    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command.
     """
 
     stretch: Stretch
@@ -81,9 +82,16 @@ def scenes_of(
         motion[:, slots.FRICTION_NM] = model.friction_nm
         motion[:, slots.TRAVEL_REV] = model.travel_rev
         motion[:, slots.DIRECTION] = model.direction
+        motion[:, slots.CONTACT_LEVEL_NM] = contact_level_nm(axis.friction, stretch.velocity_rps)
         commanded = model.torque_nm[:: thinning(stretch.period_s)] / stretch.torque_constant_nm_per_a
         found.append(Scene(stretch, motion, commanded, axis, (~stretch.rest).astype(np.float64)))
     return found
+
+
+def contact_level_nm(friction: FrictionConfig, velocity_rps: Floats) -> Floats:
+    """|S(w)| without its viscous part, along a motion. Shapes (l,)."""
+    fallen = np.exp(-((np.abs(velocity_rps) / friction.stribeck_velocity_rps) ** friction.stribeck_exponent))
+    return np.asarray(friction.coulomb_nm + (friction.static_nm - friction.coulomb_nm) * fallen)
 
 
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
@@ -93,7 +101,7 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
         motion = motion.copy()
         motion[:, slots.CURRENT_A] = scene.commanded
     period_s = scene.stretch.law_period_s
-    load_nm, sensor_rev = effects_along([Term(name, values)], motion, scene.axis, period_s)
+    load_nm, sensor_rev = effects_along([Term(name, values)], motion, scene.axis, period_s, feedforward=True)
     if sensor_rev.any():
         load_nm = load_nm - scene.axis.inertia_nm_s2_per_rev * second_difference(sensor_rev, period_s)
     if not np.isfinite(load_nm).all():

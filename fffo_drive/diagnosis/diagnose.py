@@ -24,12 +24,13 @@ from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
 from .pictures import ceiling, channels, picture, run_figures
 from .proof import data_of, error_figures, with_own_datum
-from .results import Diagnosis, ErrorFigures, Finding, Number, Rival
+from .results import Channel, Diagnosis, ErrorFigures, Finding, Number, Rival
 from .selection import (
     Search,
     Selection,
     acting_rows,
     effect_rms,
+    evidence_of,
     family,
     merged_datum,
     raw_share,
@@ -37,10 +38,12 @@ from .selection import (
     standard_deviations,
 )
 from .startup import fit_base, start_physical
+from .where import where
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+LEAST_LEFT = 0.1  # of the squared residual, for what is left over to be called unexplained
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
 
 
@@ -127,7 +130,10 @@ def assemble(
     ]
     findings = _delay_finding(fitted, facts, settings) + findings
     findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
-    verdict, headline = _verdict(findings, selected, settings)
+    left = evidence_of(data, selected.sensitivities, fitted)[0]
+    evidence, scenes = evidence_of(data, selected.sensitivities, base)
+    places = where((evidence, left), scenes, facts, settings.false_alarm_rate)
+    verdict, headline = _verdict(findings, selected, places, settings)
     accepted = [f for f in findings if f.accepted]
     energies = tuple(float(s.trials[0].explained) if s.trials else 0.0 for s in selected.screenings)
     q = float(base.white.size)
@@ -140,9 +146,12 @@ def assemble(
         fit_before=error_figures(fit, data, base, velocity=False),
         fit_after=error_figures(fit, data, fitted, velocity=False),
         ceiling=ceiling(data, base, fitted),
-        channels=channels(
-            selected.curves[0] if selected.curves else (), selected.curves[-1] if selected.curves else (),
-            (q * base.loss, q * fitted.loss), (selected.screenings[0].threshold, selected.screenings[-1].threshold),
+        channels=(
+            *channels(
+                selected.curves[0] if selected.curves else (), selected.curves[-1] if selected.curves else (),
+                (q * base.loss, q * fitted.loss), (selected.screenings[0].threshold, selected.screenings[-1].threshold),
+            ),
+            *places,
         ),
         runs=(
             *run_figures(data, base, fitted, "fit"),
@@ -288,14 +297,20 @@ def _delay_finding(fitted: Fitted, facts: DriveFacts, settings: DiagnosisSetting
     ]  # fmt: skip
 
 
-def _verdict(findings: Sequence[Finding], selected: Selection, settings: DiagnosisSettings) -> tuple[Any, str]:
+def _verdict(
+    findings: Sequence[Finding], selected: Selection, places: Sequence[Channel], settings: DiagnosisSettings
+) -> tuple[Any, str]:
     accepted = [f for f in findings if f.accepted]
     left = selected.left
     if accepted:
         names = ", ".join(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in accepted)
         return "effects_found", f"The model lacks: {names}"
-    if left is not None and left[1] >= 0.1 and left[2] <= settings.false_alarm_rate:
+    if left is not None and left[1] >= LEAST_LEFT and left[2] <= settings.false_alarm_rate:
         return "unexplained", "Something is left that these data cannot explain"
+    rare = [c for c in places if c.significant_after and c.explained_after >= LEAST_LEFT]
+    if rare:
+        most = max(rare, key=lambda c: c.explained_after)
+        return "unexplained", f"Something is left that no law and no curve over one axis explains: look at {most.name}"
     return "no_effect_found", "Nothing significant and material is left over: no effect found"
 
 

@@ -7,6 +7,7 @@ shared; those of the effects are made anew at every step, and the model's torque
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,8 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
+from ..identification.prediction import THREADS
+from ..model.effects import slots
 from ..model.effects.registry import law_of
-from .base import BASE, NAMES, models_along, moved, residual_rows, sensitivities
+from ..model.effects.table import Term, effects_along
+from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
 from .candidates import Effect, Scene, load_along, scenes_of
 from .evidence import Whitening, whiten
 from .paths import Rows, Stretch
@@ -23,13 +27,11 @@ from .paths import Rows, Stretch
 Floats = npt.NDArray[np.float64]
 
 FIXED = frozenset({"pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count"})  # shapes that stay
-# laws whose torque depends on the model's own torque: they are evaluated with their effect in it
-OF_TORQUE = frozenset({"load_dependent_friction", "torque_saturation", "torque_ripple", "dead_zone"})
 JOINTS = frozenset({"elasticity", "backlash"})  # their torque is made from the motion; fed back it would run away
-ROUNDS = 3  # of the torque that has the effects in it
 LOOKUP = "lookup"  # a free curve: its knots stay
 HUBER = 4.0
-CONVERGED = 3e-4
+CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
+STEADY = 0.02  # ... and at which the effects' sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 
@@ -65,9 +67,14 @@ class Slot(NamedTuple):
 
 def huber_loss(white: Floats) -> float:
     """Mean Huber loss at unit variance."""
+    return float(np.mean(huber_terms(white)))
+
+
+def huber_terms(white: Floats) -> Floats:
+    """Huber loss of each row at unit variance. Shapes (q,)."""
     magnitude = np.abs(white)
     inner = np.minimum(magnitude, HUBER)
-    return float(np.mean(inner * (2.0 * magnitude - inner)))
+    return np.asarray(inner * (2.0 * magnitude - inner))
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
@@ -82,31 +89,49 @@ def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]
 
 
 def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:
-    """Residual of a model on the rows, and the scenes that its effects see.
-
-    The torque in the scenes has the effects in it, found by a few rounds of T = J a + F + E(T).
-    """
+    """Residual of a model on the rows, and the scenes that its effects see."""
     models = models_along(data.stretches, physical)
     residual = residual_rows(data.stretches, physical, data.rows, models)
-    scenes = scenes_of(data.stretches, physical, models)
+    scenes = _scenes(data, physical, effects, models)
     if effects:
-        if any(effect.name in OF_TORQUE for effect in effects):
-            carried = [e for e in effects if e.name not in JOINTS]
-            for _ in range(ROUNDS):
-                scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
-        residual = residual - np.concatenate([data.rows.laws.rows(load) for load in loads_of(scenes, effects)])
+        residual = residual - load_rows(data, scenes, effects)
     white = whiten(data.rows, data.whitening, residual)
     return Fitted(physical, tuple(effects), huber_loss(white), residual, white), scenes
 
 
+def load_rows(data: Data, scenes: Sequence[Scene], effects: Sequence[Effect]) -> Floats:
+    """Torque of effects at the rows. (m,)"""
+    return np.concatenate([data.rows.laws.rows(load) for load in loads_of(scenes, effects)])
+
+
 def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -> list[Scene]:
-    """Scenes whose torque has the effects in it."""
-    models = models_along(data.stretches, physical)
+    """Scenes whose torque has the effects in it, apart from those that answer to torque themselves."""
+    return _scenes(data, physical, effects, models_along(data.stretches, physical))
+
+
+def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Sequence[Along]) -> list[Scene]:
     scenes = scenes_of(data.stretches, physical, models)
-    carried = [e for e in effects if e.name not in JOINTS]
-    for _ in range(ROUNDS if carried else 0):
-        scenes = scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
-    return scenes
+    carried = [e for e in effects if e.name not in JOINTS and law_of(e.name).feedforward is None]
+    if not carried or not any(law_of(e.name).feedforward is not None for e in effects):
+        return scenes
+    return scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
+
+
+def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
+    """The data with the torque that friction balances at rest: motor torque less inertia and effects."""
+    data = data._replace(stretches=balanced(data.stretches, physical))
+    acting = [effect for effect in effects if not law_of(effect.name).level and effect.name not in JOINTS]
+    if not acting:
+        return data
+    found = []
+    for scene in scenes_of(data.stretches, physical, models_along(data.stretches, physical)):
+        stretch = scene.stretch
+        motion = scene.motion.copy()
+        motion[:, slots.CURRENT_A] = scene.commanded
+        terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
+        load_nm, _ = effects_along(terms, motion, scene.axis, stretch.law_period_s)
+        found.append(stretch._replace(balance_nm=stretch.balance_nm - np.nan_to_num(load_nm)))
+    return data._replace(stretches=found)
 
 
 def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot]:
@@ -153,12 +178,12 @@ def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:
     return found
 
 
-def effect_jacobian(data: Data, effects: Sequence[Effect], slots: Sequence[Slot], scenes: Sequence[Scene]) -> Floats:
+def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slot], scenes: Sequence[Scene]) -> Floats:
     """d(torque of the effects)/d(each number) at the rows. (m, slots)"""
-    matrix = np.zeros((data.rows.time_s.size, len(slots)))
+    matrix = np.zeros((data.rows.time_s.size, len(numbers)))
     filter_ = data.rows.laws
     base: dict[tuple[int, int], Floats] = {}
-    for column, slot in enumerate(slots):
+    for column, slot in enumerate(numbers):
         moved_effect = changed(effects, slot, slot.step)[slot.effect]
         for (begin, end), (number, scene) in zip(data.rows.bounds, enumerate(scenes), strict=True):
             run = scene.stretch.run
@@ -180,12 +205,14 @@ def refit(
     """Fit base and effects from a start. `sensitivities` (m, len(BASE)) may be those of a near model."""
     best, scenes = evaluate(data, start, effects)
     turns = float(np.ptp(data.rows.position_rev))
-    slots = slots_of(effects, shapes, turns)
+    numbers = slots_of(effects, shapes, turns)
     base_white = whiten(data.rows, data.whitening, sensitivities) if free_base else np.zeros((best.white.size, 0))
-    damping = 1e-4
+    damping, fall = 1e-4, np.inf
+    matrix = base_white
     for _ in range(iterations):
-        columns = whiten(data.rows, data.whitening, effect_jacobian(data, best.effects, slots, scenes))
-        matrix = np.concatenate([base_white, columns], axis=1)
+        if fall > STEADY:
+            columns = whiten(data.rows, data.whitening, effect_jacobian(data, best.effects, numbers, scenes))
+            matrix = np.concatenate([base_white, columns], axis=1)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
         gradient = matrix.T @ (weight * best.white)
         hessian = matrix.T @ (weight[:, None] * matrix)
@@ -194,7 +221,7 @@ def refit(
             step = _solve(hessian, gradient, damping)
             physical = stepped(best.physical, step[: base_white.shape[1]]) if free_base else best.physical
             moved_effects: Sequence[Effect] = best.effects
-            for slot, size in zip(slots, step[base_white.shape[1] :], strict=True):
+            for slot, size in zip(numbers, step[base_white.shape[1] :], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf
                 if slot.name == "order":
                     limit = 0.25 / max(turns, 1.0)
@@ -214,10 +241,28 @@ def refit(
     return best
 
 
+def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
+    """Sensitivities of the base with effects on it: a change of level grows with the level. (m, len(BASE))"""
+    matrix = sensitivities(data.stretches, physical, data.rows)
+    carried = [e for e in effects if law_of(e.name).follows_model]
+    if not carried:
+        return matrix
+    before = load_rows(data, consistent_scenes(data, physical, effects), carried)
+
+    def column(k: int) -> None:
+        step = step_of(BASE[k], data.rows.filter.period_s)
+        scenes = consistent_scenes(data, moved(physical, BASE[k], step), effects)
+        matrix[:, k] += (load_rows(data, scenes, carried) - before) / step
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(column, [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]))
+    return matrix
+
+
 def polished(data: Data, fitted: Fitted, rounds: int = 4, settled: float = 0.01) -> Fitted:
     """A fit carried on with sensitivities of its own: a base that was bent by a missing effect is far from home."""
     for _ in range(rounds):
-        matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+        matrix = loaded_sensitivities(data, fitted.physical, fitted.effects)
         again = refit(data, matrix, fitted.physical, fitted.effects)
         done = 1.0 - again.loss / fitted.loss < settled
         fitted = again

@@ -14,6 +14,9 @@ from ..model.friction import FrictionConfig, FrictionState, friction_step
 Floats = npt.NDArray[np.float64]
 
 
+HELD_SHARE = 3.0  # of its own level, that friction holds at rest: an effect that the base lacks may have raised it
+
+
 @njit
 def filter_rows(values: Floats, taps: Floats, step: int, output: Any) -> None:
     """A symmetric (zero-phase) filter, evaluated at every `step`-th sample: row j is centred on sample j*step.
@@ -56,7 +59,7 @@ def friction_along(
     sees let it creep there. The next motion begins from it as after a reversal.
     """
     state = FrictionState(0.0, 0.0, 0.0, 0.0)
-    limit_nm = max(config.static_nm, config.coulomb_nm)
+    limit_nm = HELD_SHARE * max(config.static_nm, config.coulomb_nm)
     output[0, 0] = 0.0
     output[0, 1] = 0.0
     output[0, 2] = 0.0

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from ..identification.dataset import Record
 from ..identification.residuals import velocity_errors
 from ..model.effects.table import Term
-from .base import NAMES, balanced, delayed, sensitivities
+from .base import NAMES, balanced, delayed
 from .evidence import Whitening
-from .fitting import Data, Fitted, evaluate, refit
+from .fitting import Data, Fitted, at_rest, evaluate, refit
 from .paths import make_filter, rows_of, stretches_of
 from .results import ErrorFigures, Interval
 from .startup import noise_model
@@ -40,6 +40,7 @@ def data_of(records: Sequence[Record], physical: Floats) -> Data:
 def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
     """The model with each periodic effect's datum found on the first part of each run; rows that may be scored. (m,)"""
     scored = np.ones(data.rows.time_s.size, dtype=bool)
+    data = at_rest(data, fitted.physical, fitted.effects)
     if not any(effect.per_run for effect in fitted.effects):
         return evaluate(data, fitted.physical, fitted.effects)[0], scored
     effects = [
@@ -56,8 +57,9 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
     for begin, end in data.rows.bounds:
         early[begin : begin + round(DATUM_SHARE * (end - begin))] = True
     part = data._replace(whitening=data.whitening._replace(kept=np.flatnonzero(data.rows.kept & early)))
-    matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+    matrix = np.zeros((scored.size, 0))
     found = refit(part, matrix, fitted.physical, effects, shapes=False, free_base=False)
+    data = at_rest(data, fitted.physical, found.effects)
     return evaluate(data, fitted.physical, found.effects)[0], ~early
 
 

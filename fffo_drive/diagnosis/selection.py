@@ -21,15 +21,27 @@ from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import axis_of_effect, law_of
-from .base import balanced, sensitivities
 from .candidates import Effect, Scene
 from .current_side import LEAST_SHARE as SHOWN_SHARE
 from .current_side import SHOWN_BY_CURRENT, missing_rows, shown_share
 from .evidence import Evidence, make_evidence, whiten
-from .fitting import Data, Fitted, consistent_scenes, effect_jacobian, evaluate, loads_of, polished, refit, slots_of
+from .fitting import (
+    Data,
+    Fitted,
+    at_rest,
+    consistent_scenes,
+    effect_jacobian,
+    evaluate,
+    loaded_sensitivities,
+    loads_of,
+    polished,
+    refit,
+    slots_of,
+)
 from .free_curves import free_trials
 from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
 from .startup import noise_model
+from .transfer import transfer
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,9 +55,10 @@ LATER_SHARE = 0.15  # of the rms of an earlier effect, base projected out, for a
 SAME_AXIS_SHARE = 0.3  # ... and of an earlier one on the same axis
 MOST_PERCENT = 150.0  # rms of an effect over that of friction: beyond, it is no effect beside a base
 LEAST_PERCENT = 0.5  # rms of an effect over that of friction, base projected out
-RENEWALS = 4
+RENEWALS = 8
 POLISHED = 3  # rivals whose fit is carried on ...
-UNSETTLED = 2.5  # ... where they are within this ratio of the best
+UNSETTLED = 6.0  # ... where they are within this ratio of the best
+RIVAL_SHARE = 0.25  # of the gain of the chosen one, for a rival to be tried again
 SETTLED = 0.003  # relative fall of the loss at which a model is not refitted again
 CURVE_SHARE = 0.5  # of what the best law explains, for a free curve to be refitted
 CURVE_MARGIN = 0.8  # a law that explains this share of what a free curve explains is preferred to it
@@ -288,14 +301,14 @@ def _left(
 def renewed(data: Data, base: Fitted, fitted: Fitted) -> tuple[Data, Fitted, Fitted, Floats]:
     """Noise model and sensitivities at the new model, refitted until it stays; and the plain base beside it."""
     for _ in range(RENEWALS):
-        data = data._replace(stretches=balanced(data.stretches, fitted.physical))
+        data = at_rest(data, fitted.physical, fitted.effects)
         data = noise_model(data, fitted.physical, fitted.residual_nm)
-        matrix = sensitivities(data.stretches, fitted.physical, data.rows)
+        matrix = loaded_sensitivities(data, fitted.physical, fitted.effects)
         begin = evaluate(data, fitted.physical, fitted.effects)[0]
         fitted = refit(data, matrix, fitted.physical, fitted.effects, iterations=3)
         if 1.0 - fitted.loss / begin.loss < SETTLED:
             break
-    plain = refit(data, matrix, base.physical, (), iterations=3)
+    plain = refit(at_rest(data, base.physical, ()), matrix, base.physical, (), iterations=3)
     return data, plain, fitted, matrix
 
 
@@ -305,7 +318,12 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
         others = [e for k, e in enumerate(fitted.effects) if k != number]
         taken = {e.name for e in others}
         rivals = [t for name, t in contest.trials.items() if name != contest.chosen and name not in taken]
-        rivals = [t for t in rivals if not t.name.startswith(UNKNOWN) and contest.gains.get(t.name, 0.0) > 0.0][:4]
+        rivals = [
+            t
+            for t in rivals
+            if not t.name.startswith(UNKNOWN)
+            and contest.gains.get(t.name, 0.0) > RIVAL_SHARE * contest.gains[contest.chosen]
+        ][:4]
         without = refit(data, matrix, fitted.physical, others, iterations=3)
 
         sets = [[*fitted.effects[:number], t.effect, *fitted.effects[number + 1 :]] for t in rivals]
@@ -333,13 +351,13 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
 def _backward(
     data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest], probabilities: list[float], rate: float
 ) -> tuple[Fitted, list[Contest], list[float]]:
-    """Remove what noise might have made, and what is no longer worth its numbers beside the others."""
+    """Remove what noise might have made, what is no longer worth its numbers, and what does not carry over."""
     number = 0
     while number < len(fitted.effects):
         others = [e for k, e in enumerate(fitted.effects) if k != number]
         without = refit(data, matrix, fitted.physical, others, iterations=3)
         weak = 1.0 - fitted.loss / without.loss < MATERIAL_SHARE and raw_share(data, without, fitted) < MATERIAL_SHARE
-        if probabilities[number] > rate or (weak and others):
+        if probabilities[number] > rate or (weak and others) or not transfer(data, matrix, fitted, without).holds:
             fitted = without
             contests = [c for k, c in enumerate(contests) if k != number]
             probabilities = [p for k, p in enumerate(probabilities) if k != number]

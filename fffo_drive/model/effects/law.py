@@ -81,6 +81,12 @@ class Law:
     picture: Axis  # the axis over which a plot convinces
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
+    level: bool = False  # it changes the level of the friction
+
+    @property
+    def follows_model(self) -> bool:
+        """Whether its torque changes with the parameters of the axis, and not only with the motion."""
+        return self.level or self.feedforward is not None
 
     @property
     def strengths(self) -> tuple[Parameter, ...]:

@@ -28,31 +28,32 @@ CURRENT_A = 5  # the command as it acts: Td late
 FRICTION_NM = 6  # of the 2SEP model
 TRAVEL_REV = 7  # since the last reversal
 DIRECTION = 8  # -1, 0 (never moved), 1: of the motion under way or last made
-N_MOTION = 9
+CONTACT_LEVEL_NM = 9  # level of the Stribeck curve at this speed, without its viscous part; 0: made where it is wanted
+N_MOTION = 10
 
 # derived at each step
-MOTOR_TORQUE_NM = 9  # Kt times the current
-CONTACT_NM = 10  # friction without its viscous part: follows the force between the surfaces; zero before any motion
-GRIP = 11  # -1 to 1: contact over the Coulomb level; how far presliding is crossed, and which way
-REST_S = 12  # time at rest so far; in motion: of the last rest
-SLIDE_REV = 13  # travel since the last rest
-RESTING = 14  # 1 at rest
-LOAD_NM = 15  # out
-SENSOR_REV = 16  # out: measured position minus true angle
+MOTOR_TORQUE_NM = 10  # Kt times the current
+CONTACT_NM = 11  # friction without its viscous part: follows the force between the surfaces; zero before any motion
+GRIP = 12  # -1 to 1: contact over the Coulomb level; how far presliding is crossed, and which way
+REST_S = 13  # time at rest so far; in motion: of the last rest
+SLIDE_REV = 14  # travel since the last rest
+RESTING = 15  # 1 at rest
+LOAD_NM = 16  # out
+SENSOR_REV = 17  # out: measured position minus true angle
 
 # constants of the axis
-STEP_S = 17
-INERTIA_NM_S2_PER_REV = 18
-TORQUE_CONSTANT_NM_PER_A = 19
-COULOMB_NM = 20
-STATIC_NM = 21
-STRIBECK_VELOCITY_RPS = 22
-STRIBECK_EXPONENT = 23
-VISCOUS_NM_PER_RPS = 24
-STIFFNESS_PER_REV = 25
-ATTRACTION_NM_PER_REV = 26
-REST_SPEED_RPS = 27  # below it the axis rests
-N_SLOTS = 28
+STEP_S = 18
+INERTIA_NM_S2_PER_REV = 19
+TORQUE_CONSTANT_NM_PER_A = 20
+COULOMB_NM = 21
+STATIC_NM = 22
+STRIBECK_VELOCITY_RPS = 23
+STRIBECK_EXPONENT = 24
+VISCOUS_NM_PER_RPS = 25
+STIFFNESS_PER_REV = 26
+ATTRACTION_NM_PER_REV = 27
+REST_SPEED_RPS = 28  # below it the axis rests
+N_SLOTS = 29
 
 MAX_PARAMETERS = 52
 MEMORY_SLOTS = 72
@@ -69,6 +70,7 @@ MOTION_NAMES = {
     "friction_nm": FRICTION_NM,
     "travel_rev": TRAVEL_REV,
     "direction": DIRECTION,
+    "contact_level_nm": CONTACT_LEVEL_NM,
 }
 
 

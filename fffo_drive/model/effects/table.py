@@ -101,13 +101,15 @@ def along_into(table: EffectTable, motion: Floats, load_nm: Floats, sensor_rev: 
 
 
 def effects_along(
-    terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, facts: AxisFacts | None = None
-) -> tuple[Floats, Floats]:
+    terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, facts: AxisFacts | None = None,
+    feedforward: bool = False,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """(torque that the effects take away (n,) Nm, what the sensor says too much (n,) rev) along a followed record.
 
-    `motion` (n, slots.N_MOTION), columns as in slots.MOTION_NAMES. The same kernels as in a simulation, from rest.
+    `motion` (n, slots.N_MOTION), columns as in slots.MOTION_NAMES. The same kernels as in a simulation, from rest; with
+    `feedforward` the current of the motion is what it would be without the effects.
     """
-    table = effect_table(terms, axis, period_s, facts)
+    table = effect_table(terms, axis, period_s, facts, feedforward)
     load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
     along_into(table, np.ascontiguousarray(motion, dtype=np.float64), load_nm, sensor_rev)
     return load_nm, sensor_rev

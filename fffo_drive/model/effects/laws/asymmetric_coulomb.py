@@ -2,41 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 from ....jit import njit
 from .. import slots as s
-from ..kinds import approach, steady_contact_nm
+from ..kinds import level_response
 from ..law import STRENGTH, Law, Parameter, no_shape
 from ..slots import Floats
 
 
 @njit
 def asymmetric_coulomb(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = share D: what the 2SEP equations (2)-(7) add in first order where Fc and S(w) are (1 +- share) times as high.
-
-        dD/dx = (Fc - D(t_r)) K exp(-K x) + (B/S) (sgn(w) F Sc/S - D),    Sc: S(w) without its viscous part
-
-    Even in the direction, zero before any motion, frozen at rest. memory: D, Omega's part, direction and F before.
-    """
-    direction = signals[s.DIRECTION]
-    speed_rps = abs(signals[s.VELOCITY_RPS])
-    coulomb_nm = signals[s.COULOMB_NM]
-    if direction != memory[2]:
-        memory[2] = direction
-        memory[1] = coulomb_nm - memory[0] if coulomb_nm > direction * memory[3] else 0.0
-    distance_rev = speed_rps * signals[s.STEP_S]
-    if distance_rev > 0.0:
-        contact_nm = steady_contact_nm(signals, speed_rps)
-        steady_nm = contact_nm + signals[s.VISCOUS_NM_PER_RPS] * speed_rps
-        goal_nm = direction * signals[s.FRICTION_NM] * contact_nm / steady_nm
-        memory[0] = approach(memory[0], goal_nm, distance_rev, steady_nm / signals[s.ATTRACTION_NM_PER_REV])
-        stiffness_per_rev = signals[s.STIFFNESS_PER_REV]
-        before_rev = max(0.0, signals[s.TRAVEL_REV] - distance_rev)
-        built = math.exp(-stiffness_per_rev * before_rev) * -math.expm1(-stiffness_per_rev * distance_rev)
-        memory[0] += memory[1] * built
-    memory[3] = signals[s.FRICTION_NM]
-    signals[s.LOAD_NM] += parameters[0] * memory[0]
+    """Fc and Fs are (1 +- share) times as high: what 2SEP friction makes of it, even in the direction."""
+    signals[s.LOAD_NM] += level_response(signals, memory, parameters[0] * signals[s.DIRECTION])
 
 
 LAW = Law(
@@ -63,4 +39,5 @@ LAW = Law(
         "rest and slow creep: an offset acts there, this does not; several speeds: the excess does not grow with speed"
     ),
     picture="direction",
+    level=True,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import settled
+from ..kinds import level_response, settled
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
 from ..slots import Floats
 
@@ -15,8 +15,9 @@ def _search(context: SearchContext) -> list[Shape]:
 
 @njit
 def coulomb_drift(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = share contact (1 - exp(-t/tau))."""
-    signals[s.LOAD_NM] += parameters[0] * signals[s.CONTACT_NM] * settled(signals[s.TIME_S], parameters[1])
+    """Fc and Fs are 1 + share (1 - exp(-t/tau)) times as high."""
+    change = parameters[0] * settled(signals[s.TIME_S], parameters[1])
+    signals[s.LOAD_NM] += level_response(signals, memory, change)
 
 
 LAW = Law(
@@ -34,4 +35,5 @@ LAW = Law(
     lookalikes=("viscous_drift", "position_dependent_friction"),
     experiment="the same motion at the beginning, in the middle and at the end, at several speeds; then after a rest",
     picture="time",
+    level=True,
 )

@@ -6,7 +6,7 @@ import math
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import approach, settled, sign_of
+from ..kinds import level_response, settled
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
 from ..slots import Floats
 
@@ -24,21 +24,17 @@ def _search(context: SearchContext) -> list[Shape]:
 def dwell_stiction(signals: Floats, parameters: Floats, memory: Floats) -> None:
     """Contacts strengthen with age (Dieterich's ageing law), and are renewed by travel:
 
-    d(age)/dt = 1 - age |w| / release,    level = peak (1 - exp(-age/tau))
+    d(age)/dt = 1 - age |w| / release,    Fc and Fs are 1 + (peak/Fs) (1 - exp(-age/tau)) times as high
 
-    The level is felt over the presliding travel: dE/dx = K (sgn w level - E), so that nothing moves an axis at rest.
-    memory: age, E.
+    memory[4]: age.
     """
     step_s = signals[s.STEP_S]
     distance_rev = abs(signals[s.VELOCITY_RPS]) * step_s
     renewed = distance_rev / parameters[2]
     mean = 1.0 if renewed < 1e-12 else -math.expm1(-renewed) / renewed
-    memory[0] = memory[0] * math.exp(-renewed) + step_s * mean
-    if distance_rev > 0.0:
-        level_nm = parameters[0] * settled(memory[0], parameters[1])
-        goal_nm = sign_of(signals[s.VELOCITY_RPS]) * level_nm
-        memory[1] = approach(memory[1], goal_nm, distance_rev, 1.0 / signals[s.STIFFNESS_PER_REV])
-    signals[s.LOAD_NM] += memory[1]
+    memory[4] = memory[4] * math.exp(-renewed) + step_s * mean
+    change = parameters[0] / signals[s.STATIC_NM] * settled(memory[4], parameters[1])
+    signals[s.LOAD_NM] += level_response(signals, memory, change)
 
 
 LAW = Law(
@@ -59,4 +55,5 @@ LAW = Law(
         "four rests and more of 0.1 to 30 s, left with the same rise of torque; then the rise varied after equal rests"
     ),
     picture="dwell",
+    level=True,
 )

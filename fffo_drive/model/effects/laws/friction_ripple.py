@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import wave
+from ..kinds import level_response, wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, motor_orders, over
 from ..slots import Floats
 
@@ -15,9 +15,9 @@ def _search(context: SearchContext) -> list[Shape]:
 
 @njit
 def friction_ripple(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = contact (cos, sin of an order of the motor turn): its sign turns with the direction."""
+    """Fc and Fs are 1 + (cos, sin of an order of the motor turn) times as high: E turns its sign with the direction."""
     turns = parameters[2] * signals[s.MOTOR_ANGLE_REV]
-    signals[s.LOAD_NM] += signals[s.CONTACT_NM] * wave(parameters[0], parameters[1], turns)
+    signals[s.LOAD_NM] += level_response(signals, memory, wave(parameters[0], parameters[1], turns))
 
 
 LAW = Law(
@@ -41,4 +41,5 @@ LAW = Law(
     ),
     picture="motor_angle",
     per_run=("cos_share", "sin_share"),
+    level=True,
 )

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import sign_of
+from ..kinds import level_response
 from ..law import STRENGTH, Law, Parameter, no_shape
 from ..slots import Floats
 
 
 @njit
 def load_dependent_friction(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = share |motor torque| grip."""
-    signals[s.LOAD_NM] += parameters[0] * abs(signals[s.MOTOR_TORQUE_NM]) * signals[s.GRIP]
+    """Fc grows by share |motor torque|, and Fs in proportion."""
+    change = parameters[0] * abs(signals[s.MOTOR_TORQUE_NM]) / signals[s.COULOMB_NM]
+    signals[s.LOAD_NM] += level_response(signals, memory, change)
 
 
 @njit
 def _inverse(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """The E that the wanted torque needs: what is added presses too."""
-    wanted_nm = signals[s.MOTOR_TORQUE_NM] + signals[s.LOAD_NM]
-    share = parameters[0] * signals[s.GRIP]
-    with_it = max(0.1, 1.0 - share * sign_of(wanted_nm))
-    signals[s.LOAD_NM] += share * abs(wanted_nm) / with_it
+    """The E that the wanted torque needs: what is added presses too. memory[4]: E of the tick before."""
+    wanted_nm = signals[s.MOTOR_TORQUE_NM] + signals[s.LOAD_NM] + memory[4]
+    memory[4] = level_response(signals, memory, parameters[0] * abs(wanted_nm) / signals[s.COULOMB_NM])
+    signals[s.LOAD_NM] += memory[4]
 
 
 LAW = Law(
@@ -37,4 +37,5 @@ LAW = Law(
     experiment="accelerate and brake with the same torque: this opposes the motion, saturation opposes the torque",
     picture="torque",
     feedforward=_inverse,
+    level=True,
 )

@@ -6,7 +6,7 @@ import math
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import TURN, wave
+from ..kinds import TURN, level_response, wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, slow_periods_rev
 from ..slots import Floats
 
@@ -30,7 +30,7 @@ def _search(context: SearchContext) -> list[Shape]:
 
 @njit
 def position_dependent_friction(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = contact (wave over a period + share inside a window), each switched off by a length of zero.
+    """Fc and Fs are 1 + (wave over a period + share inside a window) times as high; a length of zero switches off.
 
     The window has the shape of a raised cosine towards its edges (a fifth of the width each); it repeats every pitch,
     or stands once along the travel.
@@ -48,7 +48,7 @@ def position_dependent_friction(signals: Floats, parameters: Floats, memory: Flo
             scale += parameters[2]
         elif inside > 0.0:
             scale += parameters[2] * 0.5 * (1.0 - math.cos(0.5 * TURN * inside))
-    signals[s.LOAD_NM] += signals[s.CONTACT_NM] * scale
+    signals[s.LOAD_NM] += level_response(signals, memory, scale)
 
 
 LAW = Law(
@@ -74,4 +74,5 @@ LAW = Law(
     experiment="slow constant speed over the whole travel, both ways: friction changes its sign, a weight does not",
     picture="output_angle",
     per_run=("cos_share", "sin_share"),
+    level=True,
 )

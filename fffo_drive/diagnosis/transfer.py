@@ -1,0 +1,63 @@
+"""Does an effect carry over to a run that it was not fitted on?
+
+The fit runs ask for different things: a chirp, a reference, a recipe. What is real explains a run whose rows took no
+part in the fit; what only fills a gap of the model on the other runs does harm there. Held-out runs are not touched.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .fitting import Data, Fitted, evaluate, huber_terms, refit
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+TAUGHT_SHARE = 0.25  # of an effect's gain, in the other runs, for them to teach it
+LEAST_ROWS = 400
+LEAST_TRANSFER = 0.25  # of the gain on a run that it has when fitted on it
+
+
+class Transfer(NamedTuple):
+    """Gains (fall of the white loss) of an effect on runs, each left out in turn."""
+
+    left_out: float  # on runs left out of the fit
+    fitted: float  # on the same runs with all runs fitted
+    folds: int  # runs that could be left out
+
+    @property
+    def holds(self) -> bool:
+        """Whether the effect carries over; with a single run nothing speaks against it."""
+        return self.folds == 0 or self.left_out >= LEAST_TRANSFER * max(self.fitted, 0.0)
+
+
+def transfer(data: Data, matrix: Floats, fitted: Fitted, without: Fitted) -> Transfer:
+    """Leave each run out in turn, fit with an effect and `without` it, and compare on the run left out.
+
+    A datum per run of a run that is left out stays as the fit of all runs has it: it says nothing about the form.
+    """
+    run = data.rows.run[data.whitening.kept]
+    gains = np.bincount(run, huber_terms(without.white) - huber_terms(fitted.white), data.runs)
+    total = float(gains.sum())
+    left_out, expected, folds = 0.0, 0.0, 0
+    for number in range(data.runs):
+        rows = int((run == number).sum())
+        if rows < LEAST_ROWS or total - gains[number] < TAUGHT_SHARE * total:
+            continue
+        teaching, asked = _part(data, data.rows.run != number), _part(data, data.rows.run == number)
+        with_it = refit(teaching, matrix, fitted.physical, fitted.effects, iterations=2, shapes=False)
+        without_it = refit(teaching, matrix, without.physical, without.effects, iterations=2, shapes=False)
+        losses = [evaluate(asked, model.physical, model.effects)[0].loss for model in (without_it, with_it)]
+        left_out += rows * (losses[0] - losses[1])
+        expected += float(gains[number])
+        folds += 1
+    return Transfer(left_out, expected, folds)
+
+
+def _part(data: Data, mask: Mask) -> Data:
+    """The same data where only the rows of the mask count."""
+    kept = data.whitening.kept
+    return data._replace(whitening=data.whitening._replace(kept=kept[mask[kept]]))
