@@ -19,6 +19,7 @@ os.environ["NUMBA_CACHE_DIR"] = os.environ.get("FFFO_TEST_CACHE") or str(Path(sy
 from bus_fixtures import drive_bus, whole_run  # noqa: E402, F401
 from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on this machine is left out, with a word
     pytest_collection_modifyitems,
+    pytest_configure,
     pytest_terminal_summary,
     pytest_testnodedown,
 )

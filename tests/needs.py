@@ -12,7 +12,7 @@ import os
 import shutil
 import socket
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,20 @@ NEEDS: dict[str, Callable[[], str | None]] = {
 missing = functools.cache(lambda name: NEEDS[name]())
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """What is required by name must be here, whatever is collected: told once, and not by workers that end."""
+    required = set(filter(None, os.environ.get("FFFO_REQUIRE", "").split(",")))
+    if unknown := sorted(required - {*NEEDS, "all"}):
+        raise pytest.UsageError(f"FFFO_REQUIRE: {unknown[0]} is none of {', '.join(NEEDS)}, all")
+    if not hasattr(config, "workerinput"):
+        _refuse(name for name in sorted(required - {"all"}) if missing(name) is not None)
+
+
+def _refuse(names: Iterable[str]) -> None:
+    if text := "; ".join(f"{name} is required (FFFO_REQUIRE): {missing(name)}" for name in names):
+        raise pytest.UsageError(text)
+
+
 def _unmet(item: pytest.Item) -> list[str]:
     return [name for name in NEEDS if item.get_closest_marker(name) is not None and missing(name) is not None]
 
@@ -82,8 +96,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     unmet = {item: _unmet(item) for item in items}
     counts = Counter(names[0] for names in unmet.values() if names)
     required = os.environ.get("FFFO_REQUIRE", "").split(",")
-    if refused := sorted({name for names in unmet.values() for name in names if {name, "all"} & set(required)}):
-        raise pytest.UsageError("; ".join(f"{name} is required: {missing(name)}" for name in refused))
+    if "all" in required:
+        _refuse(sorted({name for names in unmet.values() for name in names}))
     left_out = [item for item in items if unmet[item]]
     if left_out:
         config.hook.pytest_deselected(items=left_out)

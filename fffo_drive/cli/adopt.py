@@ -25,6 +25,7 @@ from ..config.adoption import (
     gates,
     put_in_service,
     read_report,
+    refused_effects,
     require_other_model,
     roll_back,
 )
@@ -69,6 +70,7 @@ def execute(options: argparse.Namespace) -> int:
     serving = torque_on(axis.name, Path(options.sockets) if options.sockets else None)
     found = gates(axis, model_of(axis_path, axis), model, report, serving)
     passed = all(gate.passed for gate in found)
+    weak = refused_effects(model, found)
     adopted = None
     if passed and not options.dry_run:
         adopted = put_in_service(axis_path, model_path, found)
@@ -85,7 +87,8 @@ def execute(options: argparse.Namespace) -> int:
                 print("the axis is served: `fffo-drive ctl reload` takes it into the running daemon")
     if passed:
         return 0
-    print(f"fffo-drive adopt: {refusal(found)}", file=sys.stderr)
+    hint = f"; `controller.effects.out_of_service: [{', '.join(weak)}]` leaves it out" if weak else ""
+    print(f"fffo-drive adopt: {refusal(found)}{hint}", file=sys.stderr)
     return exit_code(found)
 
 

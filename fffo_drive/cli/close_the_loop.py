@@ -27,10 +27,10 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import Gate, gates, put_in_service, read_report
+from ..config.adoption import Gate, gates, put_in_service, read_report, refused_effects
 from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
-from ..config.effects import slope_margin
+from ..config.effects import compensated_names, services, slope_margin
 from ..config.plan import checked_plan
 from ..config.simulated import read_simulated
 from ..control.friction_observer import TOGGLE_OFF
@@ -257,6 +257,13 @@ def _adopt(
         change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
         axis = read_axis(axis_path)
     found = gates(axis, model_of(axis_path, axis), model, report, None)
+    weak = refused_effects(model, found)
+    if weak and set(compensated_names(axis, model)) - set(weak):
+        change(axis_path, ("controller", "effects", "out_of_service"), weak)
+        axis = read_axis(axis_path)
+        found = [gate for gate in found if gate.name.rpartition(": ")[0] in weak and not gate.passed]
+        found = [Gate(gate.name, True, f"left out of service: {gate.text}") for gate in found]
+        found += gates(axis, model_of(axis_path, axis), model, report, None)
     if not all(gate.passed for gate in found):
         return False, found
     put_in_service(axis_path, model_path, found)
@@ -290,6 +297,7 @@ def _source(
         axis=plan.axis.name,
         verdict=str((report or {}).get("verdict", "none")),
         effects=tuple(effect.name for effect in model.effects),
+        not_compensated={s.effect.name: s.reason for s in services(circle.axis, model) if s.reason is not None},
         gates=tuple(gate._asdict() for gate in found),
         model_error={key: (report or {}).get(key) for key in ("before", "after")},
         tracking=tracking_of(before.rows, after.rows if after else None, 1.0 / before.rate_hz, before.samples),
@@ -305,6 +313,8 @@ def _print(source: CircleSource, found: list[Gate], page: Path) -> None:
     if found:
         print_gates(found)
     print(f"found: {', '.join(source.effects) or 'nothing'} ({source.verdict})")
+    for name, reason in source.not_compensated.items():
+        print(f"not compensated: {name}: {reason}")
     table = Table("tracking error", "before", "after", "change", box=None, pad_edge=False)
     for name, before, after in _rows(source.tracking):
         change_text = "-" if after is None else f"{100.0 * (after / before - 1.0):+.1f} %"

@@ -13,7 +13,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from ..model.effects.registry import law_of
 from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
 from .axis import AxisFile, beside, build_profile, read_axis
 from .checks import law_problems
-from .effects import effect_limits, effect_problems, reason_against, services, slope_margin
+from .effects import effect_limits, effect_problems, services, slope_margin
 
 CONFIDENCE_SDS = 1.96
 HISTORY_SUFFIX = ".adoptions.yaml"
@@ -171,10 +171,16 @@ def gates(
         same_axis_gate(in_service, model),
         held_out_gate(report) if model.effects else Gate("held-out error", True, "no effects"),
     ]  # fmt: skip
-    for effect in model.effects:
-        if reason_against(effect) is None:
-            found += [interval_gate(effect), bounds_gate(model, effect)]
+    for service in services(axis, model):
+        if service.reason is None:
+            found += [interval_gate(service.effect), bounds_gate(model, service.effect)]
     return [*found, compensation_gate(axis, model), stability_gate(axis, model)]
+
+
+def refused_effects(model: ModelFile, found: Sequence[Gate]) -> list[str]:
+    """Names of effects whose own gates refuse them: out of service, they do not stand in the way of the others."""
+    names = {gate.name.rpartition(": ")[0] for gate in found if not gate.passed}
+    return [name for name in dict.fromkeys(effect.name for effect in model.effects) if name in names]
 
 
 def read_report(model_path: Path, given: Path | None) -> dict[str, Any] | None:

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 SLOPE_POINTS = 8192  # of one span of the angle
+# step, speed, travel since the reversal: what has a memory stands still, or has come to its end within each step
+STANDING = (1e-12, 0.0, 0.0)
+SETTLED = (1e6, 1e-5, 1e3)
 SPAN_SHAPES = ("ratio", "period_rev", "pitch_rev", "scale")
 
 
@@ -105,7 +108,11 @@ def compensation_table(axis: AxisFile, model: ModelFile) -> Floats:
 
 
 def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> float:
-    """Largest |dE/d(motor angle)| of an effect, friction at its highest level and `torque_nm` needed, either way."""
+    """Largest |dE/d(motor angle)| of an effect, friction at its highest level and `torque_nm` needed, either way.
+
+    A change of the friction's level is felt over some travel: its slope is that of what it comes to.
+    """
+    step_s, speed_rps, travel_rev = SETTLED if law_of(term.name).level else STANDING
     span_rev = max([1.0] + [abs(term.values.get(name, 0.0)) for name in SPAN_SHAPES])
     if term.values.get("width_rev", 0.0) > 0.0:
         span_rev = max(span_rev, 2.0 * (abs(term.values.get("centre_rev", 0.0)) + term.values["width_rev"]))
@@ -117,11 +124,20 @@ def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> fl
             motion[:, s.MOTOR_ANGLE_REV] = motion[:, s.SENSOR_ANGLE_REV] = angles
             motion[:, s.FRICTION_NM] = contact_nm
             motion[:, s.CURRENT_A] = needed_nm / axis.torque_constant_nm_per_a
-            load_nm, sensor_rev = np.empty(angles.size), np.empty(angles.size)
-            # an infinitesimal step: what has a memory stands still
-            along_into(effect_table([term], axis, 1e-12, feedforward=True), motion, load_nm, sensor_rev)
-            largest = max(largest, float(np.abs(np.diff(load_nm)).max()) * (angles.size - 1) / span_rev)
+            motion[:, s.DIRECTION] = np.sign(contact_nm)
+            motion[:, s.VELOCITY_RPS] = np.sign(contact_nm) * speed_rps
+            motion[:, s.TRAVEL_REV] = travel_rev
+            along = _loads(term, axis, motion, step_s)
+            motion[:, s.MOTOR_ANGLE_REV] = motion[:, s.SENSOR_ANGLE_REV] = 0.0
+            along -= _loads(term, axis, motion, step_s)  # what changes although the angle does not
+            largest = max(largest, float(np.abs(np.diff(along)).max()) * (angles.size - 1) / span_rev)
     return largest
+
+
+def _loads(term: Term, axis: AxisConfig, motion: Floats, step_s: float) -> Floats:
+    load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
+    along_into(effect_table([term], axis, step_s, feedforward=True), motion, load_nm, sensor_rev)
+    return load_nm
 
 
 class SlopeMargin(NamedTuple):

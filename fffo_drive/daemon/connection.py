@@ -66,6 +66,11 @@ class Connection:
         return self.session.status(b.TRIP)
 
     @property
+    def last_tick(self) -> int:
+        """Tick of the latched trip; without one, the last that the loop ran."""
+        return self.session.status(b.TICK if self.trip == TRIP_NONE else b.TRIP_TICK)
+
+    @property
     def clear(self) -> bool:
         """Nothing is latched, neither here nor in the drive."""
         return self.trip == TRIP_NONE and not self.in_fault()

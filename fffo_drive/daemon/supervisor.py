@@ -158,8 +158,8 @@ class Supervisor:
         if self.state in (State.FAULT, State.OFFLINE):
             return
         latches = trouble.event is not Event.DRIVE_LOST or self.state in TORQUE_STATES
-        tick = -1 if self.connection is None else self.connection.session.status(b.TRIP_TICK)
         if latches:
+            tick = -1 if self.connection is None else self.connection.last_tick
             self.fault = Latched(trouble.name, trouble.text, tick)
         self._said = trouble.text
         self.obstacles = [trouble.text]

@@ -58,6 +58,7 @@ class CircleSource(NamedTuple):
     axis: str
     verdict: str  # of the diagnosis
     effects: tuple[str, ...]
+    not_compensated: dict[str, str]  # of these: the reason
     gates: tuple[dict[str, Any], ...]
     model_error: dict[str, Any]  # before, after: held-out figures of the diagnosis
     tracking: Tracking
@@ -128,6 +129,7 @@ def as_object(source: CircleSource) -> dict[str, Any]:
         "axis": source.axis,
         "verdict": source.verdict,
         "effects": list(source.effects),
+        "not_compensated": source.not_compensated,
         "adopted": source.adopted,
         "gates": list(source.gates),
         "tracking": tracking,
@@ -195,6 +197,7 @@ def _verdict(source: CircleSource) -> Verdict:
     if source.effects and all(held_out):
         old, new = (figures["torque_relative_percent"] for figures in held_out if figures)
         reasons.append(f"The model's torque error on the run that was held out: {old:.2f} to {new:.2f} %.")
+    reasons += [f"Not compensated: {name}: {reason}." for name, reason in source.not_compensated.items()]
     cautions = _cautions(source.runs)
     standing = "caution" if cautions and standing == "good" else standing
     return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)

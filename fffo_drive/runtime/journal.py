@@ -57,7 +57,7 @@ class Journal:
     def write(self, kind: str, level: int, text: str, fields: Mapping[str, Any] | None = None) -> None:
         """One message. `kind` is a key of MESSAGE_IDS; `fields` get the prefix FFFO_."""
         priority = PRIORITIES.get(Level(level), 6) if level in set(Level) else 6
-        named = {f"FFFO_{key.upper()}": str(value) for key, value in (fields or {}).items()}
+        named = {f"FFFO_{key.upper()}": _text(value) for key, value in (fields or {}).items()}
         if self._socket is not None:
             whole = {
                 "MESSAGE": text,
@@ -82,11 +82,16 @@ class Journal:
 
     def _print(self, priority: int, text: str, named: Mapping[str, str]) -> None:
         prefix = f"<{priority}>" if "JOURNAL_STREAM" in os.environ else ""
-        extra = " ".join(f"{key}={' '.join(value.split())}" for key, value in named.items())
         try:
+            people = self._stream.isatty()  # the text has it all
+            extra = "" if people else " ".join(f"{key}={' '.join(value.split())}" for key, value in named.items())
             print(f"{prefix}{' '.join(text.split())}{f' [{extra}]' if extra else ''}", file=self._stream, flush=True)
         except (OSError, ValueError):
             self.failures += 1
+
+
+def _text(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def encode_fields(fields: Mapping[str, str]) -> bytes:

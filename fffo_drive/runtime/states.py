@@ -82,7 +82,9 @@ EVENTS = {
     Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time"),
     Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long"),
     Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well"),
-    Event.DRIVE_LOST: Happening(False, "bus off, interface gone, heartbeat or answers missing, drive rebooted"),
+    Event.DRIVE_LOST: Happening(
+        False, "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational"
+    ),
     Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them"),
     Event.LOOP_ENDED: Happening(False, "the loop's thread is gone"),
 }

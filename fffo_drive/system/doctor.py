@@ -32,7 +32,9 @@ def as_text(findings: Sequence[Finding]) -> str:
         if finding.remedy:
             lines.append(f"{'':<8} {'':<{width}}    -> {finding.remedy}")
     found = counts(findings)
-    lines.append(f"{found[Level.FAILURE]} failures, {found[Level.WARNING]} warnings, {found[Level.OK]} ok")
+    failures, warnings = found[Level.FAILURE], found[Level.WARNING]
+    plural = ("s" if failures != 1 else "", "s" if warnings != 1 else "")
+    lines.append(f"{failures} failure{plural[0]}, {warnings} warning{plural[1]}, {found[Level.OK]} ok")
     return "\n".join(lines)
 
 

@@ -145,14 +145,14 @@ def bus_off_within_a_tick(world: World) -> None:
     world.at = [(BEGIN, off_and_on)]
 
 
-def put_into(command: int) -> Callable[[World], None]:
+def put_into(command: int, begin: int = BEGIN) -> Callable[[World], None]:
     """Somebody commands the drive's NMT state; its next heartbeat is due one millisecond later."""
     heartbeat = pack_frame(0x600 + NODE, struct.pack("<BHBHxx", 0x2B, 0x1017, 0, HEARTBEAT_MS))
 
     def prepare(world: World) -> None:
         world.at = [
-            (BEGIN + 2 - HEARTBEAT_MS * NS_PER_MS // PERIOD_NS, lambda w: w.tell(heartbeat)),
-            (BEGIN, lambda w: w.tell(pack_frame(NMT, bytes([command, NODE])))),
+            (begin + 2 - HEARTBEAT_MS * NS_PER_MS // PERIOD_NS, lambda w: w.tell(heartbeat)),
+            (begin, lambda w: w.tell(pack_frame(NMT, bytes([command, NODE])))),
         ]
 
     return prepare

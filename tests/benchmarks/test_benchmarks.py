@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-COMMANDS = ("loop_cycle", "lateness", "plant", "recorder", "node")
+COMMANDS = ("loop_cycle", "lateness", "plant", "recorder", "node", "live")
 NEED_C = ("loop_cycle", "lateness", "plant")
 UNAVAILABLE = 69
 
@@ -96,6 +96,18 @@ def test_the_daemon_loses_no_row_beside_twenty_clients():
     assert facts["ticks absent from the file"] <= facts["ticks skipped by the loop"]
     assert facts["recorded"] > 2000
     assert facts["requests a second"] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_the_stream_is_read_by_three_clients():
+    facts = sample("live")
+    assert facts["rows lost by the recorder"] == 0
+    assert facts["frames a second"] > 0
+    assert 0.0 < facts["CPU of the stream, 3 clients (median)"] < 100.0
+    assert facts["CPU of the stream, nobody looks (median)"] < facts["CPU of the stream, 3 clients (median)"]
+    assert facts.get("pictures a second in the browser", 1.0) > 0.0
 
 
 @pytest.mark.parametrize("name", NEED_C)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import canopen
+import canopen.lss
 import pytest
 from buses import PATIENCE_S, python_can_arguments
 from canopen import objectdictionary as od
@@ -126,6 +127,51 @@ def test_nmt_commands_and_the_heartbeat_that_shows_them(node):
         with reboot_of(node):
             node.nmt.send_command(command)
         assert node.sdo[0x1017].raw == 0  # back to the default
+
+
+def test_node_guarding_shows_the_state_too(node):
+    node.nmt.start_node_guarding(0.02)
+    try:
+        for command in ("OPERATIONAL", "PRE-OPERATIONAL"):
+            node.nmt.state = command
+            wait_for(lambda state=command: node.nmt.wait_for_heartbeat(PATIENCE_S) == state, command)
+    finally:
+        node.nmt.stop_node_guarding()
+
+
+def test_lss_gives_the_drive_another_node_id(node, network, eds_file):
+    lss = network.lss
+    lss.RESPONSE_TIMEOUT = PATIENCE_S
+    identity = [node.sdo[0x1018][sub].raw for sub in range(1, 5)]
+    other = canopen.RemoteNode(42, str(eds_file))
+    network.add_node(other)
+    other.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    try:
+        lss.send_switch_state_global(lss.CONFIGURATION_STATE)
+        assert lss.inquire_node_id() == 1
+        assert [lss.inquire_lss_address(0x5A + part) for part in range(4)] == identity
+        with pytest.raises(canopen.lss.LssError):
+            lss.configure_node_id(128)
+        lss.configure_node_id(42)
+        lss.send_switch_state_global(lss.WAITING_STATE)
+        with reboot_of(other):
+            node.nmt.send_command(0x82)
+        assert other.sdo[0x1008].raw == DEVICE_NAME
+        assert other.sdo[0x1014].raw == 0x80 + 42
+    finally:
+        with reboot_of(node):  # not stored: a reset of the node forgets it
+            network.nmt.send_command(0x81)
+
+
+def test_the_drive_gives_the_sync(node):
+    seen = threading.Event()
+    node.network.subscribe(0x80, on_sync := lambda cob, data, stamp: seen.set())
+    node.sdo[0x1006].raw = 20_000
+    node.sdo[0x1005].raw = 1 << 30 | 0x80
+    assert seen.wait(PATIENCE_S)
+    node.network.unsubscribe(0x80, on_sync)
+    node.sdo[0x1005].raw = 0x80
+    assert node.sdo[0x2020][1].raw > 0
 
 
 def test_pdo_parameters_are_read_saved_and_found_again(node):

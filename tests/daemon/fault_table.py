@@ -69,6 +69,8 @@ ROWS: tuple[Row, ...] = (
           f"{COAST} by the drive (0x605E), fault latched", 1),
     stops("emergency", "EMCY without a fault state", "the envelope", RELEASED, 2),
     stops("drive_rebooted", "the drive restarts", "the envelope: boot-up message", RELEASED, 1),
+    stops("drive_not_operational", "somebody puts the drive into NMT stopped or pre-operational",
+          "the drive; the envelope: heartbeat, or feedback_missing_ticks", f"{BY_DRIVE}; fault latched", 1),
     stops("supply_lost", "the DC link loses its supply", "the drive: undervoltage; the envelope by EMCY", RELEASED, 12),
     stops("resolver_lost", "the resolver is lost", "the drive; the envelope by EMCY", RELEASED, 1),
     stops("drive_bus_off", "the drive's CAN controller is off the bus", "the drive; the envelope", LATCHED, 1),

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bad_days.loop_days import ENETDOWN
+from bad_days.loop_days import ENETDOWN, put_into
 from bad_days.world import HEARTBEAT, NS_PER_MS, RPDO1, SYNC, TPDO1, TPDO2, Wire, World, live, ramp_to
 from daemon.fault_table import PARTS
 
@@ -28,7 +28,7 @@ SPEED_RPS, STEP_RPS = 10.0, 0.05  # 100 rps^2
 BEGIN, TICKS, LONG = 300, 1250, 2000
 SLICE_NS = 500_000
 SILENCE = 300  # ticks without a sign of life of the supervisor
-AFTERWARDS_NS = 300 * NS_PER_MS  # a loop that has ended is no reason not to look at the shaft
+AFTERWARDS_NS = 300 * NS_PER_MS
 STANDSTILL_RPS = 0.05
 OUR_HEARTBEAT = 0x700 + 127
 
@@ -93,6 +93,11 @@ class Script(NamedTuple):
     ticks: int = TICKS
     supervisor_ticks: int = 0
 
+    @property
+    def ending(self) -> dict[str, int]:
+        """A loop that ends by itself is no reason not to look at the shaft any longer."""
+        return {"silence": self.supervisor_ticks, "afterwards_ns": AFTERWARDS_NS if self.supervisor_ticks else 0}
+
 
 def at_begin(what: Prepare) -> Prepare:
     """At the SYNC of tick BEGIN."""
@@ -146,6 +151,22 @@ def drive_fault(kind: FaultKind, **details: Any) -> Prepare:
     return at_begin(lambda world: world.node.faults.inject(Fault(kind, **details)))
 
 
+def drive_put_into(command: int) -> Prepare:
+    """Somebody commands the drive's NMT state; its next heartbeat is due one millisecond later."""
+
+    def prepare(world: FaultWorld) -> None:
+        put_into(command, BEGIN)(world)
+        *before, (tick, tell) = world.at
+
+        def happen(w: World) -> None:
+            world.begin()
+            tell(w)
+
+        world.at = [*before, (tick, happen)]
+
+    return prepare
+
+
 def host_bus_off(world: FaultWorld) -> None:
     """Our CAN controller leaves the bus: nothing arrives any more, either way."""
     world.say(ERROR_BUS_OFF, error=True)
@@ -195,6 +216,7 @@ SCRIPTS: dict[str, Script] = {
     "drive_fault": Script(drive_fault(FaultKind.OVERCURRENT)),
     "emergency": Script(drive_fault(FaultKind.EMCY_STORM, duration_s=0.005)),
     "drive_rebooted": Script(drive_fault(FaultKind.REBOOT, duration_s=0.002)),
+    "drive_not_operational": Script(drive_put_into(0x02)),
     "supply_lost": Script(drive_fault(FaultKind.DC_LINK_LOSS)),
     "resolver_lost": Script(drive_fault(FaultKind.RESOLVER_LOSS)),
     "drive_bus_off": Script(drive_fault(FaultKind.BUS_OFF)),
@@ -231,14 +253,7 @@ def live_through(name: str) -> Outcome:
     clocks = time.time, time.time_ns
     try:
         profile = ramp_to(SPEED_RPS, STEP_RPS, 2 * script.ticks)
-        day = live(
-            world,
-            script.ticks,
-            profile=profile,
-            change=script.envelope,
-            silence=script.supervisor_ticks,
-            afterwards_ns=AFTERWARDS_NS,
-        )
+        day = live(world, script.ticks, profile=profile, change=script.envelope, **script.ending)
     finally:
         time.time, time.time_ns = clocks
     began_ns = int(day.rows["deadline_ns"][(day.rows["trip"] != 0).argmax()]) if by_a_limit else world.began_ns

@@ -28,6 +28,7 @@ NOTICED = {
     "drive_fault": (env.TRIP_EMERGENCY, [emcy.OVERCURRENT]),
     "emergency": (env.TRIP_EMERGENCY, [emcy.MANUFACTURER]),
     "drive_rebooted": (env.TRIP_REBOOT, []),
+    "drive_not_operational": (env.TRIP_NOT_OPERATIONAL, []),
     "supply_lost": (env.TRIP_EMERGENCY, []),
     "resolver_lost": (env.TRIP_EMERGENCY, [emcy.RESOLVER]),
     "drive_bus_off": (env.TRIP_BUS_OFF, []),

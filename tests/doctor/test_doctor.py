@@ -313,5 +313,5 @@ def test_text_is_one_line_a_finding_and_one_a_remedy():
         "ok       a         fine",
         "failure  long one  broken",
         "                     -> mend it",
-        "1 failures, 0 warnings, 1 ok",
+        "1 failure, 0 warnings, 1 ok",
     ]

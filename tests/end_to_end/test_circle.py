@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
@@ -11,20 +12,21 @@ import yaml
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
-from fffo_drive.cli.circle_runs import MOST_LOST, health_of
+from fffo_drive.cli.circle_runs import MOST_LOST, Circle, SpoiledRunError, health_of, write_axis
 from fffo_drive.config.axis import read_axis
 from fffo_drive.recording.reader import read_run
 from fffo_drive.signals import ROW
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-SHORT = {"kind": "paper", "duration_s": 12}
+SHORT = {"kind": "paper", "duration_s": 10}
+CURRENT = {"kind": "sine", "mode": "current", "duration_s": 5, "amplitude": 0.2, "frequency_hz": 1}
 AXIS, SIM = str(CONFIGS / "axis_undeclared.yaml"), str(CONFIGS / "simulated_undeclared.yaml")
 
 
-def circle(capsys, *words):
+def circle(capsys, *words, codes=(0,)):
     code = main(["close-the-loop", *words, "--quick", "--json"])
     captured = capsys.readouterr()
-    assert code == 0, captured.err
+    assert code in codes, captured.err
     return json.loads(captured.out)
 
 
@@ -67,13 +69,20 @@ def test_in_process(tmp_path, capsys):
 @pytest.mark.realtime
 @pytest.mark.timeout(900)
 def test_in_real_time_on_a_bus(tmp_path, capsys):
+    """At 2 kHz; on a machine that is too busy for it at a lower rate, at which so little data may tell nothing."""
     bus = f"loopback:{free_loopback_port()}"
     axis = changed(tmp_path, "axis_bench.yaml", lambda axis: axis.update(profile=SHORT))
-    tmp_path = tmp_path / "out"
-    result = circle(capsys, axis, "--sim", SIM, "--bus", bus, "--rate", "500", "--out", str(tmp_path))
-    the_loop_is_closed(result, tmp_path)
+    out = tmp_path / "out"
+    result = circle(capsys, axis, "--sim", SIM, "--bus", bus, "--out", str(out), codes=(0, 1))
+    rates = {run["rate_hz"] for run in result["runs"]}
+    assert len(rates) == 1
+    assert all(run["lost_share"] <= MOST_LOST for run in result["runs"])
     assert "true" not in result["tracking"]["before"]
-    assert {run["rate_hz"] for run in result["runs"]} == {500}
+    assert json.loads((out / "report.json").read_text())["results"] == result
+    if rates == {2000} and max(run["lost_share"] for run in result["runs"]) < 0.5 * MOST_LOST:
+        the_loop_is_closed(result, out)
+    else:
+        assert result["adopted"] == all(gate["passed"] for gate in result["gates"] or [{"passed": False}])
 
 
 def test_the_health_of_a_run():
@@ -130,7 +139,7 @@ def test_files_that_the_axis_names_are_looked_at_before_anything_runs(tmp_path, 
     out = str(tmp_path / "out")
     for change, said in (
         (lambda axis: axis.update(model="nowhere.yaml"), "cannot be read"),
-        (lambda axis: axis.update(profile={"kind": "identify", "duration_s": 10}), "a velocity profile is needed"),
+        (lambda axis: axis.update(profile=CURRENT), "sine has no tracking error: a velocity profile is needed"),
         (lambda axis: axis["envelope"].update(speed_limit_rps=1.0), "speed_limit_rps"),
     ):
         axis = changed(tmp_path, "axis_undeclared.yaml", change)
@@ -147,3 +156,36 @@ def test_a_bus_without_a_drive_is_unavailable(tmp_path, capsys):
     words = [str(CONFIGS / "axis_bench.yaml"), "--bus", bus, "--uncommissioned", "--out", str(tmp_path)]
     assert main(["close-the-loop", *words]) == 69
     assert "does not answer" in capsys.readouterr().err
+
+
+def test_all_runs_are_made_again_at_a_lower_rate_on_the_simulated_drive_alone(tmp_path):
+    said: list[str] = []
+    tried: list[int] = []
+
+    def spoiled_above(rate_hz):
+        def runs():
+            tried.append(circle.axis.loop.rate_hz)
+            if tried[-1] > rate_hz:
+                raise SpoiledRunError("before: 40.0 % of the ticks skipped")
+            return ()
+
+        return runs
+
+    given = argparse.Namespace(sim=SIM, rate=None, uncommissioned=False, json=True, bus=None)
+    own = write_axis(CONFIGS / "axis_bench.yaml", tmp_path, Path(SIM), None)
+    circle = Circle(given, own, said.append)
+    assert circle.at_a_rate_it_keeps(spoiled_above(500)) == ()
+    assert tried == [2000, 1000, 500]
+    assert said == [f"before: 40.0 % of the ticks skipped: all runs again at {rate} Hz" for rate in (1000, 500)]
+    axis = circle.axis
+    assert axis.envelope.feedback_missing_ticks == 4000  # two seconds at the file's rate
+    assert axis.drive.command_timeout_ms == 5000
+    with pytest.raises(SpoiledRunError):
+        circle.at_a_rate_it_keeps(spoiled_above(100))
+
+    hardware = tmp_path / "hardware"
+    hardware.mkdir()
+    given.sim = None
+    own = write_axis(CONFIGS / "axis_bench.yaml", hardware, None, None)
+    assert Circle(given, own, said.append).rates() == [2000]
+    assert read_axis(own).envelope == read_axis(CONFIGS / "axis_bench.yaml").envelope

@@ -175,11 +175,8 @@ def test_a_reversal_triggers_and_is_taken_at_the_full_rate(served, page, tmp_pat
       const { tick, reference_rps } = columnsOf(fffoScope.triggered, fffoScope.fields, ["tick", "reference_rps"]);
       return { times: tick.map((t) => Number(t) / fffoScope.rate), reference: reference_rps };
     })()""")
-    signs = [value > 0 for value in taken["reference"] if abs(value) > 1e-3]
-    assert signs[0] != signs[-1]
-    reversals = [
-        t for t, a, b in zip(taken["times"], taken["reference"], taken["reference"][1:], strict=False) if a * b < 0
-    ]
+    pairs = zip(taken["times"], pairwise(taken["reference"]), strict=False)
+    reversals = [time_s for time_s, (before, after) in pairs if before * after < 0]
     middle_s = 0.5 * (begin_s + end_s)
     assert min(abs(t - middle_s) for t in reversals) < 0.05
     with page.tab.expect_download() as coming:

@@ -38,7 +38,7 @@ SOCKETS = SYSTEM_DIRECTORY / INTERFACE
 CACHE = Path(f"/var/cache/private/fffo-drive/{INTERFACE}")  # DynamicUser=
 UNITS = Path("/etc/systemd/system")
 DROP_IN = UNITS / f"{UNIT}.d"
-PATIENCE_S = 120.0
+PATIENCE_S = 200.0
 SETTLING_S = 3.0  # longer than RestartSec=: whoever wants to restart has done so
 NOBODY = 65534
 EMERGENCY = 0x081
@@ -49,6 +49,7 @@ SLOW = """\
 # one slow processor, shared with others
 WatchdogSec=10
 TimeoutStopSec=60
+TimeoutStartSec=200
 ExecStartPre={python} {probe} %t/fffo-drive/%i/sandbox.json
 """
 DRIVE = f"""\

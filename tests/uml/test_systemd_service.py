@@ -22,9 +22,9 @@ from fffo_drive.drive.simulated.node import emcy
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.runtime.journal import MESSAGE_IDS
 
-pytestmark = [pytest.mark.slow, pytest.mark.uml, pytest.mark.systemd, pytest.mark.timeout(700)]
+pytestmark = [pytest.mark.slow, pytest.mark.uml, pytest.mark.systemd, pytest.mark.timeout(1500)]
 
-LIMIT_S = 600.0
+LIMIT_S = 850.0
 FIRST_DYNAMIC_UID = 61184
 FIFO, OTHER = 1, 0
 PRIORITY = 60

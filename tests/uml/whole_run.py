@@ -141,6 +141,7 @@ def record(
 ) -> WholeRun:
     """From the reset of the node to the end; `at_half` is called once when the profile is half done."""
     directory.mkdir(parents=True, exist_ok=True)
+    reset_node(bus)  # what another test has left it doing ends before the log begins
     with BusLog(bus) as log:
         reset_node(bus)
         with participants(bus, directory, duration_s, log) as host:

@@ -85,6 +85,16 @@ TRIALS = (
     _trial("current_lag", {"time_constant_s": 0.002}, {"tau_s": 0.003}),
 )
 SAMPLE = ("cogging", "quadratic_drag")
+NOT_COMPENSATED = {
+    "delay": "no torque: the refit of Td takes it in, and the reference is read ahead by it",
+    "elasticity": "a torque of the load's side, whose angle nobody measures",
+    "backlash": "as elasticity, and where in the gap the load lies is not known",
+    "voltage_limit": "there is no more torque: what is added to the command does not come out",
+    "resolver_error": "no torque: the angle is wrong, and a torque for it would move the shaft",
+    "periodic_disturbance": "its phase is in time, and another one in every run",
+    "unknown:frequency": "no function of what is known ahead; over every other axis a curve is compensated where it "
+    "was seen",
+}
 FRICTIONS: dict[str, PlantConfig] = {"single surface": paper_plant(), "five surfaces": PlantConfig()}
 
 
@@ -255,6 +265,9 @@ class Kept:
         self._all: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path and path.exists() else {}
         self._rows = self._all.setdefault(section, {})
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._rows
+
     def clean(self, measure: Callable[[], Clean]) -> Clean:
         """The axis without an effect."""
         if "clean" not in self._rows:
@@ -313,6 +326,9 @@ def run() -> int:
     options.add_argument(
         "--rows", type=Path, metavar="FILE", help="finished rows are kept there, and not measured again (JSON)"
     )
+    options.add_argument(
+        "--kept", action="store_true", help="measure nothing: a table of the rows that are kept, the others are named"
+    )
     options.add_argument("--again", action="append", default=[], metavar="EFFECT", help="but this one is")
     chosen = options.parse_args()
     names = chosen.only or (SAMPLE if chosen.sample else [trial.plant[0] for trial in TRIALS])
@@ -326,9 +342,15 @@ def run() -> int:
     with shown(NAME) as progress:
         for number, (kind, plant) in enumerate(kinds.items()):
             kept = Kept(chosen.rows, f"{kind}, {len(seeds)} seeds, {duration_s:g} s", chosen.again)
+            missing = [trial.plant[0] for trial in trials if trial.plant[0] not in kept] if chosen.kept else []
+            if missing:
+                report.notes.append(f"{kind}: not measured with this state: {', '.join(missing)}.")
+            present = [trial for trial in trials if trial.plant[0] not in missing]
+            if not present:
+                continue
             clean = kept.clean(functools.partial(clean_axis, plant, seeds, duration_s))
             outcomes = []
-            for k, trial in enumerate(trials):
+            for k, trial in enumerate(present):
                 measure = functools.partial(try_effect, trial, plant, clean, seeds, duration_s)
                 outcomes.append(kept.outcome(trial.plant[0], measure))
                 o = outcomes[-1]
@@ -342,6 +364,7 @@ def run() -> int:
                 else:
                     print(f"{kind}: {o.name}: {facts}", file=sys.stderr)
             table_of(report, kind, outcomes)
+    report.table(("not compensated", "why"), [(f"`{name}`", why) for name, why in NOT_COMPENSATED.items()])
     report.notes += [
         f"{len(seeds)} seeds of reference and noise, {duration_s:g} s each; the first is that of the records.",
         f"An excess counts where it is beyond {SIGNIFICANT:g} standard errors of its mean over the seeds.",

@@ -50,6 +50,16 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
+def loop_s(pid: int) -> tuple[float, float]:
+    """CPU time of the loop's thread, the only one under SCHED_FIFO: in user space, and in the kernel."""
+    user = kernel = 0.0
+    for path in Path(f"/proc/{pid}/task").glob("*/stat"):
+        fields = path.read_text().rpartition(")")[2].split()
+        if int(fields[38]) == os.SCHED_FIFO:
+            user, kernel = user + int(fields[11]) / TICKS_PER_S, kernel + int(fields[12]) / TICKS_PER_S
+    return user, kernel
+
+
 class Daemon:
     """`fffo-drive serve` on a bus; recordings go to a directory of its own."""
 
@@ -139,14 +149,17 @@ def busy_clients(daemon: Daemon) -> Iterator[Any]:
 
 def measure(daemon: Daemon, client: DaemonClient, seconds: float) -> Figures:
     """Late and skipped ticks, and CPU, of so many seconds of a running axis."""
-    before, spent_s, begin_s = client.call("status")["loop"], cpu_s(daemon.process.pid), time.monotonic()
+    pid = daemon.process.pid
+    before, spent_s, of_loop_s, begin_s = client.call("status")["loop"], cpu_s(pid), loop_s(pid), time.monotonic()
     time.sleep(seconds)
     after = client.call("status")["loop"]
-    share = 100.0 * (cpu_s(daemon.process.pid) - spent_s) / (time.monotonic() - begin_s)
+    took_s, now_s = time.monotonic() - begin_s, loop_s(pid)
+    share = 100.0 * (cpu_s(pid) - spent_s) / took_s
+    user, kernel = (100.0 * (now - then) / took_s for now, then in zip(now_s, of_loop_s, strict=True))
     rows = after["rows"] - before["rows"]
     late, skipped = (after[name] - before[name] for name in ("late", "skipped"))
     return {"cpu": share, "rows": rows, "late": (late + 0.5) / rows, "share": 100.0 * late / rows,
-            "lost": (late + skipped + 0.5) / rows}  # fmt: skip
+            "lost": (late + skipped + 0.5) / rows, "user": user, "kernel": kernel}  # fmt: skip
 
 
 def keep_running(client: DaemonClient) -> None:
@@ -210,6 +223,8 @@ def run() -> int:
         f"First tick: the first SYNC on the bus after the command, bring-up included. {len(starts)} starts.",
         "CPU: of the whole process (loop, recorder, supervisor, API), the axis running and recorded. The simulated"
         " drive and the clients are other processes on the same cores.",
+        "The loop's thread in the kernel: two waits and two frames a period, the calls that a program in C would make"
+        " (loop_cycle).",
         "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
     ]
     return finish(report, chosen)
@@ -223,6 +238,8 @@ def _add(report: Report, starts: list[Start], found: dict[str, Any]) -> None:
     report.figure(
         "CPU of the daemon, no clients (median)", float(np.median(quiet["cpu"])), "% of a core", LARGEST_SHARE
     )
+    for part, name in (("user", "in user space"), ("kernel", "in the kernel")):
+        report.figure(f"of that the loop's thread {name} (median)", float(np.median(quiet[part])), "% of a core")
     report.figure(f"CPU of the daemon, {CLIENTS} busy clients (median)", float(np.median(busy["cpu"])), "% of a core")
     ratio = paired_ratio(busy["late"], quiet["late"])
     report.ratio(f"share of late ticks, {CLIENTS} busy clients over none", ratio, TARGET)

@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import struct
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -77,6 +78,8 @@ def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> Summary:
     Raises PlantConfigError for a configuration that makes no drive.
     """
     config.validate()
+    if sys.stdout.isatty():
+        print("simulated drive: starts; the first time it compiles for a while", flush=True)
     rehearse(config)
     node = Node(config, SimulatedPlant(config.plant))
     shell = _Shell(node, link)

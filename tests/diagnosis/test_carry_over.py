@@ -1,0 +1,112 @@
+"""What carries over from run to run, what balances friction at rest, and where a rare residual lives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identification.rig import random_plant, record
+from identification.synthetic import PERIOD_S
+
+from fffo_drive.diagnosis.candidates import Effect
+from fffo_drive.diagnosis.diagnose import prepared
+from fffo_drive.diagnosis.fitting import at_rest, evaluate, huber_terms, refit
+from fffo_drive.diagnosis.selection import evidence_of
+from fffo_drive.diagnosis.startup import fit_base
+from fffo_drive.diagnosis.transfer import Transfer, transfer
+from fffo_drive.diagnosis.where import where
+from fffo_drive.drive.simulated.parameters import EffectConfig
+from fffo_drive.identification.excitation import identification_sequence, separating_recipe
+from fffo_drive.identification.facts import DriveFacts
+
+FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3, gear_ratio=160.0, resolver_bits=15)
+OFFSET_NM = 0.004
+
+
+@pytest.fixture(scope="module")
+def offset_axis():
+    """Two runs of an axis with an offset, and the base fitted without one: (data, base, sensitivities)."""
+    plant = replace(
+        random_plant(5), roughness_nm=2e-4, effects=(EffectConfig("torque_offset", {"torque_nm": OFFSET_NM}),)
+    )
+    runs = [
+        record(plant, identification_sequence(16.0, PERIOD_S, 0.5, 1.1, 0.1, 10.0), "identify"),
+        record(plant, separating_recipe(PERIOD_S, 12.0, 80.0, 1), "recipe"),
+    ]
+    stretches, rows, start = prepared(runs, FACTS, None)
+    return fit_base(stretches, rows, start, len(runs))
+
+
+def effect(name, strengths, **shapes):
+    return Effect(name, shapes, {key: np.array([value]) for key, value in strengths.items()})
+
+
+@pytest.mark.slow
+def test_a_torque_at_rest_is_taken_from_what_friction_balances(offset_axis):
+    data, base, _ = offset_axis
+    plain = at_rest(data, base.physical, ())
+    loaded = at_rest(data, base.physical, [effect("torque_offset", {"torque_nm": OFFSET_NM})])
+    for before, after in zip(plain.stretches, loaded.stretches, strict=True):
+        assert np.allclose(before.balance_nm - after.balance_nm, OFFSET_NM)
+
+
+@pytest.mark.slow
+def test_what_is_real_carries_over_to_a_run_that_did_not_teach_it(offset_axis):
+    data, base, matrix = offset_axis
+    fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": 0.001})])
+    assert fitted.effects[0].strengths["torque_nm"][0] == pytest.approx(OFFSET_NM, rel=0.1)
+    found = transfer(data, matrix, fitted, base)
+    assert found.folds == 2
+    assert found.holds
+    assert found.left_out > 0.7 * found.fitted > 0.0
+
+
+@pytest.mark.slow
+def test_what_only_fills_the_gaps_of_its_own_runs_does_not(offset_axis):
+    """Twelve free windows along the travel take the noise of these runs with them."""
+    data, base, matrix = offset_axis
+    low, high = np.quantile(data.rows.position_rev, (0.02, 0.98))
+    windows = [
+        effect("position_dependent_friction", {"window_share": 0.0}, centre_rev=float(c), width_rev=(high - low) / 12.0)
+        for c in np.linspace(low, high, 12)
+    ]
+    offset = effect("torque_offset", {"torque_nm": OFFSET_NM})
+    without = refit(data, matrix, base.physical, [offset])
+    fitted = refit(data, matrix, without.physical, [*without.effects, *windows], shapes=False)
+    assert fitted.loss < without.loss
+    assert not transfer(data, matrix, fitted, without).holds
+
+
+def test_nothing_is_held_against_an_effect_that_no_run_can_be_left_out_for():
+    assert Transfer(0.0, 0.0, 0).holds
+    assert not Transfer(1.0, 10.0, 2).holds
+
+
+def test_the_loss_of_a_row_is_square_within_the_limit_and_straight_beyond():
+    terms = huber_terms(np.array([0.0, -2.0, 10.0]))
+    assert np.allclose(terms, [0.0, 4.0, 4.0 * (20.0 - 4.0)])
+
+
+@pytest.mark.slow
+def test_a_residual_over_two_axes_and_one_after_rests_are_seen_where_they_are(offset_axis):
+    data, base, matrix = offset_axis
+    fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": OFFSET_NM})])
+    clean, scenes = evidence_of(data, matrix, fitted)
+    rows = data.rows
+    corner = np.sign(rows.velocity_rps) * np.sign(rows.position_rev - np.median(rows.position_rev))
+    both = fitted._replace(residual_nm=fitted.residual_nm + 0.002 * corner)
+    found = {c.name: c for c in where((evidence_of(data, matrix, both)[0], clean), scenes, FACTS, 0.01)}
+    pair = found["velocity x output_angle"]
+    assert pair.significant_before
+    assert pair.explained_before > 0.3
+    assert pair.explained_before == max(c.explained_before for c in found.values())
+    assert not pair.significant_after
+    assert {"break_away", "reversal", "jerk"} <= set(found)
+
+
+@pytest.mark.slow
+def test_the_model_at_hand_is_evaluated_as_it_was_fitted(offset_axis):
+    data, base, matrix = offset_axis
+    fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": OFFSET_NM})])
+    again, _ = evaluate(data, fitted.physical, fitted.effects)
+    assert np.array_equal(again.residual_nm, fitted.residual_nm)
+    assert again.loss == fitted.loss
