@@ -35,9 +35,9 @@ def the_loop_is_closed(result, out):
     assert result["verdict"] == "effects_found"
     assert result["effects"][0] == "cogging"
     assert result["adopted"]
-    ratio = result["tracking"]["ratio"]["measured"]["ise"]
-    assert ratio["value"] < 0.9
-    assert result["tracking"]["after"]["measured"]["ise"] < result["tracking"]["before"]["measured"]["ise"]
+    errors = result["tracking"]
+    ratio = errors["after"]["measured"]["ise"] / errors["before"]["measured"]["ise"]
+    assert errors["ratio"]["measured"]["ise"]["value"] == pytest.approx(ratio)
     assert read_axis(out / "axis.yaml").model == "diagnosis/model.yaml"
     report = json.loads((out / "report.json").read_text())
     assert report["kind"] == "close-the-loop"
@@ -59,6 +59,7 @@ def test_in_process(tmp_path, capsys):
     tmp_path = tmp_path / "out"
     result = circle(capsys, axis, "--sim", SIM, "--out", str(tmp_path))
     the_loop_is_closed(result, tmp_path)
+    assert result["tracking"]["ratio"]["measured"]["ise"]["value"] < 0.9
     assert result["tracking"]["ratio"]["true"]["ise"]["value"] < 0.4
     # the same directory is not written over
     assert main(["close-the-loop", axis, "--out", str(tmp_path)]) == 78
@@ -69,7 +70,10 @@ def test_in_process(tmp_path, capsys):
 @pytest.mark.realtime
 @pytest.mark.timeout(900)
 def test_in_real_time_on_a_bus(tmp_path, capsys):
-    """At 2 kHz; on a machine that is too busy for it at a lower rate, at which so little data may tell nothing."""
+    """At 2 kHz; on a machine that is too busy for it at a lower rate, at which so little data may tell nothing.
+
+    How much better tracking is depends on the machine as well: that is asserted in process.
+    """
     bus = f"loopback:{free_loopback_port()}"
     axis = changed(tmp_path, "axis_bench.yaml", lambda axis: axis.update(profile=SHORT))
     out = tmp_path / "out"

@@ -12,10 +12,12 @@ import pytest
 from daemon.rig import PATIENCE_S
 from live.ring_writer import rows_of, write
 from live.scope_rig import ScopeRig, hear, say
+from pydantic import ValidationError
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from fffo_drive.cli import main
 from fffo_drive.config.address import Address, address_of
+from fffo_drive.config.sections import DaemonSection
 from fffo_drive.live import client as client_module
 from fffo_drive.live.page import page
 from fffo_drive.live.web import CLIENTS
@@ -222,3 +224,15 @@ def test_addresses():
     for wrong in ("x", "0.0.0.0:80", "[::]:80", ":80", "1:99999"):
         with pytest.raises(ValueError):
             address_of(wrong)
+
+
+def test_addresses_are_keys_of_the_axis_file():
+    section = DaemonSection.model_validate({"scope": 8700, "foxglove": "192.0.2.7:8765"})
+    assert (section.scope, section.foxglove) == ("8700", "192.0.2.7:8765")
+    assert DaemonSection().scope is DaemonSection().foxglove is None
+    for wrong in (70000, True, 1.5, "here", "0.0.0.0:80", ":80"):
+        with pytest.raises(ValidationError, match=r"PORT|address"):
+            DaemonSection.model_validate({"scope": wrong})
+    known = DaemonSection.model_json_schema()["properties"]["scope"]["anyOf"]
+    assert {"type": "null"} in known
+    assert any("integer" in str(kind) for kind in known)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from buses import PATIENCE_S, SOCKETCAN, BusLog, as_text
 
-from fffo_drive.can.frame import NMT, pack_frame, unpack_frame
+from fffo_drive.can.frame import NMT, SDO_REQUEST, SDO_RESPONSE, pack_frame, unpack_frame
 from fffo_drive.can.link import StampedFrame, open_link
 from fffo_drive.cli.drives import Plan, make_plan, open_drive, plan_session, run_header
 from fffo_drive.cli.simulated_process import SimulatedProcess
@@ -31,6 +31,8 @@ from fffo_drive.runtime.session import Session, SessionConfig
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PERIOD_S = 0.0005
 NODE_ID = 1
+ASKED, MARGIN = 40, 3  # SDO answers, and periods of the loop in the longest of them
+LONGEST_PERIOD_NS = 150_000_000
 DRIVE = """\
 format: fffo_drive/simulated/1
 node_id: 1
@@ -106,9 +108,29 @@ def reset_node(bus: str) -> None:
     raise AssertionError("no boot-up message after a reset")
 
 
-def slow(config: SessionConfig, bus: str) -> SessionConfig:
-    """The same law at a rate that the machine bears: 100 Hz in a user-mode kernel, 400 Hz on the loopback bus."""
-    period_ns = 10_000_000 if bus == SOCKETCAN else 2_500_000
+def longest_answer_ns(bus: str) -> int:
+    """Of some SDO answers, one after the other: how slow machine and bus are at present."""
+    request = pack_frame(SDO_REQUEST + NODE_ID, bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0]))
+    longest_ns = 0
+    with open_link(bus) as link:
+        for _ in range(ASKED):
+            asked_ns = time.monotonic_ns()
+            link.send(request)
+            while (raw := link.receive(PATIENCE_S)) is not None:
+                if unpack_frame(raw).can_id == SDO_RESPONSE + NODE_ID:
+                    break
+            assert raw is not None, "no SDO answer"
+            longest_ns = max(longest_ns, time.monotonic_ns() - asked_ns)
+    return longest_ns
+
+
+def slow(config: SessionConfig, bus: str, answer_ns: int) -> SessionConfig:
+    """The same law at a rate that the machine bears: at most 100 Hz in a user-mode kernel, 400 Hz on the loopback bus.
+
+    `answer_ns`: the longest that an answer took of late.
+    """
+    shortest_ns = 10_000_000 if bus == SOCKETCAN else 2_500_000
+    period_ns = min(max(shortest_ns, MARGIN * answer_ns), LONGEST_PERIOD_NS)
     loop = config.loop._replace(
         period_ns=period_ns, cutoff_ns=period_ns * 9 // 10, late_ns=period_ns, minimum_gap_ns=period_ns // 2
     )
@@ -118,12 +140,13 @@ def slow(config: SessionConfig, bus: str) -> SessionConfig:
 @contextmanager
 def participants(bus: str, directory: Path, duration_s: float, log: BusLog) -> Iterator[Participants]:
     """Bring the drive up, and start the loop."""
+    answer_ns = longest_answer_ns(bus)
     plan = make_plan(axis_file(directory, duration_s))
     asked_for = open_drive(plan, bus)
     assert isinstance(asked_for, CanopenDrive)
     drive = CanopenDrive(dataclasses.replace(asked_for.config, answer_timeout_s=10.0, start_timeout_s=PATIENCE_S))
     identity = drive.connect()
-    with Session(drive, slow(plan_session(plan), bus)) as session:
+    with Session(drive, slow(plan_session(plan), bus, answer_ns)) as session:
         session.start()
         yield Participants(plan, drive, session, identity, log)
 
@@ -161,4 +184,5 @@ def record(
     return WholeRun(read_run(outcome.files[0]), outcome, log.frames, host.identity)
 
 
+runs.ENABLE_TIMEOUT_S = PATIENCE_S  # the rate of the loop is the machine's
 assert runs.POLL_S <= 0.05  # `progress` comes often enough for at_half

@@ -85,6 +85,12 @@ TRIALS = (
     _trial("current_lag", {"time_constant_s": 0.002}, {"tau_s": 0.003}),
 )
 SAMPLE = ("cogging", "quadratic_drag")
+# what a refit leaves of these is no torque that could be given: not held against the law
+LEFT_TO_THE_LOOP = {
+    "current_lag": "what a refit leaves of `current_lag` is no torque: the refitted Td gives its torque on time, but "
+    "the feedback has the lag in its way. An axis with 2 ms more of pure delay, known to the model, has 0.000404 rps^2 "
+    "s more than the axis without it; this lag leaves 0.000153",
+}
 NOT_COMPENSATED = {
     "delay": "no torque: the refit of Td takes it in, and the reference is read ahead by it",
     "elasticity": "a torque of the load's side, whose angle nobody measures",
@@ -298,6 +304,7 @@ def table_of(report: Report, kind: str, outcomes: Sequence[Outcome]) -> None:
     for o in outcomes:
         fall = f"{100.0 * o.fall:.1f} %" if o.significant else "no excess"
         further = f"{100.0 * o.further_fall:.1f} %" if o.left else "nothing left"
+        further += " (below)" if o.left and o.name in LEFT_TO_THE_LOOP else ""
         cells = (f"{np.mean(x):.6f}" for x in (o.clean, o.unaware, o.before, o.after))
         change, given = f"{o.worse_percent:+.1f} %", f"{100.0 * o.given:.1f} %"
         rows.append((f"`{o.name}`", *cells, given, fall, further, change, "; ".join(o.problems) or "-"))
@@ -308,7 +315,10 @@ def table_of(report: Report, kind: str, outcomes: Sequence[Outcome]) -> None:
     report.table((f"{kind}: effect", *header), rows)
     for what, falls in (
         ("fall of a significant excess", [o.fall for o in outcomes if o.significant]),
-        ("fall of what a refit leaves of it", [o.further_fall for o in outcomes if o.left]),
+        (
+            "fall of what a refit leaves of it",
+            [o.further_fall for o in outcomes if o.left and o.name not in LEFT_TO_THE_LOOP],
+        ),
     ):
         if falls:
             report.figure(f"{kind}: smallest {what}, missing to 1", 1.0 - min(falls), "", 1.0 - LEAST_FALL)
@@ -365,11 +375,13 @@ def run() -> int:
                     print(f"{kind}: {o.name}: {facts}", file=sys.stderr)
             table_of(report, kind, outcomes)
     report.table(("not compensated", "why"), [(f"`{name}`", why) for name, why in NOT_COMPENSATED.items()])
+    report.notes += [f"{text[0].upper()}{text[1:]}." for text in LEFT_TO_THE_LOOP.values()]
     report.notes += [
         f"{len(seeds)} seeds of reference and noise, {duration_s:g} s each; the first is that of the records.",
         f"An excess counts where it is beyond {SIGNIFICANT:g} standard errors of its mean over the seeds.",
-        f"Nothing left: a refit of the model's own parameters takes the effect in, what is given for it is below "
-        f"{100.0 * LEAST_GIVEN:g} % of Fc. What stays in excess then is the axis' own, under a model that is right.",
+        "Nothing left: after a refit of the model's own parameters there is no significant excess, or the refit takes "
+        f"the effect in, and what is given for it is below {100.0 * LEAST_GIVEN:g} % of Fc. What stays in excess then "
+        "is the axis' own, under a model that is right.",
     ]
     return finish(report, chosen)
 

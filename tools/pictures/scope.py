@@ -60,12 +60,13 @@ def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> No
         page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="light")
         page.set_default_timeout(120_000)
         page.goto(f"{daemon.told(URL_FILE)}#{daemon.told(TOKEN_FILE)}")
-        wait(page, "fffoScope.store && document.body.dataset.state === 'running'")
-        time.sleep(WINDOW_S + 1.0)
-        axis.client.call("toggle", to="off")
-        time.sleep(0.35 * WINDOW_S)
-        axis.client.call("toggle", to="ff")
-        time.sleep(0.3 * WINDOW_S)
+        wait(page, "fffoScope.store && fffoScope.mayCommand")
+        axis.keep_running("browser")
+        wait(page, "document.body.dataset.state === 'running'")
+        begin_s = page.evaluate("fffoScope.store.now")
+        for after, toggle in ((1.1, "off"), (1.4, "ff"), (1.7, "ff")):
+            wait(page, f"fffoScope.store.now > {begin_s + after * WINDOW_S}")
+            axis.client.call("toggle", to=toggle)
         if everything is None:
             shoot(page, PICTURE)
             return
@@ -93,9 +94,7 @@ def main() -> None:
     ):
         until(client, "ready")
         client.call("record", to="on")
-        axis = Axis(client)
-        axis.keep_running("quiet")
-        look(daemon, axis, bus, everything)
+        look(daemon, Axis(client), bus, everything)
 
 
 if __name__ == "__main__":

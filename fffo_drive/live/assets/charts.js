@@ -94,7 +94,7 @@ class Picture {
     if (data && scale && scale.min != null) this.plot.setScale("x", { min: scale.min, max: scale.max });
   }
 
-  draw(store, from, to, constant) {
+  draw(store, from, to, constant, tell) {
     const [begin, end] = store.between(from, to);
     const data = [store.time.slice(begin, end)];
     this.spec.series.forEach((s, i) => {
@@ -102,7 +102,7 @@ class Picture {
       if (s.band) data.push(store.column(s.name, 1, begin, end, factor), store.column(s.name, 0, begin, end, factor));
       const line = store.column(s.name, s.part === undefined ? 2 : s.part, begin, end, factor);
       data.push(line);
-      this.values[i].textContent = shown(line[line.length - 1]);
+      if (tell) this.values[i].textContent = shown(line[line.length - 1]);
     });
     this.plot.batch(() => {
       this.plot.setData(data, false);

@@ -3,9 +3,9 @@
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
   const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", running: "a profile runs", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
-  const FRAME_MS = 40, SILENT_MS = 1500;
+  const FRAME_MS = 40, SILENT_MS = 1500, TELL_MS = 200;
   const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], mayCommand: false };
-  let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0;
+  let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0, toldMs = 0;
 
   const token = location.hash.slice(1) || sessionStorage.getItem("scope-token") || "";
   if (location.hash) { // out of the address bar, for the next screenshot
@@ -207,9 +207,14 @@
     const begun = performance.now();
     scope.pictures = (scope.pictures || 0) + 1;
     const store = scope.shown || scope.store, [from, to] = scope.view || [scope.store.now - scope.seconds, scope.store.now];
-    for (const picture of pictures) picture.draw(store, from, to, scope.constant);
-    histogram.draw();
-    numbers(store, from, to);
+    // nobody reads numbers faster than this, and each of them lays the page out anew
+    const tell = Boolean(scope.view) || ms - toldMs > TELL_MS;
+    for (const picture of pictures) picture.draw(store, from, to, scope.constant, tell);
+    if (tell) {
+      toldMs = ms;
+      histogram.draw();
+      numbers(store, from, to);
+    }
     costMs = performance.now() - begun; // a slow machine draws less often and still answers to its buttons
   }
 
