@@ -20,6 +20,7 @@ from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .candidates import Effect
+from .finishing import merged_datum, standard_deviations
 from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
 from .pictures import ceiling, channels, picture, run_figures
@@ -32,10 +33,8 @@ from .selection import (
     effect_rms,
     evidence_of,
     family,
-    merged_datum,
     raw_share,
     select,
-    standard_deviations,
 )
 from .startup import fit_base, start_physical
 from .where import where

@@ -6,7 +6,7 @@ shared; those of the effects are made anew at every step, and the model's torque
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -33,6 +33,7 @@ HUBER = 4.0
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
 STEADY = 0.02  # ... and at which the effects' sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
+PENALTY = 2.0  # on the logarithm of the number of rows, a free number
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 
 
@@ -299,6 +300,8 @@ def stepped(physical: Floats, step: Floats) -> Floats:
     return found
 
 
-def strengths_of(effects: Sequence[Effect]) -> Mapping[str, Floats]:
-    """All strengths by `effect.strength`."""
-    return {f"{e.name}.{name}": values for e in effects for name, values in e.strengths.items()}
+def cost(fitted: Fitted, data: Data) -> float:
+    """Deviance: rows times log loss, plus what the free numbers cost. Smaller is better."""
+    q = fitted.white.size
+    free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
+    return float(q * np.log(max(fitted.loss, 1e-12)) + PENALTY * free * np.log(q))

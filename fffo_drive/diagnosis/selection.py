@@ -24,12 +24,13 @@ from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
 from .current_side import LEAST_SHARE as SHOWN_SHARE
 from .current_side import SHOWN_BY_CURRENT, missing_rows, shown_share
-from .evidence import Evidence, make_evidence, whiten
+from .evidence import Evidence, make_evidence
 from .fitting import (
     Data,
     Fitted,
     at_rest,
     consistent_scenes,
+    cost,
     effect_jacobian,
     evaluate,
     loaded_sensitivities,
@@ -62,7 +63,6 @@ RIVAL_SHARE = 0.25  # of the gain of the chosen one, for a rival to be tried aga
 SETTLED = 0.003  # relative fall of the loss at which a model is not refitted again
 CURVE_SHARE = 0.5  # of what the best law explains, for a free curve to be refitted
 CURVE_MARGIN = 0.8  # a law that explains this share of what a free curve explains is preferred to it
-PENALTY = 2.0  # on the logarithm of the number of rows, a free number
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,6 @@ class Search(NamedTuple):
     facts: DriveFacts
     false_alarm_rate: float
     told: Callable[[float, str], None]
-
-
-def cost(fitted: Fitted, data: Data) -> float:
-    """Deviance: rows times log loss, plus what the free numbers cost. Smaller is better."""
-    q = fitted.white.size
-    free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
-    return float(q * np.log(max(fitted.loss, 1e-12)) + PENALTY * free * np.log(q))
 
 
 def known_columns(data: Data, matrix: Floats, fitted: Fitted, scenes: Sequence[Scene]) -> Floats:
@@ -374,43 +367,3 @@ def family(contest: Contest) -> list[str]:
     if not contest.chosen.startswith(UNKNOWN):
         near = [(g, name) for g, name in near if not name.startswith(UNKNOWN)]
     return [name for _, name in sorted(near, reverse=True)[:2]]
-
-
-def merged_datum(data: Data, matrix: Floats, fitted: Fitted) -> Fitted:
-    """One datum for all runs where that costs no more than its numbers save."""
-    for number, effect in enumerate(fitted.effects):
-        if not effect.per_run:
-            continue
-        common = {
-            name: np.array([float(values.mean())]) if name in effect.per_run else values
-            for name, values in effect.strengths.items()
-        }
-        effects = list(fitted.effects)
-        effects[number] = replace(effect, strengths=common, per_run=frozenset())
-        trial = refit(data, matrix, fitted.physical, effects)
-        if cost(trial, data) < cost(fitted, data) or trial.loss < 1.02 * fitted.loss:
-            fitted = trial
-    return fitted
-
-
-def standard_deviations(data: Data, matrix: Floats, fitted: Fitted) -> tuple[Floats, dict[tuple[int, str, int], float]]:
-    """Standard deviations by windows (sandwich): of the base coordinates, and of every number of the effects."""
-    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    slots = slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev)))
-    columns = np.concatenate([matrix, effect_jacobian(data, fitted.effects, slots, scenes)], axis=1)
-    white = whiten(data.rows, data.whitening, columns)
-    norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", white, white)), 1e-300)
-    white = white / norms
-    inverse = np.linalg.pinv(white.T @ white, rcond=1e-10)
-    window = data.rows.window[data.whitening.kept]
-    products = white * np.clip(fitted.white, -6.0, 6.0)[:, None]
-    counts = [np.bincount(window, products[:, k]) for k in range(products.shape[1])]
-    scores = np.stack(counts, axis=1).astype(np.float64)
-    meat = scores.T @ scores
-    for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
-        cross = scores[:-lag].T @ scores[lag:]
-        meat = meat + weight * (cross + cross.T)
-    sd = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / norms
-    base_count = matrix.shape[1]
-    found = {(s.effect, s.name, s.run): float(v) for s, v in zip(slots, sd[base_count:], strict=True)}
-    return sd[:base_count], found
