@@ -102,6 +102,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not unmet[item]]
+    items.sort(key=lambda item: item.get_closest_marker("systemd") is None)  # minutes long: no worker ends on it alone
     config.stash[COUNTS] = dict(counts)
     if hasattr(config, "workeroutput"):
         config.workeroutput[LEFT_OUT] = dict(counts)

@@ -53,9 +53,7 @@ def test_a_torque_at_rest_is_taken_from_what_friction_balances(offset_axis):
 def test_what_is_real_carries_over_to_a_run_that_did_not_teach_it(offset_axis):
     data, base, matrix = offset_axis
     fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": -0.001})])
-    assert fitted.effects[0].strengths["torque_nm"][0] == pytest.approx(
-        -OFFSET_NM, rel=0.1
-    )
+    assert fitted.effects[0].strengths["torque_nm"][0] == pytest.approx(-OFFSET_NM, rel=0.1)
     found = transfer(data, matrix, fitted, base)
     assert found.folds >= 1
     assert found.holds

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import re
+import socket
 import stat
 import threading
 
@@ -175,11 +176,14 @@ def test_who_sends_too_much_is_dropped(scope):
 def test_a_client_that_does_not_read_is_dropped_and_disturbs_nobody(tmp_path, monkeypatch):
     monkeypatch.setattr(client_module, "STALL_S", 1.0)
     with ScopeRig(tmp_path, ring_rows=32768) as scope:
-        good, stalled = scope.open(), scope.open(max_queue=1)
+        small = socket.socket()
+        small.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # the kernel takes nothing in its place
+        small.connect(("127.0.0.1", scope.port))
+        good, stalled = scope.open(), scope.open(sock=small, max_queue=1)
         scope.until(lambda: scope.server.hub.feed._reader is not None)
         write(scope.ring, rows_of(0, 20_000))
         hear(good, "rows")
-        say(stalled, do="capture", seconds=10)  # megabytes that nobody takes
+        say(stalled, do="capture", seconds=10)  # more megabytes than the sender's kernel takes
         scope.until(lambda: len(scope.server.hub.clients) == 1)
         write(scope.ring, rows_of(20_000, 200))
         assert hear(good, "rows")["lost"] == 0
