@@ -13,8 +13,8 @@ from ..model.axis import AxisConfig
 from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
-from ..model.friction import FrictionConfig
 from .base import Along, axis_config
+from .kernels import contact_levels
 from .paths import Filter, Rows, Stretch, second_difference, thinning
 
 Floats = npt.NDArray[np.float64]
@@ -82,16 +82,10 @@ def scenes_of(
         motion[:, slots.FRICTION_NM] = model.friction_nm
         motion[:, slots.TRAVEL_REV] = model.travel_rev
         motion[:, slots.DIRECTION] = model.direction
-        motion[:, slots.CONTACT_LEVEL_NM] = contact_level_nm(axis.friction, stretch.velocity_rps)
+        contact_levels(axis.friction, stretch.velocity_rps, motion[:, slots.CONTACT_LEVEL_NM])
         commanded = model.torque_nm[:: thinning(stretch.period_s)] / stretch.torque_constant_nm_per_a
         found.append(Scene(stretch, motion, commanded, axis, (~stretch.rest).astype(np.float64)))
     return found
-
-
-def contact_level_nm(friction: FrictionConfig, velocity_rps: Floats) -> Floats:
-    """|S(w)| without its viscous part, along a motion. Shapes (l,)."""
-    fallen = np.exp(-((np.abs(velocity_rps) / friction.stribeck_velocity_rps) ** friction.stribeck_exponent))
-    return np.asarray(friction.coulomb_nm + (friction.static_nm - friction.coulomb_nm) * fallen)
 
 
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..jit import njit
-from ..model.friction import FrictionConfig, FrictionState, friction_step
+from ..model.friction import FrictionConfig, FrictionState, friction_step, steady_friction_nm
 
 Floats = npt.NDArray[np.float64]
 
@@ -107,3 +107,11 @@ def wave_sums(
         output[k, 2] = cc
         output[k, 3] = cs
         output[k, 4] = ss
+
+
+@njit
+def contact_levels(config: FrictionConfig, velocity_rps: Floats, output: Any) -> None:
+    """|S(w)| without its viscous part, along a motion. `velocity_rps`, `output` (n,)."""
+    for k in range(velocity_rps.size):
+        viscous_nm = config.viscous_nm_per_rps * abs(velocity_rps[k])
+        output[k] = steady_friction_nm(config, velocity_rps[k]) - viscous_nm

@@ -98,10 +98,7 @@ def screen(
         for shape in law.search(context)
     ]
     best: dict[str, Trial] = {}
-    rng = np.random.default_rng(seed)
-    signs = rng.choice(np.array([-1.0, 1.0]), (SURROGATES, evidence.windows))
-    maxima = np.zeros(SURROGATES)
-    variance = max(evidence.energy / max(1, evidence.residual.size), 1e-12)
+    surrogates = Surrogates(evidence, seed)
     rows = evidence.rows
     runs = int(rows.run.max()) + 1
 
@@ -116,15 +113,34 @@ def screen(
                 told((number + 1) / len(work))
             if found.rank == 0:
                 continue
-            flipped = signs @ found.window_scores
-            statistic = np.einsum("ij,ij->i", flipped, flipped) / variance
-            np.maximum(maxima, comparable(statistic, found.rank), out=maxima)
+            surrogates.take(found)
             if name not in best or found.explained > best[name].explained:
                 effect = effect_of(name, shape, columns, found.strengths, runs)
                 best[name] = Trial(name, dict(shape), found.explained, found.rank, effect, found.window_scores, columns)
     trials = sorted(best.values(), key=lambda t: -penalised(t, evidence))
+    maxima = surrogates.maxima
     threshold = float(np.quantile(maxima, 1.0 - false_alarm_rate)) if work else np.inf
     return Screening(tuple(trials), threshold, np.sort(maxima), len(work))
+
+
+class Surrogates:
+    """The largest statistic of a whole search where noise alone was searched: the windows' signs are drawn anew."""
+
+    def __init__(self, evidence: Evidence, seed: int) -> None:
+        draw = np.random.default_rng(seed)
+        self._signs = draw.choice(np.array([-1.0, 1.0]), (SURROGATES, evidence.windows))
+        self._variance = max(evidence.energy / max(1, evidence.residual.size), 1e-12)
+        self.maxima = np.zeros(SURROGATES)
+
+    def take(self, score: Score) -> None:
+        """One more candidate of the search."""
+        flipped = self._signs @ score.window_scores
+        statistic = np.einsum("ij,ij->i", flipped, flipped) / self._variance
+        np.maximum(self.maxima, comparable(statistic, max(1, score.rank)), out=self.maxima)
+
+    def statistic(self, score: Score) -> float:
+        """The statistic of the data themselves, on the same scale."""
+        return float(comparable(np.array([score.explained / self._variance]), max(1, score.rank))[0])
 
 
 def comparable(statistic: Floats, rank: int) -> Floats:

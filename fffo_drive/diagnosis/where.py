@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +17,12 @@ import numpy.typing as npt
 
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
+from ..model.effects import slots
 from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
 from .free_curves import FRICTION, Axis, abscissa, axes_of, grip
 from .results import Channel
-from .screening import SURROGATES, comparable
+from .screening import Surrogates
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,18 +57,13 @@ def where(
     shares, significant = [], []
     for evidence in evidences:
         with ThreadPoolExecutor(THREADS) as pool:
-            scores = list(pool.map(lambda place: _score(evidence, place), found))  # noqa: B023
-        variance = evidence.energy / max(1, evidence.residual.size)
-        signs = np.random.default_rng(seed).choice(np.array([-1.0, 1.0]), (SURROGATES, evidence.windows))
-        maxima = np.zeros(SURROGATES)
+            scores = list(pool.map(partial(_score, evidence), found))
+        surrogates = Surrogates(evidence, seed)
         for s in scores:
-            flipped = signs @ s.window_scores
-            statistic = np.einsum("ij,ij->i", flipped, flipped) / variance
-            np.maximum(maxima, comparable(statistic, max(1, s.rank)), out=maxima)
-        limit = float(np.quantile(maxima, 1.0 - rate))
+            surrogates.take(s)
+        limit = float(np.quantile(surrogates.maxima, 1.0 - rate))
         shares.append([s.explained / max(evidence.energy, 1e-300) for s in scores])
-        own = [float(comparable(np.array([s.explained / variance]), max(1, s.rank))[0]) for s in scores]
-        significant.append([value > limit for value in own])
+        significant.append([surrogates.statistic(s) > limit for s in scores])
     return tuple(
         Channel(place.name, shares[0][k], shares[1][k], significant[0][k], significant[1][k], place.samples)
         for k, place in enumerate(found)
@@ -89,7 +86,7 @@ def _events(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     size = 1.0 / scenes[0].axis.friction.stiffness_per_rev
     grips = np.concatenate([grip(s)[::step] for s in scenes])
     since = np.concatenate([_since_rest(s)[::step] for s in scenes])
-    travel = np.concatenate([s.motion[::step, 7] for s in scenes])
+    travel = np.concatenate([s.motion[::step, slots.TRAVEL_REV] for s in scenes])
     jerks = [_since_jerk(s) for s in scenes]
     lag, sign = (np.concatenate([jerk[k][::step] for jerk in jerks]) for k in (0, 1))
     lengths = size * np.array(TRAVELS)
@@ -129,13 +126,14 @@ def _since_rest(scene: Scene) -> Floats:
 def _since_jerk(scene: Scene) -> tuple[Floats, Floats]:
     """Time since the acceleration jumped, and which way. (l,) each"""
     period_s = scene.stretch.law_period_s
-    jump = np.abs(np.diff(scene.motion[:, 2], prepend=scene.motion[0, 2]))
+    acceleration = scene.motion[:, slots.ACCELERATION_RPS2]
+    change = np.diff(acceleration, prepend=acceleration[0])
+    jump = np.abs(change)
     limit = float(np.quantile(jump, JERK_QUANTILE))
     index = np.arange(jump.size)
     last = np.maximum.accumulate(np.where(jump > limit, index, -1))
     lag = np.where(last >= 0, (index - last) * period_s, np.inf)
-    sign = np.sign(np.diff(scene.motion[:, 2], prepend=scene.motion[0, 2]))
-    return lag, np.where(last >= 0, sign[np.maximum(last, 0)], 0.0)
+    return lag, np.where(last >= 0, np.sign(change)[np.maximum(last, 0)], 0.0)
 
 
 def _pairs(evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts) -> list[Place]:

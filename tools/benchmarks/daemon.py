@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import multiprocessing
@@ -189,12 +190,17 @@ def run_passes(daemon: Daemon, client: DaemonClient, seconds: float, passes: int
     return found, float(np.median(rates))
 
 
+def timed_passes(name: str, purpose: str, seconds: float) -> tuple[argparse.Namespace, int, float]:
+    """What was asked for: options, passes, and seconds of a pass and variant."""
+    options = parser(name, purpose, 10, 2)
+    options.add_argument("--seconds", type=float, help=f"of a pass and variant (default {seconds:g}; 2 with --sample)")
+    chosen = options.parse_args()
+    return chosen, passes_of(chosen), chosen.seconds or (2.0 if chosen.sample else seconds)
+
+
 def run() -> int:
     """The command."""
-    options = parser(NAME, __doc__ or "", 10, 2)
-    options.add_argument("--seconds", type=float, help="of a pass and variant (default 30; 2 with --sample)")
-    chosen = options.parse_args()
-    passes, seconds = passes_of(chosen), chosen.seconds or (2.0 if chosen.sample else 30.0)
+    chosen, passes, seconds = timed_passes(NAME, __doc__ or "", 30.0)
     report = Report(NAME, "The daemon at 2 kHz on the loopback bus, the simulated drive in a process of its own.")
     bus = f"loopback:{free_loopback_port()}"
     starts: list[Start] = []

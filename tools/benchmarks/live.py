@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
-from daemon import DRIVE, PATIENCE_S, TICKS_PER_S, Daemon, measure, until
+from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, shown
+from daemon import DRIVE, PATIENCE_S, TICKS_PER_S, Daemon, measure, timed_passes, until
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli.simulated_process import SimulatedProcess
@@ -191,22 +191,27 @@ def pictures_hz(daemon: Streaming, axis: Axis, seconds: float) -> float | None:
     return float((end - begin) / (end_s - begin_s))
 
 
-def run() -> int:
-    """The command."""
-    options = parser(NAME, __doc__ or "", 10, 2)
-    options.add_argument("--seconds", type=float, help="of a pass and variant (default 20; 2 with --sample)")
-    chosen = options.parse_args()
-    passes, seconds = passes_of(chosen), chosen.seconds or (2.0 if chosen.sample else 20.0)
-    report = Report(NAME, "The scope and the viewers' WebSocket beside a loop at 2 kHz that is recorded.")
-    bus, load = f"loopback:{free_loopback_port()}", os.getloadavg()[0]
+@contextlib.contextmanager
+def recorded_axis() -> Iterator[tuple[Streaming, DaemonClient, str]]:
+    """A daemon that streams, ready and recording, on a simulated drive; its client, and the bus."""
+    bus = f"loopback:{free_loopback_port()}"
     with (
-        tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name,
+        tempfile.TemporaryDirectory(prefix="fffo_drive_live_") as name,
         SimulatedProcess(DRIVE, bus),
         Streaming(Path(name), bus) as daemon,
         daemon.client() as client,
     ):
         until(client, "ready")
         client.call("record", to="on")
+        yield daemon, client, bus
+
+
+def run() -> int:
+    """The command."""
+    chosen, passes, seconds = timed_passes(NAME, __doc__ or "", 20.0)
+    report = Report(NAME, "The scope and the viewers' WebSocket beside a loop at 2 kHz that is recorded.")
+    load = os.getloadavg()[0]
+    with recorded_axis() as (daemon, client, _):
         axis = Axis(client)
         axis.keep_running("quiet")
         found, rates = run_passes(daemon, axis, seconds, passes)

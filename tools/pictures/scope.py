@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tools" / "benchmarks")]
 
-from live import Axis, Streaming, until  # noqa: E402  # of the benchmarks: a daemon with the scope
+from live import Axis, Streaming, recorded_axis  # noqa: E402  # of the benchmarks: a daemon with the scope
 from playwright.sync_api import Page  # noqa: E402
 
 from fffo_drive.can.frame import EMERGENCY, pack_frame  # noqa: E402
-from fffo_drive.can.link import free_loopback_port, open_link  # noqa: E402
-from fffo_drive.cli.simulated_process import SimulatedProcess  # noqa: E402
+from fffo_drive.can.link import open_link  # noqa: E402
 from fffo_drive.live.places import TOKEN_FILE, URL_FILE  # noqa: E402
 
 PICTURE = Path(__file__).with_suffix(".png")
@@ -85,15 +83,7 @@ def main() -> None:
     everything: Path | None = options.parse_args().all
     if everything is not None:
         everything.mkdir(parents=True, exist_ok=True)
-    bus = f"loopback:{free_loopback_port()}"
-    with (
-        tempfile.TemporaryDirectory(prefix="fffo_drive_picture_") as name,
-        SimulatedProcess(DRIVE, bus),
-        Streaming(Path(name), bus) as daemon,
-        daemon.client() as client,
-    ):
-        until(client, "ready")
-        client.call("record", to="on")
+    with recorded_axis() as (daemon, client, bus):
         look(daemon, Axis(client), bus, everything)
 
 
