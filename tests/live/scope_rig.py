@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.rig import PATIENCE_S, Rig
+from live.viewer import CLIENT
 from websockets.sync.client import ClientConnection, connect
 
 from fffo_drive.config.address import Address
@@ -54,8 +55,7 @@ class ScopeRig:
     def open(self, **options: Any) -> ClientConnection:
         """A page, after its greeting."""
         address = self.origin.replace("http", "ws") + "/live"
-        given = {"origin": self.origin, "compression": None, "max_size": None, "close_timeout": 1.0} | options
-        page = self._pages.enter_context(connect(address, **given))
+        page = self._pages.enter_context(connect(address, **CLIENT | {"origin": self.origin} | options))
         assert hear(page, "hello")["info"]["axis"]
         return page
 

@@ -156,7 +156,7 @@ def test_a_viewer_that_does_not_read_holds_up_nobody(scope, viewer):
         while viewer.message(m.BIN_TOPIC)[1].tick < tick - 1:
             pass
     page.close()
-    stalled.socket.socket.close()
+    stalled.close()
 
 
 def test_the_command_says_where_and_gives_the_key(scope, capsys):
