@@ -16,10 +16,8 @@ from ..drive.cia402 import GOAL_DISABLED, STATE_FAULT, STATE_FAULT_REACTION_ACTI
 from ..drive.port import Drive, DriveIdentity
 from ..runtime import blocks as b
 from ..runtime.realtime import RealtimeReport
-from ..runtime.ring import HEAD
+from ..runtime.ring import HEAD, copy_row
 from ..runtime.session import LoopHungError, Session
-
-Row = np.ndarray[Any, np.dtype[np.void]]
 
 
 @dataclasses.dataclass
@@ -42,14 +40,10 @@ class Connection:
         """Rows ever written by the loop."""
         return int(self.session.ring.words[HEAD])
 
-    def last_row(self) -> Row | None:
+    def last_row(self) -> np.void | None:
         """A copy of the newest row; None before the first."""
         head = self.head
-        if head == 0:
-            return None
-        rows = self.session.ring.rows
-        row: Row = rows[(head - 1) % rows.size].copy()
-        return row
+        return copy_row(self.session.ring, head - 1) if head else None
 
     def beat(self) -> None:
         """Tell the loop that somebody is in charge."""

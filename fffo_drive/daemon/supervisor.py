@@ -1,6 +1,6 @@
 """Owns the drive, the loop and the recorder, and moves them by the table of `runtime.states`.
 
-All of it runs in one thread on one asyncio loop. `turn` looks at the loop 50 times a second; what waits for the bus or
+All of it runs in one thread on one asyncio loop. `turn` looks at the loop 25 times a second; what waits for the bus or
 the disk (bring-up, leaving, files) is done on other threads and awaited. Nothing here touches the tick: requests reach
 the loop through its blocks, and what it does is read from its status words and rows.
 """
@@ -33,7 +33,7 @@ from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
 
-TURN_S = 0.02
+TURN_S = 0.04
 MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
 NEVER_S = float("inf")
 
