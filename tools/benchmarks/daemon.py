@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
+from running_axis import Axis
 
 from fffo_drive.can.frame import SYNC, unpack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
@@ -163,25 +164,20 @@ def measure(daemon: Daemon, client: DaemonClient, seconds: float) -> Figures:
             "lost": (late + skipped + 0.5) / rows, "user": user, "kernel": kernel}  # fmt: skip
 
 
-def keep_running(client: DaemonClient) -> None:
-    """Start the profile again when it has ended."""
-    if client.call("status")["state"] != "running":
-        client.call("start", profile="default")
-
-
-def run_passes(daemon: Daemon, client: DaemonClient, seconds: float, passes: int) -> tuple[dict[str, Any], float]:
+def run_passes(daemon: Daemon, axis: Axis, seconds: float, passes: int) -> tuple[dict[str, Any], float]:
     """Interleaved passes with and without clients; figures, and requests a second that were answered."""
     rates: list[float] = []
 
+    def measured() -> Figures:
+        return measure(daemon, axis.client, seconds)
+
     def quiet() -> Figures:
-        keep_running(client)
-        return measure(daemon, client, seconds)
+        return axis.undisturbed("quiet", measured)
 
     def busy() -> Figures:
-        keep_running(client)
         with busy_clients(daemon) as counted:
             begin, begin_s = counted.value, time.monotonic()
-            figures = measure(daemon, client, seconds)
+            figures = axis.undisturbed("busy", measured)
             rates.append((counted.value - begin) / (time.monotonic() - begin_s))
         return figures
 
@@ -211,15 +207,15 @@ def run() -> int:
                 starts.append(daemon.start)
         with Daemon(directory, bus) as daemon, daemon.client() as client:
             until(client, "ready")
-            client.call("enable")
             client.call("record", to="on")
-            found, rate_hz = run_passes(daemon, client, seconds, passes)
+            axis = Axis(client)
+            found, rate_hz = run_passes(daemon, axis, seconds, passes)
             recording = client.call("status")["recording"]
             client.call("disable")
-            (file,) = client.call("record", to="off")["files"]
+            files = client.call("record", to="off")["files"]
             skipped = client.call("status")["loop"]["skipped"]
         _add(report, starts[1:] or starts, found)
-        _add_recording(report, Path(file), recording)
+        _add_recording(report, files, recording)
     report.facts["requests a second"] = rate_hz
     report.facts["ticks skipped by the loop"] = skipped
     report.facts["passes"] = passes
@@ -232,6 +228,7 @@ def run() -> int:
         "The loop's thread in the kernel: two waits and two frames a period, the calls that a program in C would make"
         " (loop_cycle).",
         "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+        axis.note,
     ]
     return finish(report, chosen)
 
@@ -260,13 +257,13 @@ def _add(report: Report, starts: list[Start], found: dict[str, Any]) -> None:
     )
 
 
-def _add_recording(report: Report, file: Path, recording: dict[str, Any]) -> None:
-    """No row is missing between the first and the last one of the file, apart from ticks that the loop skipped."""
-    run = read_run(file)
-    gaps = np.diff(run.rows["tick"].astype(np.int64))
+def _add_recording(report: Report, files: list[str], recording: dict[str, Any]) -> None:
+    """No row is missing between the first and the last one of a file, apart from ticks that the loop skipped."""
+    runs = [read_run(Path(file)) for file in files]  # more than one where the drive was lost in between
+    gaps = np.concatenate([np.diff(run.rows["tick"].astype(np.int64)) for run in runs])
     report.figure("rows lost in the ring or on the disk", recording["rows_lost"] + recording["rows_dropped"], "", 0.0)
-    report.facts["complete"] = run.complete
-    report.facts["recorded"] = len(run.rows)
+    report.facts["complete"] = all(run.complete for run in runs)
+    report.facts["recorded"] = sum(len(run.rows) for run in runs)
     report.facts["ticks absent from the file"] = int((gaps - 1).sum())
     report.facts["disordered"] = int((gaps <= 0).sum())
 

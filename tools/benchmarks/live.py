@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, shown
 from daemon import DRIVE, PATIENCE_S, TICKS_PER_S, Daemon, measure, timed_passes, until
+from running_axis import Axis
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli.simulated_process import SimulatedProcess
-from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
+from fffo_drive.daemon.client import ClientError, DaemonClient
 from fffo_drive.live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
 from fffo_drive.live.server import THREAD_NAME
 
@@ -29,7 +30,6 @@ NAME = "live"
 LARGEST_SHARE, SLOWEST_MS, TARGET = 10.0, 50.0, 1.3
 SDK_THREADS = "tokio"  # what the SDK's runtime calls its threads
 PAGES, VIEWERS = 2, 1
-TRIES = 5
 
 
 class Streaming(Daemon):
@@ -114,56 +114,22 @@ def clients(daemon: Streaming, pages: int, viewers: int) -> Iterator[Any]:
         process.join()
 
 
-class Axis:
-    """The axis behind the passes: it is kept running, and its faults are counted."""
-
-    def __init__(self, client: DaemonClient) -> None:
-        self.client = client
-        self.faults: dict[str, list[str]] = {"quiet": [], "clients": [], "browser": []}
-
-    def keep_running(self, phase: str) -> bool:
-        """Again after the end of a profile, and after a fault. Returns whether there was none."""
-        faults = len(self.faults[phase])
-        for _ in range(TRIES):
-            try:
-                self._go_on(phase)
-                return len(self.faults[phase]) == faults
-            except CallError:  # a fault came between two calls
-                time.sleep(1.0)
-        raise RuntimeError(f"the axis does not keep running: {self.faults}")
-
-    def _go_on(self, phase: str) -> None:
-        status = self.client.call("status")
-        if status["state"] == "fault":
-            self.faults[phase].append(status["fault"]["name"])
-            self.client.call("reset_fault")
-        if status["state"] != "running":
-            if self.client.call("status")["state"] != "enabled":
-                self.client.call("enable")
-            self.client.call("start", profile="default")
-
-
 def run_passes(daemon: Streaming, axis: Axis, seconds: float, passes: int) -> tuple[dict[str, Any], list[float]]:
     """Interleaved passes with and without clients; figures, and frames a second that the clients got."""
     rates: list[float] = []
 
-    def measured(phase: str) -> Figures:
-        for _ in range(TRIES):
-            axis.keep_running(phase)
-            begin_s, spent_s = time.monotonic(), daemon.stream_cpu_s()
-            figures = measure(daemon, axis.client, seconds)
-            share = 100.0 * (daemon.stream_cpu_s() - spent_s) / (time.monotonic() - begin_s)
-            if axis.keep_running(phase):
-                return {**figures, "stream": share}
-        raise RuntimeError(f"no pass without a fault: {axis.faults}")
+    def measured() -> Figures:
+        begin_s, spent_s = time.monotonic(), daemon.stream_cpu_s()
+        figures = measure(daemon, axis.client, seconds)
+        return {**figures, "stream": 100.0 * (daemon.stream_cpu_s() - spent_s) / (time.monotonic() - begin_s)}
 
     def quiet() -> Figures:
-        return measured("quiet")
+        return axis.undisturbed("quiet", measured)
 
     def looked_at() -> Figures:
         with clients(daemon, PAGES, VIEWERS) as seen:
             begin, begin_s = seen.value, time.monotonic()
-            figures = measured("clients")
+            figures = axis.undisturbed("clients", measured)
             rates.append((seen.value - begin) / (time.monotonic() - begin_s))
         return figures
 
@@ -227,7 +193,7 @@ def run() -> int:
         "The browser (headless Chromium, drawing in software), the clients and the simulated drive are other processes"
         " on the same cores; the browser looks after the passes, beside two of the clients.",
         "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
-        f"Faults of the axis: {sum(map(len, axis.faults.values())) or 'none'} {json.dumps(axis.faults)}.",
+        axis.note,
     ]
     return finish(report, chosen)
 

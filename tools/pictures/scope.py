@@ -10,8 +10,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tools" / "benchmarks")]
 
-from live import Axis, Streaming, recorded_axis  # noqa: E402  # of the benchmarks: a daemon with the scope
+from live import Streaming, recorded_axis  # noqa: E402  # of the benchmarks: a daemon with the scope
 from playwright.sync_api import Page  # noqa: E402
+from running_axis import Axis  # noqa: E402
 
 from fffo_drive.can.frame import EMERGENCY, pack_frame  # noqa: E402
 from fffo_drive.can.link import open_link  # noqa: E402
