@@ -113,7 +113,7 @@ def _print(found: Diagnosis) -> None:
         chance = finding.false_alarm_probability
         print(f"  {finding.name}{family}: {share:.0f} % of what was left, p {chance:.2g}; {numbers}")
         if finding.alternatives:
-            print(f"    what would decide: {finding.experiment}")
+            print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
     places = (("held out", found.before, found.after), ("fitted", found.fit_before, found.fit_after))
     for place, before, after in places:
         if before is not None and after is not None:

@@ -17,6 +17,7 @@ from ..config.axis import TOGGLES, recorder_settings
 from ..config.commissioning import Permission, permission
 from ..drive.port import Drive, ExchangeCounts
 from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
+from ..model.effects.registry import name_error
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
 from ..runtime.session import Session
 from .drives import Plan, connect, effect_monitor, make_plan, open_drive, plan_session, run_header, toggle_name
@@ -29,6 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("config", metavar="CONFIG", help="axis file (YAML)")
     parser.add_argument("--toggle", choices=list(TOGGLES), help="friction from: off, ff, fb (default: the file's)")
+    parser.add_argument(
+        "--decide",
+        type=_effect_name,
+        metavar="EFFECT",
+        help="instead of the file's profile the motion that tells this effect from its lookalikes",
+    )
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--out", metavar="FILE", help="file to write (default: recording.directory/NAME_TIME.mcap)")
     parser.add_argument(
@@ -42,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     wanted = TOGGLES[options.toggle] if options.toggle else None
-    plan = make_plan(options.config, None if wanted is None else (wanted,))
+    plan = make_plan(options.config, None if wanted is None else (wanted,), options.decide)
     toggle = plan.toggle if wanted is None else wanted
     given = permission(plan.path, plan.axis, plan.model, options.uncommissioned)
     out = Path(options.out) if options.out else _default_path(plan)
@@ -60,6 +67,13 @@ def execute(options: argparse.Namespace) -> int:
     if outcome.gap_text is not None:
         raise RecordingGapError(outcome.gap_text)
     return 0
+
+
+def _effect_name(text: str) -> str:
+    error = name_error(text)
+    if error:
+        raise argparse.ArgumentTypeError(error)
+    return text
 
 
 def _default_path(plan: Plan) -> Path:

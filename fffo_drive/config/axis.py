@@ -24,7 +24,12 @@ from ..control.reference import (
 )
 from ..documents import Record, load
 from ..drive.canopen.config import CanopenDriveConfig
-from ..identification.excitation import frequency_response_chirp, identification_sequence, separating_recipe
+from ..identification.excitation import (
+    deciding_motion,
+    frequency_response_chirp,
+    identification_sequence,
+    separating_recipe,
+)
 from ..model.parameters import ModelFile, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
@@ -35,6 +40,7 @@ from .effects import compensation_table
 from .sections import (
     ControllerSection,
     DaemonSection,
+    DecideProfile,
     EnvelopeSection,
     FeedforwardSection,
     FrfProfile,
@@ -49,6 +55,7 @@ from .sections import (
 )
 
 STOP_S = 2.0  # how long a drive may take to let go of its torque
+SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 RING_S = 4.0  # what the recorder may lag behind the loop on a bus
 TOGGLES = {name: toggle for toggle, name in TOGGLE_NAMES.items()}
 TRIP_NAMES = {
@@ -292,11 +299,30 @@ def build_profile(section: ProfileSection, period_s: float) -> Profile:
         )
     if isinstance(section, RecipeProfile):
         return separating_recipe(period_s, section.high_rps, section.acceleration_rps2, section.repeats)
+    if isinstance(section, DecideProfile):
+        return deciding_motion(
+            section.effect, period_s, section.high_rps, section.acceleration_rps2, section.amplitude_a
+        )
     mode = MODE_CURRENT if section.mode == "current" else MODE_VELOCITY
     if isinstance(section, SineProfile):
         return sine("sine", mode, section.duration_s, period_s, section.amplitude, section.frequency_hz)
     times, levels = np.array(section.points, dtype=np.float64).T
     return piecewise_linear("points", mode, period_s, times, levels)
+
+
+def deciding_section(axis: AxisFile, effect: str) -> DecideProfile:
+    """The motion that decides about an effect, inside the limits of an axis; as fast as its own profile goes.
+
+    The effect's name must be known.
+    """
+    limits, own = axis.envelope, axis.profile
+    high_rps = own.high_rps if isinstance(own, PaperProfile | RecipeProfile) else math.inf
+    return DecideProfile(
+        kind="decide",
+        effect=effect,
+        high_rps=min(high_rps, DecideProfile.model_fields["high_rps"].default, SPEED_SHARE * limits.speed_limit_rps),
+        amplitude_a=CHIRP_SHARE * limits.continuous_current_a,
+    )
 
 
 def model_of(path: str | Path, axis: AxisFile) -> ModelFile:

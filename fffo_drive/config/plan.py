@@ -21,6 +21,7 @@ from .axis import (
     CanopenDriveSection,
     beside,
     build_profile,
+    deciding_section,
     model_of,
     read_axis,
     session_config,
@@ -46,13 +47,16 @@ class Plan(NamedTuple):
         return TOGGLES[self.axis.controller.observer.toggle]
 
 
-def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None) -> Plan:
+def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None, decide: str | None = None) -> Plan:
     """Read an axis file and everything that it names, and check that it may run with these toggles (None: its own).
 
+    With `decide`, the name of an effect, the profile is the motion that tells it from its lookalikes.
     Raises DocumentError with every problem found.
     """
     path = Path(path)
     axis = read_axis(path)
+    if decide is not None:
+        axis = axis.model_copy(update={"profile": deciding_section(axis, decide)})
     return checked_plan(path, axis, model_of(path, axis), toggles)
 
 

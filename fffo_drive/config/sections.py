@@ -6,9 +6,10 @@ import itertools
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..documents import Record
+from ..model.effects.registry import name_error
 from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
@@ -228,8 +229,26 @@ class RecipeProfile(Record):
     repeats: Annotated[int, Field(ge=1, le=10, description="of staircase and triangles")] = 2
 
 
+class DecideProfile(Record):
+    """What tells one effect from its lookalikes: parts of the recipe, or a chirp of current."""
+
+    kind: Literal["decide"]
+    effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
+    high_rps: Rps = 14.0
+    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
+    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
+
+    @field_validator("effect")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        error = name_error(name)
+        if error:
+            raise ValueError(error)
+        return name
+
+
 ProfileSection = Annotated[
-    PaperProfile | SineProfile | PointsProfile | IdentifyProfile | FrfProfile | RecipeProfile,
+    PaperProfile | SineProfile | PointsProfile | IdentifyProfile | FrfProfile | RecipeProfile | DecideProfile,
     Field(discriminator="kind"),
 ]
 

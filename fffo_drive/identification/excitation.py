@@ -9,6 +9,7 @@ be bounded as well as current.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +17,15 @@ import numpy.typing as npt
 
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, piecewise_linear, sigmoid_envelope
 from ..model.axis import AxisConfig, AxisState, simulate
+from ..model.effects.registry import law_of
 from ..model.friction import REST
 
 Floats = npt.NDArray[np.float64]
 
 STAIRCASE_SHARES = (0.01, 0.03, 0.07, 0.15, 0.3, 0.5, 0.75, 1.0)  # of the highest speed: eight levels both ways
 DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six lengths of standstill, left at one and the same rate
+CHIRP, CHIRP_S, CHIRP_HZ = "chirp", 60.0, (1.0, 100.0)  # of current, instead of parts
+CREEP_SHARES, CREEP_REV = (0.05, 0.1), 5.0  # of the highest speed; travel at each of them
 COAST_TIME_S = 0.35  # a coast-down as a reference: the speed falls with about the axis' own time constant
 
 
@@ -56,18 +60,15 @@ def separating_recipe(period_s: float, high_rps: float, acceleration_rps2: float
 
     About 100 s with 2 repeats. `acceleration_rps2` is the highest; the accelerate/brake pairs use 1/4, 1/2 and all.
     """
-    parts: list[Floats] = []
-    for _ in range(max(1, repeats) - 1):
-        parts += [_staircase(period_s, high_rps, acceleration_rps2), _triangles(period_s, high_rps)]
-    parts += [
-        _dwells(period_s, high_rps, acceleration_rps2),
-        _pairs(period_s, high_rps, acceleration_rps2),
-        _biased_sines(period_s, high_rps),
-        _coast_downs(period_s, high_rps, acceleration_rps2),
-        _staircase(period_s, high_rps, acceleration_rps2),
-        _triangles(period_s, high_rps),
-    ]
-    return _sampled("recipe", MODE_VELOCITY, period_s, np.concatenate(parts))
+    parts = ("staircase", "triangles") * (max(1, repeats) - 1)
+    parts += ("dwells", "pairs", "biased_sines", "coast_downs", "staircase", "triangles")
+    return motion_of("recipe", parts, period_s, high_rps, acceleration_rps2)
+
+
+def motion_of(name: str, parts: Sequence[str], period_s: float, high_rps: float, acceleration_rps2: float) -> Profile:
+    """Velocity reference from parts of the recipe, one after another from rest to rest. Raises KeyError."""
+    found = [PARTS[part](period_s, high_rps, acceleration_rps2) for part in parts]
+    return _sampled(name, MODE_VELOCITY, period_s, np.concatenate(found))
 
 
 def _sampled(name: str, mode: int, period_s: float, values: Floats) -> Profile:
@@ -106,7 +107,7 @@ def _dwells(period_s: float, high_rps: float, acceleration_rps2: float) -> Float
     return _lines(period_s, durations, levels)
 
 
-def _triangles(period_s: float, high_rps: float) -> Floats:
+def _triangles(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
     """Slow reversals at two accelerations: presliding in distance (the same) against lag in time (not the same)."""
     durations: list[float] = []
     levels: list[float] = []
@@ -129,7 +130,7 @@ def _pairs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats
     return _lines(period_s, durations, levels)
 
 
-def _biased_sines(period_s: float, high_rps: float) -> Floats:
+def _biased_sines(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
     """Oscillation that never reverses, at two rates: frictional lag without presliding; both directions."""
     time_s = np.arange(round(4.0 / period_s)) * period_s
     parts = []
@@ -147,6 +148,39 @@ def _coast_downs(period_s: float, high_rps: float, acceleration_rps2: float) -> 
     fall = high_rps * (np.exp(-time_s / COAST_TIME_S) - math.exp(-5.0) * time_s / time_s[-1])
     once = np.concatenate([rise, fall, np.zeros(round(0.2 / period_s))])
     return np.concatenate([once, -once])
+
+
+def _creep(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+    """Slow constant speed over five turns both ways, at two speeds: what lives on the angle, and its sign."""
+    durations: list[float] = []
+    levels: list[float] = []
+    for share in CREEP_SHARES:
+        for sign in (1.0, -1.0):
+            level = sign * share * high_rps
+            ramp_s = max(0.05, 4.0 * abs(level) / acceleration_rps2)
+            durations += [ramp_s, CREEP_REV / abs(level), ramp_s, 0.3]
+            levels += [level, level, 0.0, 0.0]
+    return _lines(period_s, durations, levels)
+
+
+PARTS: dict[str, Callable[[float, float, float], Floats]] = {
+    "staircase": _staircase, "triangles": _triangles, "dwells": _dwells, "pairs": _pairs,
+    "biased_sines": _biased_sines, "coast_downs": _coast_downs, "creep": _creep,
+}  # fmt: skip
+
+
+def deciding_motion(
+    effect: str, period_s: float, high_rps: float, acceleration_rps2: float, amplitude_a: float
+) -> Profile:
+    """What tells an effect of the library from its lookalikes, as far as a motion can.
+
+    A velocity reference of at most `high_rps`; for what shows in the frequency response a chirp of current at
+    `amplitude_a`. Raises KeyError for a name that is no effect.
+    """
+    motions = law_of(effect).motions
+    if motions == (CHIRP,):
+        return frequency_response_chirp(CHIRP_S, period_s, amplitude_a, *CHIRP_HZ)
+    return motion_of(f"decide-{effect.replace(':', '-')}", motions, period_s, high_rps, acceleration_rps2)
 
 
 class MotionForecast(NamedTuple):

@@ -356,7 +356,7 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not open_:
         return ()
     text = "\n".join(_wrapped(f"{_names([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
-    note = "What tells the members of a family apart; `fffo-drive run` can run it."
+    note = "What tells the members of a family apart; `fffo-drive run AXIS --decide EFFECT` does its motions."
     return (Listing(name="experiments", title="What would decide", note=note, text=text),)
 
 

@@ -81,6 +81,19 @@ def test_the_run_command_records_what_it_reports(tmp_path, capsys):
     np.testing.assert_allclose(run.rows["requested_a"], total, atol=1e-12)
 
 
+def test_the_motion_that_decides_about_an_effect_is_run_by_its_name(tmp_path, capsys):
+    out = tmp_path / "run.mcap"
+    assert main(["run", str(AXIS), "--decide", "quadratic_drag", "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["fault"] is None
+    run = read_run(out)
+    assert run.metadata["profile"] == "decide-quadratic_drag"
+    levels = np.round(np.abs(run.rows["reference_rps"]), 6)
+    assert sum(np.count_nonzero(levels == level) > 2000 for level in np.unique(levels[levels > 0])) == 8  # a staircase
+    with pytest.raises(SystemExit):
+        main(["run", str(AXIS), "--decide", "quadratic_frag"])
+    assert "did you mean 'quadratic_drag'?" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_trip_ends_the_run_with_its_exit_code_and_its_record(tmp_path, capsys):
     text = AXIS.read_text().replace("following_error_rps: 8", "following_error_rps: 0.02")

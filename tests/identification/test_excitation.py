@@ -7,17 +7,19 @@ import pytest
 from identification import rig
 from identification.synthetic import AXIS, PERIOD_S
 
-from fffo_drive.config.axis import AxisFile, build_profile
+from fffo_drive.config.axis import AxisFile, build_profile, deciding_section
 from fffo_drive.config.checks import motion_problems
 from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY
 from fffo_drive.identification.excitation import (
     DWELLS_S,
     chirp,
+    deciding_motion,
     frequency_response_chirp,
     identification_sequence,
     predict_motion,
     separating_recipe,
 )
+from fffo_drive.model.effects.registry import LAWS
 from fffo_drive.model.parameters import read_model
 
 
@@ -59,6 +61,36 @@ def test_the_recipe_stays_inside_its_bounds_and_holds_every_part():
     for dwell_s in DWELLS_S[2:]:
         assert np.any(np.abs(still - dwell_s) < 0.6)
     assert profile.values.min() == pytest.approx(-profile.values.max())
+
+
+@pytest.mark.parametrize("effect", [*LAWS, "unknown:velocity"])
+def test_every_effect_has_a_motion_that_decides(effect):
+    profile = deciding_motion(effect, PERIOD_S, 10.0, 100.0, 0.4)
+    assert profile.values[0] == 0.0
+    if profile.mode == MODE_CURRENT:
+        assert np.abs(profile.values).max() == pytest.approx(0.4, rel=1e-3)
+    else:
+        assert abs(profile.values[-1]) <= 100.0 * PERIOD_S  # the next sample would be at rest
+        assert np.abs(profile.values).max() <= 10.0 + 1e-9
+        assert np.abs(profile.derivatives).max() <= 100.0 * 1.01
+        assert profile.values.min() == pytest.approx(-profile.values.max())  # both ways
+
+
+def test_creep_turns_five_times_each_way_at_each_speed():
+    values = deciding_motion("cogging", PERIOD_S, 14.0, 150.0, 0.4).values
+    for speed_rps in (0.7, 1.4):
+        for sign in (1.0, -1.0):
+            constant = np.isclose(values, sign * speed_rps)
+            assert constant.sum() * PERIOD_S * speed_rps == pytest.approx(5.0, rel=0.01)
+
+
+def test_a_motion_that_decides_stays_inside_the_limits_of_its_axis():
+    axis = axis_file({"kind": "sine", "duration_s": 1, "amplitude": 1, "frequency_hz": 1}, speed_limit_rps=5)
+    model = read_model(rig.TABLE_1)
+    section = deciding_section(axis, "quadratic_drag")
+    profile = build_profile(section, axis.loop.period_s)
+    assert np.abs(profile.values).max() == pytest.approx(4.0)
+    assert motion_problems(axis.model_copy(update={"profile": section}), profile, model) == []
 
 
 def test_the_forecast_is_the_steady_state_of_a_constant_current():

@@ -78,6 +78,7 @@ class Law:
     regime: str  # where it acts
     lookalikes: tuple[str, ...]  # laws that it is confused with
     experiment: str  # what tells it from them
+    motions: tuple[str, ...]  # what of it a run can do: parts of the recipe (identification.excitation.PARTS), or CHIRP
     picture: Axis  # the axis over which a plot convinces
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals

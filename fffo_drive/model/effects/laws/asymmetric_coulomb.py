@@ -38,6 +38,7 @@ LAW = Law(
     experiment=(
         "rest and slow creep: an offset acts there, this does not; several speeds: the excess does not grow with speed"
     ),
+    motions=("dwells", "staircase", "creep"),
     picture="direction",
     level=True,
 )

@@ -35,5 +35,6 @@ LAW = Law(
     regime="sliding, the faster the more",
     lookalikes=("torque_offset", "asymmetric_coulomb", "quadratic_drag"),
     experiment="constant speeds at three levels and more, both ways: the even part grows in proportion to speed",
+    motions=("staircase",),
     picture="velocity",
 )

@@ -83,5 +83,6 @@ LAW = Law(
     regime="after reversals, within the gap",
     lookalikes=("presliding_shape", "elasticity", "dead_zone"),
     experiment="reversals at several accelerations: the gap is fixed in angle; the resonance falls at small amplitude",
+    motions=("triangles", "pairs"),
     picture="travel_since_reversal",
 )

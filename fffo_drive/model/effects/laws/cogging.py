@@ -36,6 +36,7 @@ LAW = Law(
     experiment=(
         "slow constant speed, five turns both ways at two loads: sign and size stay; at two speeds: the size stays"
     ),
+    motions=("creep", "pairs"),
     picture="motor_angle",
     per_run=("cos_nm", "sin_nm"),
 )

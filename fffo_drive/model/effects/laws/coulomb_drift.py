@@ -34,6 +34,7 @@ LAW = Law(
     regime="sliding, late in the run",
     lookalikes=("viscous_drift", "position_dependent_friction"),
     experiment="the same motion at the beginning, in the middle and at the end, at several speeds; then after a rest",
+    motions=("staircase", "dwells", "staircase", "pairs", "staircase"),
     picture="time",
     level=True,
 )

@@ -37,5 +37,6 @@ LAW = Law(
     experiment=(
         "a chirp of current to 100 Hz and more: a lag takes amplitude too; compare commanded and measured current"
     ),
+    motions=("chirp",),
     picture="frequency",
 )

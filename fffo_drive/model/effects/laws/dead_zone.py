@@ -44,6 +44,7 @@ LAW = Law(
     regime="small current, at any speed",
     lookalikes=("dwell_stiction", "presliding_shape", "torque_saturation"),
     experiment="let the torque cross zero while the axis moves, as in coasting down: stiction acts at rest only",
+    motions=("coast_downs",),
     picture="current",
     feedforward=_inverse,
 )

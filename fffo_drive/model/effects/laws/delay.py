@@ -38,5 +38,6 @@ LAW = Law(
     experiment=(
         "a chirp of current to 50 Hz and more: the phase of a delay grows with frequency and the amplitude stays"
     ),
+    motions=("chirp",),
     picture="frequency",
 )

@@ -54,6 +54,7 @@ LAW = Law(
     experiment=(
         "four rests and more of 0.1 to 30 s, left with the same rise of torque; then the rise varied after equal rests"
     ),
+    motions=("dwells",),
     picture="dwell",
     level=True,
 )

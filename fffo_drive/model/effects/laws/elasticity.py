@@ -63,5 +63,6 @@ LAW = Law(
     regime="changes of torque near the resonance",
     lookalikes=("delay", "current_lag", "backlash", "presliding_shape"),
     experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring stays",
+    motions=("chirp",),
     picture="frequency",
 )

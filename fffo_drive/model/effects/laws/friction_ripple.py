@@ -39,6 +39,7 @@ LAW = Law(
     experiment=(
         "slow constant speed, five turns both ways: the ripple changes its sign with the direction, cogging does not"
     ),
+    motions=("creep",),
     picture="motor_angle",
     per_run=("cos_share", "sin_share"),
     level=True,

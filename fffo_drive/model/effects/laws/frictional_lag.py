@@ -46,5 +46,6 @@ LAW = Law(
         "a sine of speed about a bias, without a reversal: the loop of friction over speed stays, a "
         "delay shows in J a too"
     ),
+    motions=("biased_sines",),
     picture="velocity",
 )

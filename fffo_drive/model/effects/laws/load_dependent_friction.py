@@ -35,6 +35,7 @@ LAW = Law(
     regime="high torque: acceleration, braking, load",
     lookalikes=("torque_saturation", "asymmetric_viscous", "quadratic_drag"),
     experiment="accelerate and brake with the same torque: this opposes the motion, saturation opposes the torque",
+    motions=("pairs",),
     picture="torque",
     feedforward=_inverse,
     level=True,

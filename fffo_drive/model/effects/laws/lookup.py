@@ -15,7 +15,7 @@ from ..slots import Floats
 
 UNKNOWN = "unknown:"
 KNOTS = 24
-FIRST_X = 4
+FIRST_X = 5
 FIRST_Y = FIRST_X + KNOTS
 
 # how the axes of a finding are numbered in the law's first parameter
@@ -31,11 +31,12 @@ KNOWN_AHEAD = frozenset(
 
 PLAIN = 0.0  # the curve is a torque
 FRICTION = 1.0  # the curve is friction: times GRIP, -1 to 1
+VISCOUS = 2.0  # the curve is a coefficient of viscous friction: times the velocity
 
 
 @njit
-def abscissa(signals: Floats, code: float, scale: float, memory: Floats) -> float:
-    """Where on the axis the motion is. Angles are modulo `scale`; `memory` is |w| with a time constant `scale`."""
+def abscissa(signals: Floats, code: float, scale: float, of_current: float, memory: Floats) -> float:
+    """Where on the axis the motion is. Angles are modulo `scale`, which is the time constant of a memory."""
     if code == 0.0:
         return float(signals[s.TIME_S])
     if code == 1.0:
@@ -56,18 +57,22 @@ def abscissa(signals: Floats, code: float, scale: float, memory: Floats) -> floa
     if code == 9.0:
         return float(signals[s.TRAVEL_REV])
     if code == 11.0:
-        memory[0] = approach(memory[0], abs(signals[s.VELOCITY_RPS]), signals[s.STEP_S], max(scale, 1e-9))
+        kept = abs(signals[s.VELOCITY_RPS]) if of_current == 0.0 else signals[s.CURRENT_A] * signals[s.CURRENT_A]
+        memory[0] = approach(memory[0], kept, signals[s.STEP_S], max(scale, 1e-9))
         return float(memory[0])
     return 0.0
 
 
 @njit
 def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = curve(axis), or that times GRIP. Parameters: axis, kind, scale, number of knots, then knots and values."""
+    """E = curve(axis), or that times GRIP, or times velocity.
+
+    Parameters: axis, kind, scale, count, of_current, then knots and values.
+    """
     count = int(parameters[3])
     if count < 1:
         return
-    x = abscissa(signals, parameters[0], parameters[2], memory)
+    x = abscissa(signals, parameters[0], parameters[2], parameters[4], memory)
     low, high = 0, count - 1
     if x <= parameters[FIRST_X]:
         torque_nm = parameters[FIRST_Y]
@@ -85,6 +90,8 @@ def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
         torque_nm = parameters[FIRST_Y + low] + share * (parameters[FIRST_Y + high] - parameters[FIRST_Y + low])
     if parameters[1] == FRICTION:
         torque_nm *= signals[s.GRIP]
+    elif parameters[1] == VISCOUS:
+        torque_nm *= signals[s.VELOCITY_RPS]
     signals[s.LOAD_NM] += torque_nm
 
 
@@ -98,9 +105,10 @@ LAW = Law(
     kernel=lookup,
     parameters=(
         Parameter("axis", "-", SHAPE, 0.0, 11.0, 1.0, "number of the axis in AXIS_CODES; unknown:AXIS says it itself"),
-        Parameter("kind", "-", SHAPE, 0.0, 1.0, 0.0, "0: the curve is a torque; 1: friction, with its sign"),
+        Parameter("kind", "-", SHAPE, 0.0, 2.0, 0.0, "the curve is 0: a torque; 1: friction, with its sign; 2: Nm/rps"),
         Parameter("scale", "-", SHAPE, 0.0, 1e9, 0.0, "period of an angle, rev; time constant of a memory, s"),
         Parameter("count", "-", SHAPE, 0.0, float(KNOTS), 0.0, "number of knots"),
+        Parameter("of_current", "-", SHAPE, 0.0, 1.0, 0.0, "a memory of 0: the speed; 1: the squared current, in A2"),
         *(Parameter(f"x{k:02d}", "-", SHAPE, -1e9, 1e9, 0.0, f"place of knot {k}, rising") for k in range(KNOTS)),
         *(Parameter(f"y{k:02d}", "Nm", STRENGTH, -1e6, 1e6, 0.01, f"torque at knot {k}") for k in range(KNOTS)),
     ),
@@ -110,5 +118,6 @@ LAW = Law(
     regime="inside the visited range; constant outside",
     lookalikes=(),
     experiment="a wider range of this axis, with the others held",
+    motions=("staircase", "triangles", "dwells", "pairs", "biased_sines", "coast_downs", "creep"),
     picture="velocity",
 )  # fmt: skip

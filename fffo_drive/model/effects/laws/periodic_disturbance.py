@@ -37,6 +37,7 @@ LAW = Law(
     regime="everywhere, at rest too",
     lookalikes=("cogging", "unbalance"),
     experiment="two speeds: the frequency stays, an order of the angle moves; hold the axis at rest",
+    motions=("staircase", "dwells"),
     picture="frequency",
     per_run=("cos_nm", "sin_nm"),
 )

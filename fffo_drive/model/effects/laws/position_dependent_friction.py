@@ -72,6 +72,7 @@ LAW = Law(
     regime="sliding",
     lookalikes=("friction_ripple", "unbalance", "coulomb_drift"),
     experiment="slow constant speed over the whole travel, both ways: friction changes its sign, a weight does not",
+    motions=("creep",),
     picture="output_angle",
     per_run=("cos_share", "sin_share"),
     level=True,

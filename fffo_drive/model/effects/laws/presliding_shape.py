@@ -45,5 +45,6 @@ LAW = Law(
     experiment=(
         "reversals at two accelerations and more: over travel the shape stays the same; forces below break-away at rest"
     ),
+    motions=("triangles",),
     picture="travel_since_reversal",
 )

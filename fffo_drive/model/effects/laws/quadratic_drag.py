@@ -26,5 +26,6 @@ LAW = Law(
     regime="fast sliding",
     lookalikes=("viscous_drift", "torque_saturation", "load_dependent_friction"),
     experiment="constant speeds at four levels and more, up to the highest",
+    motions=("staircase",),
     picture="velocity",
 )

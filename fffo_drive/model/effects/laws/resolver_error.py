@@ -33,6 +33,7 @@ LAW = Law(
     regime="everywhere; in torque with the square of the speed",
     lookalikes=("cogging", "torque_ripple"),
     experiment="two speeds: in torque it grows with the square of the speed, cogging stays; coasting down shows it too",
+    motions=("creep", "coast_downs"),
     picture="motor_angle",
     per_run=("cos1_rev", "sin1_rev", "cos2_rev", "sin2_rev"),
 )

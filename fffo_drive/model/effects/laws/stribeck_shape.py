@@ -35,5 +35,6 @@ LAW = Law(
     regime="slow sliding",
     lookalikes=("presliding_shape", "frictional_lag", "dwell_stiction"),
     experiment="constant speeds at eight levels and more, very slow ones among them, held until friction has settled",
+    motions=("staircase",),
     picture="velocity",
 )

@@ -25,5 +25,6 @@ LAW = Law(
     regime="everywhere, at rest too",
     lookalikes=("asymmetric_coulomb", "unbalance"),
     experiment="turn the mounting or the sign of the motor round; at rest an offset acts, asymmetric friction does not",
+    motions=("dwells", "staircase"),
     picture="torque",
 )

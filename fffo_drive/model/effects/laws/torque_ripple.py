@@ -43,6 +43,7 @@ LAW = Law(
     regime="high torque",
     lookalikes=("cogging", "friction_ripple", "resolver_error"),
     experiment="the same slow speed at two loads: the ripple grows with the torque, cogging does not",
+    motions=("creep", "pairs"),
     picture="motor_angle",
     per_run=("cos_share", "sin_share"),
     feedforward=_inverse,

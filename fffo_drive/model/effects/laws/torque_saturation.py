@@ -52,6 +52,7 @@ LAW = Law(
         "accelerate and brake with the same torque: saturation keeps the sign of the torque, friction "
         "that of the motion"
     ),
+    motions=("pairs",),
     picture="current",
     feedforward=_inverse,
 )

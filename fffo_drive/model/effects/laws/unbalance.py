@@ -36,6 +36,7 @@ LAW = Law(
     experiment=(
         "half a turn of the output and more, both ways: the torque keeps its sign; with another payload it changes"
     ),
+    motions=("creep",),
     picture="output_angle",
     per_run=("cos_nm", "sin_nm"),
 )

@@ -37,5 +37,6 @@ LAW = Law(
     experiment=(
         "the same motion at the beginning, in the middle and at the end, at several speeds: the change grows with speed"
     ),
+    motions=("staircase", "dwells", "staircase", "pairs", "staircase"),
     picture="time",
 )

@@ -45,5 +45,6 @@ LAW = Law(
     experiment=(
         "drive and brake at the highest speed: braking has all the voltage; compare commanded and measured current"
     ),
+    motions=("pairs",),
     picture="velocity",
 )
