@@ -1,4 +1,4 @@
-"""What is in no list: free curves over every axis, as torque and as friction, and over memory.
+"""What is in no list: free curves over every axis, as torque, as friction or as viscous friction, and over memory.
 
 Each curve is a table of the library's `lookup` law, so that what is found here is a law that can be refitted, written
 to a model file and, over an axis that a feed-forward knows, compensated. Knots lie where the data are.
@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
-from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects import slots
+from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
 from .candidates import Columns, Scene, effect_of, load_along
 from .evidence import Evidence, score
 from .screening import Trial
@@ -24,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 
 KNOTS = 12
 FINE_KNOTS = 22  # of an axis on which things happen at all scales
-TORQUE, FRICTION = 0.0, 1.0
+MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6
 
@@ -33,20 +34,25 @@ class Axis(NamedTuple):
     """One axis of the search."""
 
     word: str
-    kind: float  # of the lookup: a torque, or friction with its sign
+    kind: float  # of the lookup: a torque, friction with its sign, or a viscous coefficient
     scale: float  # period of an angle in rev, or time constant of a memory in s
+    of_current: float = 0.0  # a memory of the squared current, not of the speed
 
 
 def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
     """All axes that the data and the facts allow."""
     found = [
-        Axis("time", FRICTION, 0.0), Axis("velocity", TORQUE, 0.0), Axis("acceleration", TORQUE, 0.0),
-        Axis("current", TORQUE, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
+        Axis("time", FRICTION, 0.0), Axis("velocity", PLAIN, 0.0), Axis("acceleration", PLAIN, 0.0),
+        Axis("current", PLAIN, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
         Axis("memory", FRICTION, 0.5), Axis("memory", FRICTION, 3.0), Axis("memory", FRICTION, 12.0),
     ]  # fmt: skip
-    if turns > 3.0:
-        found += [Axis("motor_angle", TORQUE, 1.0), Axis("motor_angle", FRICTION, 1.0)]
-    found += [Axis("output_angle", TORQUE, 0.0), Axis("output_angle", FRICTION, 0.0)]
+    found += [Axis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
+    for period_rev in MOTOR_PERIODS_REV:
+        if turns > 3.0 * period_rev:
+            found += [Axis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION)]
+    found += [Axis("output_angle", PLAIN, 0.0), Axis("output_angle", FRICTION, 0.0)]
+    found += [Axis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
+    found += [Axis("memory", VISCOUS, 3.0), Axis("memory", VISCOUS, 12.0)]
     return found
 
 
@@ -74,7 +80,7 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
     knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
     if knots.size < 4:
         return None
-    shapes = {"kind": axis.kind, "scale": axis.scale, "count": float(knots.size)}
+    shapes = {"kind": axis.kind, "scale": axis.scale, "of_current": axis.of_current, "count": float(knots.size)}
     shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
     columns = []
     for k in range(knots.size):
@@ -85,6 +91,8 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
             curve = np.interp(place, knots, unit)
             if axis.kind == FRICTION:
                 curve = curve * grip(scene)
+            elif axis.kind == VISCOUS:
+                curve = curve * scene.motion[:, slots.VELOCITY_RPS]
             parts.append(rows.laws.rows(curve * scene.moving))
         columns.append(np.concatenate(parts))
     joined = Columns(tuple(f"y{k:02d}" for k in range(knots.size)), (-1,) * knots.size, np.stack(columns, axis=1))
@@ -105,7 +113,8 @@ def grip(scene: Scene) -> Floats:
 def abscissa(scenes: Sequence[Scene], axis: Axis) -> list[Floats]:
     """Where on an axis the motion is, stretch by stretch: the lookup's own, from a curve that is the identity."""
     identity = {
-        "kind": TORQUE, "scale": axis.scale, "count": 2.0, "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,
+        "kind": PLAIN, "scale": axis.scale, "of_current": axis.of_current, "count": 2.0,
+        "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,
     }  # fmt: skip
     return [
         load_along(
@@ -121,7 +130,7 @@ def knots_of(places: Floats, axis: Axis) -> Floats:
     if not high > low:
         return np.zeros(0)
     if axis.scale > 0.0 and axis.word in ("motor_angle", "output_angle"):
-        return np.linspace(0.0, axis.scale, KNOTS)
+        return np.linspace(0.0, axis.scale, KNOTS if axis.scale == 1.0 else FINE_KNOTS)
     shares = np.linspace(0.0, 1.0, KNOTS)
     if axis.word in SCALELESS:
         small = max(float(np.quantile(places[places > 0.0], 0.05)), 1e-3 * high) if (places > 0.0).any() else low

@@ -18,9 +18,10 @@ import numpy.typing as npt
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
+from ..model.effects.laws.lookup import FRICTION
 from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
-from .free_curves import FRICTION, Axis, abscissa, axes_of, grip
+from .free_curves import Axis, abscissa, axes_of, grip
 from .results import Channel
 from .screening import Surrogates
 

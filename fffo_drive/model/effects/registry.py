@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from .law import SHAPE, Axis, Law
-from .laws.lookup import AXIS_CODES, KNOWN_AHEAD, UNKNOWN
+from .laws.lookup import AXIS_CODES, FIRST_X, KNOWN_AHEAD, UNKNOWN
 
 NAMES = (
     "torque_offset",
@@ -106,7 +106,7 @@ def law_table() -> str:
     lines = ["| effect | axis | what it is | parameter | unit | range |", "|---|---|---|---|---|---|"]
     for law in LAWS.values():
         head = f"| `{law.name}` | {law.axis} | {law.meaning}{', compensable' if law.compensable else ''} "
-        for p in law.parameters if law.name != "lookup" else law.parameters[:4]:
+        for p in law.parameters if law.name != "lookup" else law.parameters[:FIRST_X]:
             cells = f"| `{p.name}`: {p.meaning} ({p.kind}) | {p.unit} | {p.low:g} to {p.high:g} |"
             lines.append(head + cells)
             head = "| | | "
