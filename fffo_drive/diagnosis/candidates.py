@@ -38,6 +38,24 @@ class Effect:
         """The same with one shape changed."""
         return replace(self, shapes={**self.shapes, name: value})
 
+    @property
+    def waves(self) -> list[tuple[str, str]]:
+        """Cosine and sine of each wave that has a datum per run."""
+        names = [name for name in self.strengths if name in self.per_run]
+        return list(zip(names[::2], names[1::2], strict=True))
+
+    def sizes(self) -> list[float]:
+        """Amplitude of each of the waves, the median over the runs: one that hardly turns says little about it."""
+        return [float(np.median(np.hypot(self.strengths[c], self.strengths[s]))) for c, s in self.waves]
+
+    def of_sizes(self, sizes: list[float]) -> Effect:
+        """The same with these amplitudes in every run; the phases stay."""
+        strengths = dict(self.strengths)
+        for (cosine, sine), size in zip(self.waves, sizes, strict=True):
+            phase = np.arctan2(strengths[sine], strengths[cosine])
+            strengths[cosine], strengths[sine] = size * np.cos(phase), size * np.sin(phase)
+        return replace(self, strengths=strengths)
+
 
 # these act between command and torque: they see the command itself
 COMMANDED = frozenset({"voltage_limit", "delay", "current_lag"})

@@ -21,7 +21,7 @@ from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .candidates import Effect
 from .finishing import merged_datum, standard_deviations
-from .fitting import Data, Fitted, consistent_scenes, loads_of
+from .fitting import Data, Fitted, consistent_scenes, loads_of, raw_share
 from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
 from .pictures import ceiling, channels, picture, run_figures
 from .proof import data_of, error_figures, with_own_datum
@@ -33,7 +33,6 @@ from .selection import (
     effect_rms,
     evidence_of,
     family,
-    raw_share,
     select,
 )
 from .startup import fit_base, start_physical

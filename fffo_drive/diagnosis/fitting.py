@@ -305,3 +305,14 @@ def cost(fitted: Fitted, data: Data) -> float:
     q = fitted.white.size
     free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
     return float(q * np.log(max(fitted.loss, 1e-12)) + PENALTY * free * np.log(q))
+
+
+def best_gain(before: Fitted, after: Fitted) -> float:
+    """Fall of the white loss times the number of rows."""
+    return (before.loss - after.loss) * before.white.size
+
+
+def raw_share(data: Data, before: Fitted, after: Fitted) -> float:
+    """Share of the squared torque residual that is gone."""
+    kept = data.rows.kept
+    return 1.0 - float(np.sum(after.residual_nm[kept] ** 2)) / max(float(np.sum(before.residual_nm[kept] ** 2)), 1e-300)

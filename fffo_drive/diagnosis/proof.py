@@ -38,7 +38,10 @@ def data_of(records: Sequence[Record], physical: Floats) -> Data:
 
 
 def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
-    """The model with each periodic effect's datum found on the first part of each run; rows that may be scored. (m,)"""
+    """The model with each periodic effect's datum found on the first part of each run; rows that may be scored. (m,)
+
+    The datum is a phase: how large the wave is was learnt from the fit runs.
+    """
     scored = np.ones(data.rows.time_s.size, dtype=bool)
     data = at_rest(data, fitted.physical, fitted.effects)
     if not any(effect.per_run for effect in fitted.effects):
@@ -53,14 +56,16 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
         )
         for effect in fitted.effects
     ]
+    sizes = [effect.sizes() for effect in fitted.effects]
     early = np.zeros(scored.size, dtype=bool)
     for begin, end in data.rows.bounds:
         early[begin : begin + round(DATUM_SHARE * (end - begin))] = True
     part = data._replace(whitening=data.whitening._replace(kept=np.flatnonzero(data.rows.kept & early)))
     matrix = np.zeros((scored.size, 0))
     found = refit(part, matrix, fitted.physical, effects, shapes=False, free_base=False)
-    data = at_rest(data, fitted.physical, found.effects)
-    return evaluate(data, fitted.physical, found.effects)[0], ~early
+    effects = [effect.of_sizes(size) for effect, size in zip(found.effects, sizes, strict=True)]
+    data = at_rest(data, fitted.physical, effects)
+    return evaluate(data, fitted.physical, effects)[0], ~early
 
 
 def error_figures(

@@ -29,6 +29,7 @@ from .fitting import (
     Data,
     Fitted,
     at_rest,
+    best_gain,
     consistent_scenes,
     cost,
     effect_jacobian,
@@ -36,21 +37,22 @@ from .fitting import (
     loaded_sensitivities,
     loads_of,
     polished,
+    raw_share,
     refit,
     slots_of,
 )
 from .free_curves import free_trials
+from .removal import MATERIAL_SHARE, backward
 from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
 from .startup import noise_model
-from .transfer import transfer
+from .transfer import of_one_size
 
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 3
 CONTENDERS = 6
 LEAST_SHARE = 0.1  # of what the best trial explains, for a rival to be refitted
-MATERIAL_SHARE = 0.03  # of the white sum of squares that an effect has to take away ...
-MATERIAL_PERCENT = 1.5  # ... and rms of its torque over that of friction, where it acts
+MATERIAL_PERCENT = 1.5  # rms of the torque of an effect over that of friction, where it acts
 FAMILY_SHARE = 0.85  # of the gain of the chosen one, for a rival to be of its family
 LATER_SHARE = 0.15  # of the rms of an earlier effect, base projected out, for a later one ...
 SAME_AXIS_SHARE = 0.3  # ... and of an earlier one on the same axis
@@ -152,7 +154,8 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
         data, base, fitted, matrix = renewed(data, base, fitted)
         if len(contests) > 1:
             fitted, contests = exchange(data, matrix, fitted, contests)
-    fitted, contests, probabilities = _backward(data, matrix, fitted, contests, probabilities, search.false_alarm_rate)
+    fitted, stay = backward(data, matrix, fitted, probabilities, search.false_alarm_rate)
+    contests, probabilities = [contests[k] for k in stay], [probabilities[k] for k in stay]
     return Selection(
         data, base, fitted, matrix, tuple(contests), tuple(probabilities), tuple(screenings), tuple(curves), left
     )
@@ -160,11 +163,6 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
 
 def _part_told(search: Search, begin: float, span: float, share: float) -> None:
     search.told(begin + span * share, "search")
-
-
-def best_gain(before: Fitted, after: Fitted) -> float:
-    """Fall of the white loss times the number of rows."""
-    return (before.loss - after.loss) * before.white.size
 
 
 def contend(
@@ -194,8 +192,9 @@ def contend(
     with ThreadPoolExecutor(THREADS) as pool:
         for k, result in zip(first, pool.map(lambda k: polished(data, results[k]), first), strict=True):
             results[k] = result
-    gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, results, strict=True)}
-    costs = [cost(r, data) for r in results]
+    equal = [of_one_size(data, r, len(r.effects) - 1) for r in results]
+    gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, equal, strict=True)}
+    costs = [cost(r, data) for r in equal]
     missing = missing_rows(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
     for k, result in enumerate(results):
         if not within_reason(data, result, len(result.effects) - 1):
@@ -211,8 +210,8 @@ def contend(
     order = int(np.argmin(costs[:laws])) if laws else 0
     if len(picked) > laws:
         curve = laws + int(np.argmin(costs[laws:]))
-        own = best_gain(fitted, results[order]) if laws else 0.0
-        if costs[curve] < costs[order] and own < CURVE_MARGIN * best_gain(fitted, results[curve]):
+        own = gains[picked[order].name] if laws else 0.0
+        if costs[curve] < costs[order] and own < CURVE_MARGIN * gains[picked[curve].name]:
             order = curve
     found = {t.name: replace_effect(t, r.effects[-1]) for t, r in zip(picked, results, strict=True)}
     return Contest(picked[order].name, gains, found), results[order]
@@ -266,12 +265,6 @@ def within_reason(data: Data, fitted: Fitted, number: int) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
         whole, _ = effect_rms(data, fitted, number)
     return bool(np.isfinite(whole)) and whole <= MOST_PERCENT
-
-
-def raw_share(data: Data, before: Fitted, after: Fitted) -> float:
-    """Share of the squared torque residual that is gone."""
-    kept = data.rows.kept
-    return 1.0 - float(np.sum(after.residual_nm[kept] ** 2)) / max(float(np.sum(before.residual_nm[kept] ** 2)), 1e-300)
 
 
 def worth_it(data: Data, matrix: Floats, before: Fitted, after: Fitted, contest: Contest) -> bool:
@@ -350,25 +343,6 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
         else:
             contests[number] = replace(contest, gains=gains, trials=trials)
     return fitted, contests
-
-
-def _backward(
-    data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest], probabilities: list[float], rate: float
-) -> tuple[Fitted, list[Contest], list[float]]:
-    """Remove what noise might have made, what is no longer worth its numbers, and what does not carry over."""
-    number = 0
-    while number < len(fitted.effects):
-        others = [e for k, e in enumerate(fitted.effects) if k != number]
-        without = refit(data, matrix, fitted.physical, others, iterations=3)
-        weak = 1.0 - fitted.loss / without.loss < MATERIAL_SHARE and raw_share(data, without, fitted) < MATERIAL_SHARE
-        if probabilities[number] > rate or (weak and others) or not transfer(data, matrix, fitted, without).holds:
-            fitted = without
-            contests = [c for k, c in enumerate(contests) if k != number]
-            probabilities = [p for k, p in enumerate(probabilities) if k != number]
-            number = 0
-        else:
-            number += 1
-    return fitted, contests, probabilities
 
 
 def family(contest: Contest) -> list[str]:

@@ -2,6 +2,9 @@
 
 The fit runs ask for different things: a chirp, a reference, a recipe. What is real explains a run whose rows took no
 part in the fit; what only fills a gap of the model on the other runs does harm there. Held-out runs are not touched.
+
+A wave with a datum per run has a phase of its own in each, and one size in all: without the second it is three curves
+that fill three gaps.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .fitting import Data, Fitted, evaluate, huber_terms, refit
+from .proof import with_own_datum
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -55,6 +59,26 @@ def transfer(data: Data, matrix: Floats, fitted: Fitted, without: Fitted) -> Tra
         expected += float(gains[number])
         folds += 1
     return Transfer(left_out, expected, folds)
+
+
+def of_one_size(data: Data, fitted: Fitted, number: int) -> Fitted:
+    """The model with the waves of one effect as large in every run, the phases left; one datum in all: as it is."""
+    effect = fitted.effects[number]
+    if not effect.per_run:
+        return fitted
+    effects = list(fitted.effects)
+    effects[number] = effect.of_sizes(effect.sizes())
+    return evaluate(data, fitted.physical, effects)[0]
+
+
+def datum_holds(data: Data, fitted: Fitted, without: Fitted) -> bool:
+    """Whether a datum per run that the first part of each run gives is of use on the rest of it."""
+    if not any(effect.per_run for effect in fitted.effects):
+        return True
+    found, scored = with_own_datum(data, fitted)
+    plain, _ = with_own_datum(data, without)
+    later = scored[data.whitening.kept]
+    return float(huber_terms(found.white[later]).sum()) < float(huber_terms(plain.white[later]).sum())
 
 
 def _part(data: Data, mask: Mask) -> Data:
