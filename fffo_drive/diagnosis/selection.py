@@ -182,7 +182,7 @@ def contend(
     laws = len(picked)
     picked += [t for t in free if t.name not in taken and t.explained >= CURVE_SHARE * top][:2]
 
-    one = partial(_beside, data, matrix, fitted)
+    one = partial(beside, data, matrix, fitted)
     with ThreadPoolExecutor(THREADS) as pool:
         results = list(pool.map(one, picked))
     if not results:
@@ -217,7 +217,7 @@ def contend(
     return Contest(picked[order].name, gains, found), results[order]
 
 
-def _beside(data: Data, matrix: Floats, fitted: Fitted, trial: Trial) -> Fitted:
+def beside(data: Data, matrix: Floats, fitted: Fitted, trial: Trial) -> Fitted:
     """A trial refitted beside what is accepted.
 
     Its strengths were found with the base projected out. Where law and base look alike they stand against a change of

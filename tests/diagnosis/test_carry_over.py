@@ -10,9 +10,11 @@ from identification.synthetic import PERIOD_S
 from fffo_drive.diagnosis.candidates import Effect
 from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import at_rest, evaluate, huber_terms, refit
-from fffo_drive.diagnosis.selection import evidence_of
+from fffo_drive.diagnosis.free_curves import free_trials
+from fffo_drive.diagnosis.removal import backward
+from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.diagnosis.startup import fit_base
-from fffo_drive.diagnosis.transfer import Transfer, transfer
+from fffo_drive.diagnosis.transfer import Transfer, of_one_size, transfer
 from fffo_drive.diagnosis.where import where
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
@@ -74,6 +76,55 @@ def test_what_only_fills_the_gaps_of_its_own_runs_does_not(offset_axis):
     fitted = refit(data, matrix, without.physical, [*without.effects, *windows], shapes=False)
     assert fitted.loss < without.loss
     assert not transfer(data, matrix, fitted, without).holds
+
+
+@pytest.mark.slow
+def test_a_weak_companion_goes_and_what_carries_over_stays(offset_axis):
+    data, base, matrix = offset_axis
+    middle = float(np.median(data.rows.position_rev))
+    window = effect("position_dependent_friction", {"window_share": 0.01}, centre_rev=middle, width_rev=0.5)
+    fitted = refit(data, matrix, base.physical, [window, effect("torque_offset", {"torque_nm": -OFFSET_NM})])
+    left, numbers = backward(data, matrix, fitted, [0.0, 0.0], 0.01)
+    assert [e.name for e in left.effects] == ["torque_offset"]
+    assert numbers == [1]
+    none, numbers = backward(data, matrix, left, [0.5], 0.01)  # what noise might have made goes, too
+    assert (none.effects, numbers) == ((), [])
+
+
+@pytest.mark.slow
+def test_a_curve_that_stands_against_the_base_does_not_spoil_the_fit(offset_axis):
+    """Strengths with the base projected out may be any size along what the base can do by itself."""
+    data, base, matrix = offset_axis
+    evidence, scenes = evidence_of(data, matrix, base)
+    curve = next(t for t in free_trials(evidence, scenes, FACTS) if t.name == "unknown:velocity")
+    viscous = {name: curve.shapes["x" + name[1:]] for name in curve.effect.strengths}
+    far = replace(curve.effect, strengths={name: v + 0.1 * viscous[name] for name, v in curve.effect.strengths.items()})
+    assert evaluate(data, base.physical, [far])[0].loss > 10.0 * base.loss
+    assert beside(data, matrix, base, curve._replace(effect=far)).loss < base.loss
+
+
+def test_a_wave_keeps_its_phases_and_takes_one_size():
+    phases, sizes = np.array([0.0, 1.0, 2.0]), np.array([3.0, 0.5, 2.0])
+    strengths = {"cos_nm": sizes * np.cos(phases), "sin_nm": sizes * np.sin(phases)}
+    wave = Effect("cogging", {"order": 4.0}, strengths, frozenset(strengths))
+    assert wave.sizes() == pytest.approx([2.0])
+    equal = wave.of_sizes(wave.sizes())
+    assert equal.strengths["cos_nm"] == pytest.approx(2.0 * np.cos(phases))
+    assert equal.strengths["sin_nm"] == pytest.approx(2.0 * np.sin(phases))
+    assert effect("torque_offset", {"torque_nm": 1.0}).waves == []
+
+
+@pytest.mark.slow
+def test_three_waves_of_three_sizes_are_not_one_effect(offset_axis):
+    data, base, matrix = offset_axis
+    sizes = np.array([0.004, 0.0])
+    wave = Effect(
+        "unbalance", {"ratio": 1.0}, {"cos_nm": sizes, "sin_nm": np.zeros(2)}, frozenset({"cos_nm", "sin_nm"})
+    )
+    fitted = evaluate(data, base.physical, [wave])[0]
+    assert of_one_size(data, fitted, 0).effects[0].strengths["cos_nm"] == pytest.approx([0.002, 0.002])
+    offset = evaluate(data, base.physical, [effect("torque_offset", {"torque_nm": -OFFSET_NM})])[0]
+    assert of_one_size(data, offset, 0) is offset
 
 
 def test_nothing_is_held_against_an_effect_that_no_run_can_be_left_out_for():

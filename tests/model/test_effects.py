@@ -257,6 +257,25 @@ def test_a_table_of_knots_is_drawn_with_straight_lines():
     assert np.allclose(turned, np.interp(angle, [0.0, 0.5, 1.0], [-0.01, 0.0, 0.03]), atol=1e-9)
 
 
+def test_a_table_can_be_friction_or_a_viscous_coefficient():
+    values = {"count": 2.0, "x00": -9.0, "x01": 9.0, "y00": 0.02, "y01": 0.02}  # the same everywhere
+    viscous, _ = along("unknown:current", {**values, "kind": 2.0})
+    assert np.allclose(viscous, 0.02 * MOTION[:, s.VELOCITY_RPS], atol=1e-12)
+    friction, _ = along("unknown:current", {**values, "kind": 1.0})
+    sliding = np.abs(MOTION[:, s.FRICTION_NM]) > 0.9 * AXIS.friction.coulomb_nm
+    assert np.abs(friction).max() <= 0.02 + 1e-12
+    assert np.sign(friction[sliding]) == pytest.approx(np.sign(MOTION[sliding, s.FRICTION_NM]))
+
+
+def test_a_memory_of_the_squared_current_warms_up_as_a_winding_does():
+    rows = motion(2000)
+    rows[:, s.CURRENT_A] = -3.0
+    values = {"count": 2.0, "x00": 0.0, "x01": 100.0, "y00": 0.0, "y01": 100.0, "scale": 0.5, "of_current": 1.0}
+    load, _ = effects_along([Term("unknown:memory", values)], rows, AXIS, STEP_S)
+    time_s = np.arange(1, 2001) * STEP_S
+    assert np.allclose(load, 9.0 * -np.expm1(-time_s / 0.5), rtol=1e-6)
+
+
 def test_without_effects_the_loaded_axis_is_the_axis():
     command = np.ascontiguousarray(MOTION[:, s.CURRENT_A])
     plain, _ = simulate(AXIS, AxisState(0.0, 0.0, REST), command, STEP_S, 2)
