@@ -82,7 +82,7 @@ def statusword(witness: Link) -> int:
     raise AssertionError("the drive does not answer")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(400)  # two processes may have to compile first
 def test_a_killed_controller_leaves_a_drive_that_stops_and_a_file_that_can_be_rescued(tmp_path, capsys, monkeypatch):

@@ -40,7 +40,7 @@ def sample(name: str) -> dict:
     return facts
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
     facts = sample("loop_cycle")
@@ -85,7 +85,7 @@ def test_the_recorder_keeps_every_row_and_the_reader_every_column():
     assert facts["columns"] > 30
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_the_daemon_loses_no_row_beside_twenty_clients():
@@ -98,7 +98,7 @@ def test_the_daemon_loses_no_row_beside_twenty_clients():
     assert facts["requests a second"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_the_stream_is_read_by_three_clients():

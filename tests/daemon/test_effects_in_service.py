@@ -78,6 +78,7 @@ def cogging(sin_nm):
     return {"name": "cogging", "parameters": {"sin_nm": {"value": sin_nm}, "order": {"value": ORDER}}}
 
 
+@pytest.mark.long
 def test_an_effect_is_adopted_at_rest_shown_and_taken_out_when_it_does_harm(tmp_path, capsys):
     with PlantRig(tmp_path) as rig:
         client = rig.client()

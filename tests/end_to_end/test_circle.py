@@ -66,7 +66,7 @@ def test_in_process(tmp_path, capsys):
     assert "another --out" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(900)
 def test_in_real_time_on_a_bus(tmp_path, capsys):
