@@ -49,7 +49,7 @@ class DiagnosisSettings(NamedTuple):
     """What a diagnosis goes by."""
 
     false_alarm_rate: float = 0.01  # over the whole search
-    nominal_delay_s: float = 0.003  # command to torque, where nothing is declared
+    usual_delay_s: float = 0.003  # command to torque, where nothing is declared: the paper's
     delay_tolerance_s: float = 0.0015
 
 
@@ -126,7 +126,7 @@ def assemble(
         _finding(facts, selected, number, probabilities[number], effect_sd, proof, settings)
         for number in range(len(fitted.effects))
     ]
-    findings = _delay_finding(fitted, facts, settings) + findings
+    findings = delay_finding(fitted, facts, settings) + findings
     findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
     left = evidence_of(data, selected.sensitivities, fitted)[0]
     evidence, scenes = evidence_of(data, selected.sensitivities, base)
@@ -275,10 +275,12 @@ def _runs(data: Data) -> list[_Run]:
     return [_Run(s.run, s.name) for s in data.stretches]
 
 
-def _delay_finding(fitted: Fitted, facts: DriveFacts, settings: DiagnosisSettings) -> list[Finding]:
+def delay_finding(fitted: Fitted, facts: DriveFacts, settings: DiagnosisSettings) -> list[Finding]:
     """A delay beyond what is expected: no residual shows it, as Td is fitted; the fitted Td does."""
     delay_s = float(fitted.physical[NAMES.index("delay_s")])
-    excess_s = delay_s - settings.nominal_delay_s
+    declared = facts.nominal_delay_s is not None
+    nominal_s = settings.usual_delay_s if facts.nominal_delay_s is None else facts.nominal_delay_s
+    excess_s = delay_s - nominal_s
     taken = {e.name for e in fitted.effects}
     if facts.units != "rotary" or excess_s < settings.delay_tolerance_s or taken & {"delay", "current_lag"}:
         return []
@@ -288,8 +290,9 @@ def _delay_finding(fitted: Fitted, facts: DriveFacts, settings: DiagnosisSetting
             name="delay", alternatives=("current_lag",), axis=law.axis,
             parameters=(Number("delay_s", excess_s, None, "s"),), explained_fraction=0.0,
             false_alarm_probability=0.0, accepted=True,
-            reason=f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * settings.nominal_delay_s:.2f} ms are expected; "
-            "the base model has it already, so that no residual is left of it",
+            reason=f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * nominal_s:.2f} ms are "
+            + ("declared" if declared else "usual (nominal_delay_s of the drive file declares another)")
+            + "; the base model has it already, so that no residual is left of it",
             regime=law.regime, experiment=law.experiment, compensable=False, strength_percent=0.0,
         )
     ]  # fmt: skip

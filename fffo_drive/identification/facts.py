@@ -37,6 +37,9 @@ class DriveFacts(Record):
     sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="needed where a log has no time")] = None
     pole_pairs: Annotated[Count | None, Field(description="electrical turns a revolution")] = None
     slots: Count | None = None
+    nominal_delay_s: Annotated[
+        float | None, Field(ge=0, le=0.1, description="command to torque, as it should be; more is a finding")
+    ] = None
     absolute_angle: Annotated[bool, Field(description="the angle's zero is the same in every run")] = False
     units: Literal["rotary", "linear"] = "rotary"
     columns: Annotated[

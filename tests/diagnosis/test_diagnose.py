@@ -8,7 +8,9 @@ from identification.rig import random_plant, record
 from identification.synthetic import PERIOD_S
 
 from fffo_drive.control.reference import MODE_VELOCITY, Profile
-from fffo_drive.diagnosis.diagnose import base_figures, diagnose
+from fffo_drive.diagnosis.base import NAMES
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings, base_figures, delay_finding, diagnose
+from fffo_drive.diagnosis.fitting import Fitted
 from fffo_drive.diagnosis.results import report
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.dataset import DataError
@@ -65,6 +67,20 @@ def test_nothing_is_found_where_nothing_is():
     assert found.verdict == "no_effect_found"
     assert not found.findings
     assert found.after == found.before
+
+
+def test_a_delay_is_judged_by_what_is_declared():
+    physical = np.zeros(len(NAMES))
+    physical[NAMES.index("delay_s")] = 0.0052
+    fitted = Fitted(physical, (), 1.0, np.zeros(1), np.zeros(1))
+    (usual,) = delay_finding(fitted, FACTS, DiagnosisSettings())
+    assert usual.parameters[0].value == pytest.approx(0.0022)
+    assert "nominal_delay_s" in usual.reason
+    assert delay_finding(fitted, FACTS.model_copy(update={"nominal_delay_s": 0.005}), DiagnosisSettings()) == []
+    (declared,) = delay_finding(fitted, FACTS.model_copy(update={"nominal_delay_s": 0.001}), DiagnosisSettings())
+    assert declared.parameters[0].value == pytest.approx(0.0042)
+    assert "1.00 ms are declared" in declared.reason
+    assert delay_finding(fitted, FACTS.model_copy(update={"units": "linear"}), DiagnosisSettings()) == []
 
 
 def test_no_runs_are_refused():
