@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..diagnosis.results import Diagnosis, ErrorFigures
+from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.dataset import Record, load_records
 from ..identification.facts import DriveFacts, read_facts
+from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import SourceFile, provenance, source_file
@@ -27,6 +28,7 @@ from ..report.page import refuse_other_report
 from .progress import progress_bar
 
 MODEL_NAME = "model.yaml"
+CURVES = {PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,7 +110,9 @@ def _print(found: Diagnosis) -> None:
         if not finding.accepted:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
-        numbers = ", ".join(f"{n.name} {n.value:.4g} {n.unit}".rstrip(" -") for n in finding.parameters)
+        numbers = curve_words(finding) or ", ".join(
+            f"{n.name} {n.value:.4g} {n.unit}".rstrip(" -") for n in finding.parameters
+        )
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability
         print(f"  {finding.name}{family}: {share:.0f} % of what was left, p {chance:.2g}; {numbers}")
@@ -122,10 +126,21 @@ def _print(found: Diagnosis) -> None:
         print(f"caution: {caution}", file=sys.stderr)
 
 
+def curve_words(finding: Finding) -> str:
+    """A free curve in words; empty for a law with a name."""
+    if not finding.name.startswith(UNKNOWN):
+        return ""
+    values = {n.name: n.value for n in finding.parameters}
+    torques = [value for name, value in values.items() if name.startswith("y")]
+    places = [values["x" + name[1:]] for name in values if name.startswith("y")]
+    size = CURVES[values["kind"]].format(f"{min(torques):.3g}", f"{max(torques):.3g}")
+    return f"a curve of {len(torques)} knots over {min(places):.4g} to {max(places):.4g}: {size}"
+
+
 def _errors(before: ErrorFigures, after: ErrorFigures, linear: bool) -> str:
     torque, speed = ("force", "m/s") if linear else ("torque", "rps")
     first, last = before.torque_relative_percent, after.torque_relative_percent
-    return (
-        f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f}), velocity "
-        f"{before.velocity_rms_rps.value:.3g} to {after.velocity_rms_rps.value:.3g} {speed}"
-    )
+    text = f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f})"
+    if before.velocity_rms_rps.value == 0.0:  # simulated for the held-out runs alone
+        return text
+    return f"{text}, velocity {before.velocity_rms_rps.value:.3g} to {after.velocity_rms_rps.value:.3g} {speed}"

@@ -14,7 +14,7 @@ from .. import __version__
 from ..identification.dataset import DataError, Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
-from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.laws.lookup import UNKNOWN, VISCOUS
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
 from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
@@ -260,7 +260,8 @@ def _numbers(effect: Effect, number: int, sd: dict[tuple[int, str, int], float],
             for run, value in enumerate(values):
                 key = run if p.name in effect.per_run else -1
                 own = names.get(run) if p.name in effect.per_run else None
-                found.append(Number(p.name, float(value), sd.get((number, p.name, key)), p.unit, own))
+                unit = "Nm/rps" if effect.shapes.get("kind") == VISCOUS else p.unit
+                found.append(Number(p.name, float(value), sd.get((number, p.name, key)), unit, own))
         elif p.name in effect.shapes:
             found.append(Number(p.name, float(effect.shapes[p.name]), sd.get((number, p.name, -1)), p.unit))
     return found

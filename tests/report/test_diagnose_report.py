@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fffo_drive.cli.diagnose import curve_words
 from fffo_drive.diagnosis.results import (
     Ceiling,
     Channel,
@@ -141,6 +142,13 @@ def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
     assert report.verdict.standing == "caution"
     assert any("Nothing was held out" in text for text in report.verdict.cautions)
     assert "nothing held out" in report.subtitle
+
+
+def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
+    knots = {"kind": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
+    curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
+    assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
+    assert curve_words(finding()) == ""
 
 
 def test_a_linear_axis_is_told_in_its_own_units():
