@@ -20,6 +20,7 @@ from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .candidates import Effect
+from .cautions import cautions
 from .finishing import merged_datum, standard_deviations
 from .fitting import Data, Fitted, consistent_scenes, loads_of, raw_share
 from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
@@ -159,7 +160,7 @@ def assemble(
         model_after=model_file(fit, facts, fitted, fitted.effects, base_sd, effect_sd, accepted),
         false_alarm_rate=settings.false_alarm_rate,
         units=facts.units,
-        cautions=tuple(_cautions(selected, facts, proof)),
+        cautions=tuple(cautions(selected, facts, (proof.before, proof.after))),
         tried=tuple(_tried(selected)),
         settings={**settings._asdict(), "first_search_best": list(energies)},
         fit_names=tuple(r.name for r in fit),
@@ -314,21 +315,6 @@ def _verdict(
         most = max(rare, key=lambda c: c.explained_after)
         return "unexplained", f"Something is left that no law and no curve over one axis explains: look at {most.name}"
     return "no_effect_found", "Nothing significant and material is left over: no effect found"
-
-
-def _cautions(selected: Selection, facts: DriveFacts, proof: _Proof) -> list[str]:
-    found = []
-    if selected.left is not None and selected.left[2] <= 0.01:
-        name, share, _ = selected.left
-        found.append(
-            f"{name} would take away another {100.0 * share:.1f} % of the squared residual: significant, but too small "
-            "to be called an effect"
-        )
-    if not proof.records:
-        found.append("no held-out run: the errors before and after are those of the fit runs")
-    if any(e.per_run for e in selected.fitted.effects) and not facts.absolute_angle:
-        found.append("a periodic effect has another datum in each run: it cannot be compensated without a homed angle")
-    return found
 
 
 def _tried(selected: Selection) -> list[dict[str, Any]]:

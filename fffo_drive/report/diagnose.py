@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
+from ..model.effects.laws.lookup import UNKNOWN
 from ..model.parameters import ModelFile
 from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
@@ -29,6 +30,7 @@ from .document import (
     Standing,
     Table,
     Verdict,
+    count,
     number,
     significant,
 )
@@ -78,7 +80,8 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     tables = [_found(accepted)] if accepted else []
     tables += [_before_after(diagnosis, accepted, words)]
-    tables += [_parameters(accepted)] if any(finding.parameters for finding in accepted) else []
+    parameters = _parameters(accepted)
+    tables += [parameters] if parameters.rows else []
     tables += [_rivals(accepted)] if any(finding.rivals for finding in accepted) else []
     tables += [_channels(diagnosis)] if diagnosis.channels else []
     tables += [_rejected(rejected)] if rejected else []
@@ -186,7 +189,8 @@ def _errors(figures: ErrorFigures | None, words: Words) -> list[Cell]:
         return [DASH] * 3
     torque = _scaled(figures.torque_rms_nm, words.torque_scale)
     velocity = _scaled(figures.velocity_rms_rps, words.speed_scale)
-    return [_interval(figures.torque_relative_percent), _interval(torque), _interval(velocity)]
+    simulated = velocity.value > 0.0  # for all of the held-out runs, and no part of them
+    return [_interval(figures.torque_relative_percent), _interval(torque), _interval(velocity) if simulated else DASH]
 
 
 def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Words) -> Table:
@@ -222,7 +226,7 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
 def _parameters(accepted: Sequence[Finding]) -> Table:
     rows = []
     for finding in accepted:
-        for one in finding.parameters:
+        for one in finding.parameters if not finding.name.startswith(UNKNOWN) else ():
             reach = None if one.sd is None else NORMAL_95 * one.sd
             low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
             name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")
@@ -230,7 +234,8 @@ def _parameters(accepted: Sequence[Finding]) -> Table:
     return Table(
         name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
         columns=[Column(label="value")],
-        note="Refitted together with everything else; 95 % intervals where a parameter was fitted and not searched.",
+        note="Refitted together with everything else; 95 % intervals where a parameter was fitted and not searched. "
+        "The knots of a free curve are in the model file; its picture shows them.",
     )  # fmt: skip
 
 
@@ -271,7 +276,7 @@ def _channels(diagnosis: Diagnosis) -> Table:
                 Cell(text="yes" if channel.significant_before else "no"),
                 number(100.0 * channel.explained_after),
                 Cell(text="yes" if channel.significant_after else "no"),
-                number(float(channel.samples), 6),
+                count(channel.samples),
             ],
         )
         for channel in diagnosis.channels

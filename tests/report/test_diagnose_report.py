@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fffo_drive.cli.diagnose import curve_words
+from fffo_drive.diagnosis.cautions import cautions
 from fffo_drive.diagnosis.results import (
     Ceiling,
     Channel,
@@ -23,6 +25,7 @@ from fffo_drive.diagnosis.results import (
     Rival,
     RunFigure,
 )
+from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.model.parameters import read_model
 from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
 from fffo_drive.report.document import provenance, source_file
@@ -149,6 +152,18 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
     assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
     assert curve_words(finding()) == ""
+
+
+def test_what_does_harm_on_held_out_runs_is_said():
+    selected = SimpleNamespace(left=None, fitted=SimpleNamespace(effects=()))
+    facts = DriveFacts(torque_constant_nm_per_a=0.148)
+    better, worse = errors(0.003, 20.0), errors(0.010, 20.0)
+    assert cautions(selected, facts, (worse, better)) == []
+    said = cautions(selected, facts, (better, worse))[0]
+    assert "error in torque is 233 % larger" in said
+    assert cautions(selected, facts, (None, None)) == [
+        "no held-out run: the errors before and after are those of the fit runs"
+    ]
 
 
 def test_a_linear_axis_is_told_in_its_own_units():
