@@ -12,8 +12,9 @@ from ..identification.dataset import Record
 from ..identification.residuals import velocity_errors
 from ..model.effects.table import Term
 from .base import NAMES, balanced, delayed
+from .candidates import Effect
 from .evidence import Whitening
-from .fitting import Data, Fitted, at_rest, evaluate, refit
+from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, load_rows, refit
 from .paths import make_filter, rows_of, stretches_of
 from .results import ErrorFigures, Interval
 from .startup import noise_model
@@ -23,7 +24,8 @@ Mask = npt.NDArray[np.bool_]
 
 DRAWS = 400
 BLOCK_WINDOWS = 4  # windows of rows that are drawn together
-DATUM_SHARE = 0.3  # of a held-out run, on which the datum of a periodic effect is found; the rest is scored
+DATUM_SHARE = 0.3  # of a run and of what a periodic effect does in it: there its datum is found; the rest is scored ...
+DATUM_MOST = 0.7  # ... and so much of the run at most
 MIDDLE_S = 0.1  # of a free window
 WORST = 0.99  # a few windows at the edge of stick and slip run away in any model: pulled in to this quantile
 
@@ -57,15 +59,26 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
         for effect in fitted.effects
     ]
     sizes = [effect.sizes() for effect in fitted.effects]
-    early = np.zeros(scored.size, dtype=bool)
-    for begin, end in data.rows.bounds:
-        early[begin : begin + round(DATUM_SHARE * (end - begin))] = True
+    early = _early(data, fitted.physical, [effect for effect in effects if effect.per_run])
     part = data._replace(whitening=data.whitening._replace(kept=np.flatnonzero(data.rows.kept & early)))
     matrix = np.zeros((scored.size, 0))
     found = refit(part, matrix, fitted.physical, effects, shapes=False, free_base=False)
     effects = [effect.of_sizes(size) for effect, size in zip(found.effects, sizes, strict=True)]
     data = at_rest(data, fitted.physical, effects)
     return evaluate(data, fitted.physical, effects)[0], ~early
+
+
+def _early(data: Data, physical: Floats, effects: Sequence[Effect]) -> Mask:
+    """The part of each run from which a datum is learnt: what is slow may hardly show it. (m,)"""
+    load = np.square(load_rows(data, consistent_scenes(data, physical, effects), effects))
+    early = np.zeros(load.size, dtype=bool)
+    for begin, end in data.rows.bounds:
+        done = np.cumsum(load[begin:end])
+        shown = int(np.searchsorted(done, DATUM_SHARE * done[-1])) if done[-1] > 0.0 else 0
+        early[
+            begin : begin + min(max(shown, round(DATUM_SHARE * (end - begin))), round(DATUM_MOST * (end - begin)))
+        ] = True
+    return early
 
 
 def error_figures(

@@ -12,6 +12,7 @@ from .transfer import LEAST_TRANSFER, datum_holds, of_one_size, transfer
 
 Floats = npt.NDArray[np.float64]
 
+COMPANION_SHARE = 0.5  # of the gain of the strongest: below, a datum that does not hold is one too many
 MATERIAL_SHARE = 0.03  # of the white sum of squares that an effect has to take away
 
 
@@ -25,9 +26,16 @@ def backward(
     left = list(range(len(fitted.effects)))
     while fitted.effects:
         without = [_without(data, matrix, fitted, number) for number in range(len(fitted.effects))]
-        order = sorted(range(len(without)), key=lambda number: best_gain(without[number], fitted))
+        gains = [best_gain(one, fitted) for one in without]
+        order = sorted(range(len(gains)), key=gains.__getitem__)
         significant = [probabilities[number] <= rate for number in left]
-        failed = next((n for n in order if not _stays(data, matrix, fitted, without[n], n, significant[n])), None)
+        failed = None
+        for n in order:
+            companion = gains[n] < COMPANION_SHARE * max(gains) and fitted.effects[n].per_run
+            stays = _stays(data, matrix, fitted, without[n], n, significant[n])
+            if not stays or (companion and not datum_holds(data, fitted, without[n])):
+                failed = n
+                break
         if failed is None:
             break
         if failed != order[0] and significant[failed] and _stands_alone(data, matrix, fitted, failed):
@@ -48,8 +56,6 @@ def _stays(data: Data, matrix: Floats, fitted: Fitted, without: Fitted, number: 
         return False
     equal = of_one_size(data, fitted, number)
     if best_gain(without, equal) < LEAST_TRANSFER * best_gain(without, fitted):
-        return False
-    if fitted.effects[number].per_run and not datum_holds(data, fitted, without):
         return False
     return transfer(data, matrix, fitted, without).holds
 
