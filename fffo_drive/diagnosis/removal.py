@@ -29,13 +29,10 @@ def backward(
         gains = [best_gain(one, fitted) for one in without]
         order = sorted(range(len(gains)), key=gains.__getitem__)
         significant = [probabilities[number] <= rate for number in left]
-        failed = None
-        for n in order:
-            companion = gains[n] < COMPANION_SHARE * max(gains) and fitted.effects[n].per_run
-            stays = _stays(data, matrix, fitted, without[n], n, significant[n])
-            if not stays or (companion and not datum_holds(data, fitted, without[n])):
-                failed = n
-                break
+        companions = [gain < COMPANION_SHARE * max(gains) for gain in gains]
+        failed = next(
+            (n for n in order if not _stays(data, matrix, fitted, without[n], n, significant[n], companions[n])), None
+        )
         if failed is None:
             break
         if failed != order[0] and significant[failed] and _stands_alone(data, matrix, fitted, failed):
@@ -50,12 +47,16 @@ def _without(data: Data, matrix: Floats, fitted: Fitted, number: int) -> Fitted:
     return refit(data, matrix, fitted.physical, others, iterations=3)
 
 
-def _stays(data: Data, matrix: Floats, fitted: Fitted, without: Fitted, number: int, significant: bool) -> bool:
+def _stays(
+    data: Data, matrix: Floats, fitted: Fitted, without: Fitted, number: int, significant: bool, companion: bool
+) -> bool:
     share = max(1.0 - fitted.loss / without.loss, raw_share(data, without, fitted))
     if not significant or (share < MATERIAL_SHARE and without.effects):
         return False
     equal = of_one_size(data, fitted, number)
     if best_gain(without, equal) < LEAST_TRANSFER * best_gain(without, fitted):
+        return False
+    if companion and fitted.effects[number].per_run and not datum_holds(data, fitted, without):
         return False
     return transfer(data, matrix, fitted, without).holds
 
@@ -64,4 +65,4 @@ def _stands_alone(data: Data, matrix: Floats, fitted: Fitted, number: int) -> bo
     """Whether an effect carries over where it is the only one."""
     alone = refit(data, matrix, fitted.physical, [fitted.effects[number]], iterations=3)
     nothing = refit(data, matrix, fitted.physical, [], iterations=3)
-    return _stays(data, matrix, alone, nothing, 0, True)
+    return _stays(data, matrix, alone, nothing, 0, True, False)
