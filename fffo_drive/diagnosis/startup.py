@@ -23,6 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 PRESLIDING_LENGTHS = 4.0  # presliding is over after so many 1/K of travel
 ROUNDS = 3
+SETTLED = 0.005  # relative change of every parameter at which the base is not fitted again
 
 
 def start_physical(records: Sequence[Record], facts: DriveFacts, stretches: Sequence[Stretch], rows: Rows) -> Floats:
@@ -77,7 +78,7 @@ def fit_base(
         before = fitted
         fitted = refit(data, matrix, physical, (), iterations=4)
         physical = fitted.physical
-        if before is not None and np.abs(np.log(physical[:9] / before.physical[:9])).max() < 0.005:
+        if before is not None and np.allclose(physical[:9], before.physical[:9], rtol=SETTLED, atol=0.0):
             break
     assert fitted is not None
     data = data._replace(stretches=balanced(stretches, physical))
