@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from ..documents import Record
-from ..model.effects.registry import name_error
 from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
@@ -241,6 +240,8 @@ class DecideProfile(Record):
     @field_validator("effect")
     @classmethod
     def _known(cls, name: str) -> str:
+        from ..model.effects.registry import name_error  # imports the loop's compiler: not for `ctl`
+
         error = name_error(name)
         if error:
             raise ValueError(error)
