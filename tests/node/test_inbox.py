@@ -27,9 +27,8 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
         end.close()
 
 
-def wait(inbox: Inbox, end: socket.socket, later_s: float = 0.0, quiet_s: float = 0.0) -> int:
-    now_ns = time.monotonic_ns()
-    return wait_for_frame(end.fileno(), inbox.memory, now_ns + round(quiet_s * 1e9), now_ns + round(later_s * 1e9))
+def wait(inbox: Inbox, end: socket.socket, later_s: float = 0.0) -> int:
+    return wait_for_frame(end.fileno(), inbox.memory, time.monotonic_ns() + round(later_s * 1e9))
 
 
 def test_what_waits_comes_out_before_what_came_after_it_and_with_its_time(pair) -> None:
@@ -94,31 +93,8 @@ def test_the_deadline_ends_the_wait_with_what_there_is(pair) -> None:
     assert wait(inbox, near, 0.002) == NOTHING | BOXED
 
 
-def test_before_the_middle_of_a_period_nobody_listens(pair) -> None:
-    near, far = pair
-    inbox = Inbox()
-    far.send(OTHER)
-    begin_ns = time.monotonic_ns()
-    assert wait(inbox, near, 60.0, quiet_s=0.002) == 16
-    assert time.monotonic_ns() - begin_ns >= 2_000_000
-    assert wait(inbox, near, 0.001, quiet_s=60.0) == NOTHING  # the node's own time comes first
-
-
-def test_a_node_is_quiet_only_where_a_late_look_changes_nothing() -> None:
-    rig = Rig()
-    rig.map_cyclic()
-    rig.write(0x6060, 0, 10, 1)
-    rig.write(0x1006, 0, 2000, 4)
-    assert rig.node.quiet_until_ns <= 0  # no RPDO is exchanged yet
-    rig.operational()
-    rig.node.handle(SYNC, rig.now_ns)
-    assert rig.node.quiet_until_ns == rig.now_ns + 1_000_000
-    rig.write(0x1007, 0, 500, 4)  # a window: the time of an arrival decides
-    assert rig.node.quiet_until_ns <= rig.now_ns
-
-
 def test_a_link_that_fails_is_told() -> None:
-    assert wait_for_frame(10_000, Inbox().memory, 0, time.monotonic_ns()) < 0
+    assert wait_for_frame(10_000, Inbox().memory, time.monotonic_ns()) < 0
 
 
 def frames(seed: int) -> list[bytes]:

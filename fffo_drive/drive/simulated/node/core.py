@@ -236,11 +236,6 @@ class Node:
         """Frames that may be handed over late, as of their time, before anything that comes after them."""
         return self._patient if self.faults.quiet else ()
 
-    @property
-    def quiet_until_ns(self) -> int:
-        """Until when nothing is expected but what may wait: the half period after a SYNC whose command has a box."""
-        return self.sync.last_ns + self.sync.quiet_ns if self.boxes else 0
-
     def _acting(self, handler: Handler) -> Handler:
         """What may change the drive meets it as it is now."""
 

@@ -1,9 +1,7 @@
 """Waiting for frames in compiled code: a synchronous RPDO wakes no Python, it lies in a box until something else comes.
 
 Such a frame acts at the next SYNC and not before, and the last of several is the one that does. So it is kept here with
-the time of its arrival, and the node takes it before whatever comes next: a frame, or its own time. Between a SYNC and
-the middle of its period the node sleeps without listening: a sender whose frame wakes another process pays for that, on
-a virtual machine more than for the frame itself.
+the time of its arrival, and the node takes it before whatever comes next: a frame, or its own time.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import numpy as np
 
 from ....can.frame import FRAME_SIZE
 from ....jit import njit
-from ....jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv, sleep_until, wait_readable
+from ....jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv, wait_readable
 
 Words = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -42,14 +40,9 @@ class Box(NamedTuple):
 
 
 @njit
-def wait_for_frame(fd: int, memory: Words, quiet_until_ns: int, deadline_ns: int) -> int:
-    """Wait until `deadline_ns` for a frame that goes into no box: its size, NOTHING, or -errno; and BOXED.
-
-    Frames are looked at from `quiet_until_ns` on.
-    """
+def wait_for_frame(fd: int, memory: Words, deadline_ns: int) -> int:
+    """Wait until `deadline_ns` for a frame that goes into no box: its size, NOTHING, or -errno; and BOXED."""
     boxed = 0
-    if quiet_until_ns > monotonic_ns(memory):
-        sleep_until(memory, min(quiet_until_ns, deadline_ns))
     while True:
         left_ns = deadline_ns - monotonic_ns(memory)
         if wait_readable(memory, fd, max(left_ns, 0)) <= 0:

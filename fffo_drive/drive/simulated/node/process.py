@@ -106,7 +106,7 @@ def rehearse(config: NodeConfig) -> None:
         now_ns += 20 * NS_PER_MS
         node.handle(pack_frame(SYNC), now_ns)
         node.poll(now_ns)
-    wait_for_frame(-1, Inbox().memory, 0, 0)
+    wait_for_frame(-1, Inbox().memory, 0)
 
 
 class _Shell:
@@ -133,7 +133,7 @@ class _Shell:
             if node.boxes is not self._boxes:
                 self._boxes = node.boxes
                 inbox.arrange(self._boxes)
-            result = wait_for_frame(self.link.rx_fd, inbox.memory, node.quiet_until_ns, node.deadline_ns)
+            result = wait_for_frame(self.link.rx_fd, inbox.memory, node.deadline_ns)
             if result >= BOXED:
                 self._open_boxes()
                 result -= BOXED

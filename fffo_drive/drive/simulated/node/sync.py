@@ -24,7 +24,6 @@ LOSS_TOLERANCE = 0x2010
 SYNC_PRODUCER = 1 << 30  # of 0x1005
 SHORTEST_PERIOD_US = 200  # that this device can produce
 STATISTICS = 0x2020
-LONGEST_QUIET_NS = 5 * NS_PER_MS
 
 
 class SyncConsumer(Timed):
@@ -67,8 +66,6 @@ class SyncConsumer(Timed):
         number = self.od.number
         self.period_ns = number(CYCLE_PERIOD) * NS_PER_US
         self.window_ns = number(WINDOW_LENGTH) * NS_PER_US or NEVER
-        # with a window, the time of an arrival decides
-        self.quiet_ns = min(self.period_ns // 2, LONGEST_QUIET_NS) if self.window_ns == NEVER else 0
         self.counted = number(COUNTER_OVERFLOW) != 0
         tolerance_ns = max(number(LOSS_TOLERANCE) * NS_PER_MS, self.period_ns // 2)
         self._patience_ns = self.period_ns + tolerance_ns
