@@ -219,22 +219,25 @@ class FrfProfile(Record):
     highest_hz: Annotated[float, Field(gt=0, le=1000)] = 50.0
 
 
-class RecipeProfile(Record):
+class PartsProfile(Record):
+    """What is made of parts of the recipe."""
+
+    high_rps: Rps = 14.0
+    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
+
+
+class RecipeProfile(PartsProfile):
     """Velocity profile that separates effects: staircase, dwells, triangles, accelerate/brake pairs, biased sines."""
 
     kind: Literal["recipe"]
-    high_rps: Rps = 14.0
-    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
     repeats: Annotated[int, Field(ge=1, le=10, description="of staircase and triangles")] = 2
 
 
-class DecideProfile(Record):
+class DecideProfile(PartsProfile):
     """What tells one effect from its lookalikes: parts of the recipe, or a chirp of current."""
 
     kind: Literal["decide"]
     effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
-    high_rps: Rps = 14.0
-    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
     amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
 
     @field_validator("effect")

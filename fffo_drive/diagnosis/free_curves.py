@@ -24,7 +24,7 @@ from .screening import Trial
 Floats = npt.NDArray[np.float64]
 
 KNOTS = 12
-FINE_KNOTS = 22  # of an axis on which things happen at all scales
+FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of several turns
 MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6

@@ -52,10 +52,8 @@ def test_an_axis_on_a_bus_is_commissioned_and_then_run(tmp_path, capsys):
         assert record.bus == bus
         assert record.drive.product_code == 0x50455332
         assert record.facts.counts_per_rev == 32768
-        for name in ("standstill", "torque_sign", "velocity_sign", "position_sign"):
+        for name in ("standstill", "motion", "torque_sign", "velocity_sign", "position_sign"):
             assert checks[name].verdict == "ok", checks[name]
-        # whether it slides as the equation says is seen in time, which a loaded machine does not keep
-        assert checks["motion"].verdict == "ok" or "move the axis, but" in checks["motion"].text, checks["motion"]
         assert "0x608F says 32768" in checks["counts_per_rev"].text
         assert "0x6078" in checks["current_scale"].text
         capsys.readouterr()
