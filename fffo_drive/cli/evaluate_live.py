@@ -24,12 +24,11 @@ from ..config.scenario import (
     wrong_model,
     yardstick_of,
 )
-from ..control.envelope import TRIP_NONE
 from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.port import DriveIdentity
-from ..evaluation.campaign import Evaluation, cut
-from ..evaluation.measures import Yardstick, measure
+from ..evaluation.campaign import Evaluation, evaluation_of
+from ..evaluation.measures import Yardstick
 from ..evaluation.trace import trace_of
 from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
@@ -70,7 +69,7 @@ def evaluate_recordings(
         period_s = float(run.metadata["period_s"])
         trace = trace_of(own, period_s)
         windows = tuple((a, b) for a, b in _windows(own, period_s)) if counted[name] == 1 else ()
-        evaluations.append(Evaluation(name, counted[name], TRIP_NONE, measure(trace, yardstick), cut(trace, windows)))
+        evaluations.append(evaluation_of(name, counted[name], trace, yardstick, windows))
     return yardstick, evaluations, cautions
 
 
@@ -140,8 +139,7 @@ def evaluate_on_bus(
                     raise RecordingGapError(f"{candidate.name}: {outcome.gap_text}")
                 trace = trace_of(recorded_rows(outcome.files), profile.period_s, profile.values.size)
                 windows = cutouts_of(profile) if seed == scenario.seeds[0] else ()
-                measures = measure(trace, yardstick_of(scenario.file))
-                evaluations.append(Evaluation(candidate.name, seed, outcome.trip, measures, cut(trace, windows)))
+                evaluations.append(evaluation_of(candidate.name, seed, trace, yardstick_of(scenario.file), windows))
     return evaluations
 
 

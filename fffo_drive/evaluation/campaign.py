@@ -58,6 +58,7 @@ class Evaluation(NamedTuple):
     trip: int
     measures: Measures | None
     cutouts: tuple[Cutout, ...]
+    skipped_share: float = 0.0  # of the profile's samples: ticks for which the loop came too late
 
     @property
     def fault_text(self) -> str | None:
@@ -86,16 +87,25 @@ def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
     if trip != TRIP_NONE:
         return Evaluation(candidate.name, case.seed, trip, None, ())
     trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
-    return Evaluation(candidate.name, case.seed, trip, measure(trace, case.yardstick), cut(trace, case.cutouts_s))
+    return evaluation_of(candidate.name, case.seed, trace, case.yardstick, case.cutouts_s)
+
+
+def evaluation_of(
+    candidate: str, seed: int, trace: Trace, yardstick: Yardstick, windows_s: tuple[tuple[float, float], ...]
+) -> Evaluation:
+    """What is kept of a run that went on to its end."""
+    measures = measure(trace, yardstick)
+    return Evaluation(candidate, seed, TRIP_NONE, measures, cut(trace, windows_s), trace.skipped_share)
 
 
 def cut(trace: Trace, windows_s: tuple[tuple[float, float], ...]) -> tuple[Cutout, ...]:
-    """Pieces of a run."""
+    """Pieces of a run; one that stopped early has none of what it did not reach."""
     velocity_rps = trace.measured_rps if trace.true_rps is None else trace.true_rps
     pieces = []
     for start_s, end_s in windows_s:
         span = slice(round(start_s / trace.period_s), round(end_s / trace.period_s))
-        pieces.append(Cutout(start_s, trace.period_s, trace.reference_rps[span].copy(), velocity_rps[span].copy()))
+        if span.start < velocity_rps.size:
+            pieces.append(Cutout(start_s, trace.period_s, trace.reference_rps[span].copy(), velocity_rps[span].copy()))
     return tuple(pieces)
 
 

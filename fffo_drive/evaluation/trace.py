@@ -10,27 +10,45 @@ from .metrics import Floats, Rows
 
 
 class Trace(NamedTuple):
-    """A profile as it ran; arrays (n,). `true_rps` is None where no one knows the shaft's velocity."""
+    """A profile as it ran, one sample a period; arrays (n,). `true_rps` is None where no one knows the velocity."""
 
     period_s: float
     reference_rps: Floats
     measured_rps: Floats
     true_rps: Floats | None
     command_a: Floats
+    skipped: int = 0  # samples for which the loop came too late: filled in, see `trace_of`
+
+    @property
+    def skipped_share(self) -> float:
+        """Of the samples from the first to the last."""
+        return self.skipped / self.reference_rps.size
 
 
 def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
-    """The rows in which the profile ran. Raises ValueError when there is none."""
+    """The rows in which the profile ran. Raises ValueError when there is none.
+
+    A loop that comes too late skips samples of the profile and leaves no row of them: the drive has held its command
+    meanwhile, and the rest is taken to go straight from row to row, so that lags, bands and spectra keep their time.
+    """
     sample = rows["profile_sample"]
     chosen = np.flatnonzero((sample >= 0) & (sample < (samples or np.iinfo(np.int32).max)))
     if chosen.size == 0:
         raise ValueError("no row to evaluate: the profile did not run")
-    inside = rows[chosen[0] : chosen[-1] + 1]  # a view: between its first and last sample a profile has no gap
-    true_rps = np.ascontiguousarray(inside["true_velocity_rps"])
+    inside = rows[chosen[0] : chosen[-1] + 1]  # a view: other rows are before the first or after the last of a profile
+    known = inside["profile_sample"]
+    grid = np.arange(int(known[0]), int(known[-1]) + 1)
+    held = np.searchsorted(known, grid, side="right") - 1
+
+    def straight(name: str) -> Floats:
+        return np.interp(grid, known, inside[name])
+
+    true_rps = straight("true_velocity_rps")
     return Trace(
         period_s,
-        np.ascontiguousarray(inside["reference_rps"]),
-        np.ascontiguousarray(inside["velocity_rps"]),
+        straight("reference_rps"),
+        straight("velocity_rps"),
         true_rps if np.isfinite(true_rps).all() else None,
-        np.ascontiguousarray(inside["current_command_a"]),
+        np.ascontiguousarray(inside["current_command_a"][held]),
+        grid.size - known.size,
     )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..evaluation.campaign import Evaluation
+from ..evaluation.campaign import Cutout, Evaluation
 from ..evaluation.compare import Interval
 from ..evaluation.measures import Yardstick
 from ..evaluation.metrics import PAPER_TABLE_2
@@ -25,6 +25,7 @@ PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
 COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
 DASHES: tuple[Dash, ...] = ("solid", "dashdot", "solid", "dashed", "dotted", "solid")
 VELOCITY = Axis("velocity", "rps")
+LARGEST_SKIPPED_SHARE = 0.001  # of a run's samples, above which its figures say something about the machine as well
 
 
 class EvaluationSource(NamedTuple):
@@ -61,7 +62,7 @@ def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: S
         kind="evaluate",
         title=source.title,
         subtitle=source.subtitle,
-        verdict=_verdict(source, summary, kinds[-1]),
+        verdict=_verdict(source, summary, evaluations, kinds[-1]),
         tables=tuple(tables),
         sections=tuple(section for section in sections if section.figures),
         provenance=source.provenance,
@@ -69,10 +70,15 @@ def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: S
     )
 
 
-def _verdict(source: EvaluationSource, summary: Summary, kind: str) -> Verdict:
+def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation], kind: str) -> Verdict:
     comparison = summary.figures[f"{kind}.ise"]
     ranking = sorted(summary.controllers, key=lambda name: comparison.absolute[name].value)
     cautions = [*source.cautions, *summary.failures]
+    cautions += [
+        f"{run.candidate}, seed {run.seed}: the loop came too late for {100.0 * run.skipped_share:.2g} % of the ticks."
+        for run in evaluations
+        if run.skipped_share > LARGEST_SKIPPED_SHARE
+    ]
     if len(summary.seeds) < 2:
         cautions.append("One seed only: there are no intervals.")
     if len(ranking) < 2:
@@ -203,22 +209,23 @@ def _bars(summary: Summary, kind: str) -> Figure:
 
 
 def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
-    shown = [run for run in evaluations if run.cutouts]
+    places: dict[float, list[tuple[str, Cutout]]] = {}
+    for run in evaluations:
+        for cutout in run.cutouts:
+            places.setdefault(cutout.start_s, []).append((run.candidate, cutout))
     figures = []
-    for place in range(len(shown[0].cutouts) if shown else 0):
-        first = shown[0].cutouts[place]
-        grid = Uniform(first.start_s, first.period_s)
-        series = [Series("reference", grid, first.reference_rps, "ink", dash="dashed")]
-        for number_, run in enumerate(shown):
+    for start_s, shown in places.items():
+        longest = max((cutout for _, cutout in shown), key=lambda cutout: cutout.reference_rps.size)
+        grid = Uniform(start_s, longest.period_s)
+        series = [Series("reference", grid, longest.reference_rps, "ink", dash="dashed")]
+        for number_, (candidate, cutout) in enumerate(shown):
             look = number_ % len(COLOURS)
-            series.append(
-                Series(run.candidate, grid, run.cutouts[place].velocity_rps, COLOURS[look], dash=DASHES[look])
-            )
+            series.append(Series(candidate, grid, cutout.velocity_rps, COLOURS[look], dash=DASHES[look]))
         figures.append(
             Figure(
-                name=f"cutout-{place + 1}",
+                name=f"cutout-{len(figures) + 1}",
                 kind="time",
-                title=f"From {first.start_s:g} s",
+                title=f"From {start_s:g} s",
                 caption="Reference and velocity; the shaft's own where it is known.",
                 x=Axis("time", "s"),
                 y=VELOCITY,

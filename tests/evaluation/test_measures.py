@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fffo_drive.evaluation.campaign import cut
 from fffo_drive.evaluation.effort import control_effort
 from fffo_drive.evaluation.measures import Yardstick, measure
 from fffo_drive.evaluation.reversal import find_reversals, near_reversals, reversal_lag
@@ -102,3 +103,27 @@ def test_a_trace_is_the_profile_and_nothing_else():
     assert trace.true_rps is None
     with pytest.raises(ValueError, match="did not run"):
         trace_of(rows[:2], PERIOD_S)
+
+
+def test_ticks_that_came_too_late_leave_the_others_at_their_time():
+    """A sine of which every 7th sample, and 40 in a piece, have no row: cut-outs and lags stay where they were."""
+    kept = [n for n in range(TIME_S.size) if n % 7 != 3 and not 1000 <= n < 1040]
+    rows = np.zeros(len(kept), ROW)
+    rows["profile_sample"] = kept
+    rows["reference_rps"] = sine()[kept]
+    rows["velocity_rps"] = sine(0.002)[kept]
+    rows["current_command_a"] = TIME_S[kept]
+    trace = trace_of(rows, PERIOD_S)
+    assert trace.reference_rps.size == TIME_S.size
+    assert trace.skipped == TIME_S.size - len(kept)
+    assert trace.command_a[1039] == TIME_S[999]  # held
+    whole = Trace(PERIOD_S, sine(), sine(0.002), None, TIME_S)
+    found, wanted = measure(trace, YARDSTICK).measured, measure(whole, YARDSTICK).measured
+    assert found.error.ise == pytest.approx(wanted.error.ise, rel=2e-3)
+    assert found.lag.mean_absolute_ms == pytest.approx(wanted.lag.mean_absolute_ms, abs=0.05)
+
+
+def test_a_run_that_stopped_early_has_no_cutout_of_what_it_did_not_reach():
+    trace = Trace(PERIOD_S, sine()[:1000], sine(0.002)[:1000], None, np.zeros(1000))
+    pieces = cut(trace, ((0.1, 0.2), (0.45, 0.55), (0.5, 0.6), (0.9, 1.0)))
+    assert [(piece.start_s, piece.velocity_rps.size) for piece in pieces] == [(0.1, 200), (0.45, 100)]
