@@ -45,6 +45,7 @@ NAMES = {"off": "pi", "fb": "pi+fbfo", "ff": "pi+fffo"}
 PARTS = ("inertia", "preview", "delay_aware")
 BANDS_RPS = (0.0, 0.5, 2.0, 5.0, 1000.0)
 HISTOGRAM_BINS = 160
+WHOLE_SHARE = 0.999  # of a profile
 CANDIDATE = "candidate"  # in the metadata of a recording: the scenario's name of the controller
 
 
@@ -58,6 +59,10 @@ def evaluate_recordings(
     if len(shapes) > 1:
         cautions.append("The recordings do not share one profile: their metrics are of different references.")
     rows = [_profile_of(run) for run in runs]
+    for run, own in zip(runs, rows, strict=True):
+        reached = (int(own["profile_sample"][-1]) + 1) / int(run.metadata["profile_samples"])
+        if reached < WHOLE_SHARE:
+            cautions.append(f"{run.path.name}: it ended after {100.0 * reached:.0f} % of its profile.")
     if yardstick is None:
         largest_rps = max(float(np.abs(own["reference_rps"] - own["velocity_rps"]).max()) for own in rows)
         yardstick = Yardstick(BANDS_RPS, np.linspace(-largest_rps, largest_rps, HISTOGRAM_BINS + 1))

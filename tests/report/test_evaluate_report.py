@@ -1,0 +1,71 @@
+"""The report of runs that are not whole: what was skipped is said, and nothing is drawn of what is not there."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from fffo_drive.cli import evaluate_live
+from fffo_drive.evaluation.campaign import evaluation_of
+from fffo_drive.evaluation.measures import Yardstick
+from fffo_drive.evaluation.summary import summarise
+from fffo_drive.evaluation.trace import trace_of
+from fffo_drive.report.document import provenance
+from fffo_drive.report.evaluate import EvaluationSource, evaluation_report
+from fffo_drive.report.page import render_page
+from fffo_drive.signals import ROW
+
+PERIOD_S = 5e-4
+SAMPLES = 4000
+WINDOWS_S = ((0.5, 0.7), (1.8, 2.0))
+YARDSTICK = Yardstick((0.0, 0.5, 1000.0), np.linspace(-0.4, 0.4, 81))
+
+
+def rows_of(kept, error_rps):
+    rows = np.zeros(len(kept), ROW)
+    rows["profile_sample"] = kept
+    rows["reference_rps"] = np.sin(4.0 * np.pi * PERIOD_S * np.asarray(kept))
+    rows["velocity_rps"] = rows["reference_rps"] + error_rps
+    rows["true_velocity_rps"] = np.nan
+    return rows
+
+
+def run(name, kept, error_rps):
+    return evaluation_of(name, 1, trace_of(rows_of(kept, error_rps), PERIOD_S), YARDSTICK, WINDOWS_S)
+
+
+def report_of(*runs):
+    source = EvaluationSource("title", "subtitle", YARDSTICK, [], provenance([], {}))
+    return evaluation_report(source, summarise(runs), runs)
+
+
+def test_a_loop_that_came_too_late_and_a_run_that_stopped_early_are_drawn_and_said():
+    late = run("pi", [n for n in range(SAMPLES) if n % 10 != 5], 0.02)
+    early = run("pi+fffo", list(range(3000)), 0.01)
+    report = report_of(late, early)
+    assert "pi, seed 1: the loop came too late for 10 % of the ticks." in report.verdict.cautions
+    assert not any("pi+fffo, seed 1" in text for text in report.verdict.cautions)
+    drawn = {figure.title: figure for section in report.sections for figure in section.figures}
+    assert [s.name for s in drawn["From 0.5 s"].series] == ["reference", "pi", "pi+fffo"]
+    assert [s.name for s in drawn["From 1.8 s"].series] == ["reference", "pi"]
+    assert drawn["From 1.8 s"].series[1].y.size == 400
+    assert "came too late" in render_page(report)
+
+
+def test_runs_that_are_whole_have_no_such_caution():
+    report = report_of(run("pi", list(range(SAMPLES)), 0.02), run("pi+fffo", list(range(SAMPLES)), 0.01))
+    assert not any("too late" in text for text in report.verdict.cautions)
+
+
+def test_a_recording_that_stops_before_its_profile_does_is_named(monkeypatch):
+    facts = {"profile_samples": str(SAMPLES), "period_s": str(PERIOD_S)}
+
+    def recorded(file):
+        kept = range(SAMPLES // 2 if file == "early" else SAMPLES)
+        metadata = {**facts, evaluate_live.CANDIDATE: file}
+        return SimpleNamespace(rows=rows_of(kept, 0.01), metadata=metadata, complete=True, reason="", path=Path(file))
+
+    monkeypatch.setattr(evaluate_live, "read_run", recorded)
+    _, evaluations, cautions = evaluate_live.evaluate_recordings(["early", "whole"], None)
+    assert cautions == ["early: it ended after 50 % of its profile."]
+    assert [e.candidate for e in evaluations] == ["early", "whole"]
