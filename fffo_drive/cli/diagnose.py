@@ -20,7 +20,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.dataset import Record, load_records
 from ..identification.facts import DriveFacts, read_facts
-from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import SourceFile, provenance, source_file
@@ -28,7 +28,10 @@ from ..report.page import refuse_other_report
 from .progress import progress_bar
 
 MODEL_NAME = "model.yaml"
-CURVES = {PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps"}
+CURVES = {
+    PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps",
+    RESPONSE: "shares from {} to {} of the motor torque",
+}  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -132,9 +135,14 @@ def curve_words(finding: Finding) -> str:
         return ""
     values = {n.name: n.value for n in finding.parameters}
     torques = [value for name, value in values.items() if name.startswith("y")]
-    places = [values["x" + name[1:]] for name in values if name.startswith("y")]
+    places = sorted(value for name, value in values.items() if name.startswith("x"))
+    word = across_word(values).replace("_", " ")
     size = CURVES[values["kind"]].format(f"{min(torques):.3g}", f"{max(torques):.3g}")
-    return f"a curve of {len(torques)} knots over {min(places):.4g} to {max(places):.4g}: {size}"
+    if word:
+        levels = [value for name, value in values.items() if name.startswith("z")]
+        reach = f"{min(levels):.4g} to {max(levels):.4g}"
+        return f"a table over {places[0]:.4g} to {places[-1]:.4g} and the {word}, {reach}: {size}"
+    return f"a curve of {len(places)} knots over {places[0]:.4g} to {places[-1]:.4g}: {size}"
 
 
 def _errors(before: ErrorFigures, after: ErrorFigures, linear: bool) -> str:

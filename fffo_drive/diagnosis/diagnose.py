@@ -14,7 +14,7 @@ from .. import __version__
 from ..identification.dataset import DataError, Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
-from ..model.effects.laws.lookup import UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
 from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
@@ -37,12 +37,14 @@ from .selection import (
     select,
 )
 from .startup import fit_base, start_physical
+from .tables import with_table
 from .where import where
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 LEAST_LEFT = 0.1  # of the squared residual, for what is left over to be called unexplained
+KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
 
 
@@ -104,8 +106,9 @@ def diagnose(
     stretches, rows, start = prepared(fit, facts, model)
     data, base, matrix = fit_base(stretches, rows, start, len(fit))
     tell(0.2, "search")
-    search = Search(facts, settings.false_alarm_rate, lambda share, text: tell(0.2 + 0.6 * share, text))
+    search = Search(facts, settings.false_alarm_rate, lambda share, text: tell(0.2 + 0.55 * share, text))
     selected = select(data, base, matrix, search)
+    selected = with_table(selected, settings.false_alarm_rate, lambda share: tell(0.75 + 0.1 * share, "pairs of axes"))
     fitted = merged_datum(selected.data, selected.sensitivities, selected.fitted)
     selected = selected._replace(fitted=fitted)
     tell(0.85, "proof")
@@ -131,7 +134,7 @@ def assemble(
     findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
     left = evidence_of(data, selected.sensitivities, fitted)[0]
     evidence, scenes = evidence_of(data, selected.sensitivities, base)
-    places = where((evidence, left), scenes, facts, settings.false_alarm_rate)
+    places = where((evidence, left), scenes, settings.false_alarm_rate)
     verdict, headline = _verdict(findings, selected, places, settings)
     accepted = [f for f in findings if f.accepted]
     energies = tuple(float(s.trials[0].explained) if s.trials else 0.0 for s in selected.screenings)
@@ -229,6 +232,9 @@ def _finding(
         f"takes away {100.0 * explained:.1f} % of the squared residual of the fit runs with every parameter refitted; "
         f"noise alone would do as well in a search like this with probability {probability:.2g}"
     )
+    across = across_word(effect.shapes)
+    if across:
+        reason += f"; a table over {axis_of_effect(effect.name)} and {across}"
     if accepted and proof.data is not None and before is None:
         reason += "; the held-out runs hardly excite it: it rests on the fit runs"
     return Finding(
@@ -261,7 +267,7 @@ def _numbers(effect: Effect, number: int, sd: dict[tuple[int, str, int], float],
             for run, value in enumerate(values):
                 key = run if p.name in effect.per_run else -1
                 own = names.get(run) if p.name in effect.per_run else None
-                unit = "Nm/rps" if effect.shapes.get("kind") == VISCOUS else p.unit
+                unit = KIND_UNITS.get(effect.shapes.get("kind", PLAIN), p.unit)
                 found.append(Number(p.name, float(value), sd.get((number, p.name, key)), unit, own))
         elif p.name in effect.shapes:
             found.append(Number(p.name, float(effect.shapes[p.name]), sd.get((number, p.name, -1)), p.unit))

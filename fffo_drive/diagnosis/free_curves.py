@@ -16,8 +16,8 @@ import numpy.typing as npt
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
-from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
-from .candidates import Columns, Scene, effect_of, load_along
+from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS
+from .candidates import Columns, Scene, effect_of, load_along, torque_rows
 from .evidence import Evidence, score
 from .screening import Trial
 
@@ -28,6 +28,9 @@ FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of sever
 MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6
+RESPONSE_KNOTS = 7
+LOWEST_HZ = 0.5
+HIGHEST_SHARE = 0.4  # of the rate of the rows
 
 
 class Axis(NamedTuple):
@@ -45,6 +48,7 @@ def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
         Axis("time", FRICTION, 0.0), Axis("velocity", PLAIN, 0.0), Axis("acceleration", PLAIN, 0.0),
         Axis("current", PLAIN, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
         Axis("memory", FRICTION, 0.5), Axis("memory", FRICTION, 3.0), Axis("memory", FRICTION, 12.0),
+        Axis("direction", PLAIN, 0.0), Axis("torque", FRICTION, 0.0),
     ]  # fmt: skip
     found += [Axis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
     for period_rev in MOTOR_PERIODS_REV:
@@ -64,6 +68,7 @@ def free_trials(
     axes = axes_of(facts, turns)
     with ThreadPoolExecutor(THREADS) as pool:
         found = list(pool.map(lambda axis: _trial(evidence, scenes, axis), axes))
+    found.append(_response_trial(evidence, scenes))
     best: dict[str, Trial] = {}
     for trial in found:
         if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
@@ -88,12 +93,7 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
         unit[k] = 1.0
         parts = []
         for place, scene in zip(places, scenes, strict=True):
-            curve = np.interp(place, knots, unit)
-            if axis.kind == FRICTION:
-                curve = curve * grip(scene)
-            elif axis.kind == VISCOUS:
-                curve = curve * scene.motion[:, slots.VELOCITY_RPS]
-            parts.append(rows.laws.rows(curve * scene.moving))
+            parts.append(rows.laws.rows(np.interp(place, knots, unit) * factor(scene, axis.kind)))
         columns.append(np.concatenate(parts))
     joined = Columns(tuple(f"y{k:02d}" for k in range(knots.size)), (-1,) * knots.size, np.stack(columns, axis=1))
     found = score(evidence, joined.values)
@@ -101,6 +101,32 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
         return None
     effect = effect_of(name, shapes, joined, found.strengths, 1)
     return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+
+
+def _response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
+    """The best bank of bands over frequency: how the residual answers to the motor torque."""
+    rows = evidence.rows
+    name = UNKNOWN + "frequency"
+    highest_hz = HIGHEST_SHARE / rows.filter.row_period_s
+    knots = np.geomspace(LOWEST_HZ, highest_hz, RESPONSE_KNOTS)
+    shapes = {"kind": RESPONSE, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    names = tuple(f"y{k:02d}" for k in range(2 * knots.size))
+    columns = [
+        np.concatenate([torque_rows(scene, name, {**shapes, own: 1.0}, rows.laws) for scene in scenes]) for own in names
+    ]
+    joined = Columns(names, (-1,) * len(names), np.stack(columns, axis=1))
+    found = score(evidence, joined.values)
+    if found.rank == 0:
+        return None
+    effect = effect_of(name, shapes, joined, found.strengths, 1)
+    return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+
+
+def factor(scene: Scene, kind: float) -> Floats:
+    """What a curve of a kind is times, along a scene; zero at rest. (l,)"""
+    if kind == FRICTION:
+        return grip(scene) * scene.moving
+    return scene.motion[:, slots.VELOCITY_RPS] * scene.moving if kind == VISCOUS else scene.moving
 
 
 def grip(scene: Scene) -> Floats:

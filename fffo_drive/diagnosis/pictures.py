@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ..model.effects.laws.lookup import AXIS_CODES, PLAIN, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .candidates import Scene
+from .candidates import Effect, Scene
 from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .free_curves import Axis as FreeAxis
 from .free_curves import abscissa
@@ -63,15 +65,18 @@ def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitt
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
     before = fitted.residual_nm + load if without is None else without.residual_nm
     edges = _edges(place.values[kept])
-    bins = np.clip(np.searchsorted(edges, place.values[kept], side="right") - 1, 0, edges.size - 2)
-    window = data.rows.window[kept]
-    shown = _shown(bins, window, edges.size - 1)
-    x = _means(place.values[kept], bins, edges.size - 1)[shown]
-    curves = []
-    for label, values in (("without the effect", before), ("with it", fitted.residual_nm)):
-        mean, reach = _interval(values[kept], bins, window, edges.size - 1)
-        curves.append(Curve(label, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points"))
-    curves.append(Curve("what the effect says", x, _means(load[kept], bins, edges.size - 1)[shown], kind="line"))
+    curves: list[Curve] = []
+    for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
+        bins = np.clip(np.searchsorted(edges, place.values[rows], side="right") - 1, 0, edges.size - 2)
+        window = data.rows.window[rows]
+        shown = _shown(bins, window, edges.size - 1)
+        x = _means(place.values[rows], bins, edges.size - 1)[shown]
+        clouds = [("without the effect", before), ("with it", fitted.residual_nm)][: 1 if where else 2]
+        for label, values in clouds:
+            mean, reach = _interval(values[rows], bins, window, edges.size - 1)
+            curves.append(Curve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points"))
+        says = _means(load[rows], bins, edges.size - 1)[shown]
+        curves.append(Curve("what the effect says" + where, x, says, kind="line"))
     return Picture(
         title=f"{effect.name} over {place.label}",
         x_label=place.label,
@@ -81,6 +86,27 @@ def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitt
         curves=tuple(curves),
         note="Fit runs together; intervals from the means of half-second windows.",
     )
+
+
+def _shares(
+    scenes: Sequence[Scene], effect: Effect, load_nm: Floats, kept: Integers, step: int
+) -> list[tuple[str, Integers]]:
+    """Rows that are shown together: all of a curve; of a table those near the two levels that differ most."""
+    word = across_word(effect.shapes)
+    if not word:
+        return [("", kept)]
+    own = FreeAxis(next(w for w, code in AXIS_CODES.items() if code == effect.shapes["across"]), PLAIN,
+                   effect.shapes["across_scale"])  # fmt: skip
+    at = np.concatenate([part[::step] for part in abscissa(scenes, own)])[kept]
+    levels = np.array([effect.shapes[f"z{k:02d}"] for k in range(int(effect.shapes["levels"]))])
+    nearest = np.argmin(np.abs(at[:, None] - levels), axis=1)
+    rows = [kept[nearest == k] for k in range(levels.size)]
+    sizes = [float(np.std(load_nm[own])) if own.size >= LEAST_ROWS else 0.0 for own in rows]
+    means = [float(np.mean(load_nm[own])) if own.size >= LEAST_ROWS else 0.0 for own in rows]
+    pairs = itertools.combinations(range(levels.size), 2)
+    chosen = max(pairs, key=lambda pair: abs(sizes[pair[0]] - sizes[pair[1]]) + abs(means[pair[0]] - means[pair[1]]))
+    unit = UNITS["velocity" if word == "speed" else word][1]
+    return [(f", {word.replace('_', ' ')} near {levels[k]:.3g} {unit}", rows[k]) for k in chosen]
 
 
 def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> _Place:

@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
-from ..model.effects.laws.lookup import FRICTION
 from .candidates import Scene
-from .evidence import Evidence, Score, orthonormal, score, whiten
-from .free_curves import Axis, abscissa, axes_of, grip
+from .evidence import Evidence, Score, score
+from .free_curves import grip
+from .pairs import coarse_tables, hats, score_beyond
 from .results import Channel
 from .screening import Surrogates
 
@@ -31,9 +30,6 @@ LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)  # after an event over time: knots 
 TRAVELS = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0)  # after an event over travel, in lengths of presliding
 LONG_REST_S = 0.1
 JERK_QUANTILE = 0.98
-PAIR_KNOTS = 5
-PAIR_WORDS = ("time", "velocity", "acceleration", "current", "travel_since_reversal", "motor_angle", "output_angle")
-PAIR_MEMORY_S = 3.0
 
 
 class Place(NamedTuple):
@@ -45,16 +41,18 @@ class Place(NamedTuple):
     samples: int
 
 
-def places(evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts) -> list[Place]:
+def places(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     """All events and pairs that the data have."""
-    return [*_events(evidence, scenes), *_pairs(evidence, scenes, facts)]
+    rows = evidence.rows
+    pairs = [Place(c.pair.name, c.columns, c.beside, int(rows.kept.sum())) for c in coarse_tables(rows, scenes)]
+    return [*_events(evidence, scenes), *pairs]
 
 
 def where(
-    evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], facts: DriveFacts, rate: float, seed: int = 5
+    evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], rate: float, seed: int = 5
 ) -> tuple[Channel, ...]:
     """Channels of a residual before and after; significant against the largest of as many surrogates of each."""
-    found = places(evidences[0], scenes, facts)
+    found = places(evidences[0], scenes)
     shares, significant = [], []
     for evidence in evidences:
         with ThreadPoolExecutor(THREADS) as pool:
@@ -74,11 +72,7 @@ def where(
 def _score(evidence: Evidence, place: Place) -> Score:
     if place.beside is None:
         return score(evidence, place.columns)
-    white = whiten(evidence.rows, evidence.whitening, place.beside)
-    white = white - evidence.basis @ (evidence.basis.T @ white)
-    more = orthonormal(white)
-    left = evidence.residual - more @ (more.T @ evidence.residual)
-    return score(evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1)), place.columns)
+    return score_beyond(evidence, place.columns, place.beside)
 
 
 def _events(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
@@ -92,22 +86,11 @@ def _events(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     lag, sign = (np.concatenate([jerk[k][::step] for jerk in jerks]) for k in (0, 1))
     lengths = size * np.array(TRAVELS)
     shapes = (
-        ("break_away", _hats(since, lengths) * grips[:, None], since < lengths[-1]),
-        ("reversal", _hats(np.where(since < 1e3, np.inf, travel), lengths) * grips[:, None], travel < lengths[-1]),
-        ("jerk", _hats(lag, np.array(LAGS_S)) * sign[:, None], lag < LAGS_S[-1]),
+        ("break_away", hats(since, lengths) * grips[:, None], since < lengths[-1]),
+        ("reversal", hats(np.where(since < 1e3, np.inf, travel), lengths) * grips[:, None], travel < lengths[-1]),
+        ("jerk", hats(lag, np.array(LAGS_S)) * sign[:, None], lag < LAGS_S[-1]),
     )
     return [Place(name, columns, None, int((inside & rows.kept).sum())) for name, columns, inside in shapes]
-
-
-def _hats(places_: Floats, knots: Floats) -> Floats:
-    """Straight lines between knots, one column a knot; nothing beyond the last. (m, k)"""
-    found = np.empty((places_.size, knots.size))
-    for k in range(knots.size):
-        unit = np.zeros(knots.size)
-        unit[k] = 1.0
-        found[:, k] = np.interp(places_, knots, unit, right=0.0)
-    found[places_ > knots[-1]] = 0.0
-    return found
 
 
 def _since_rest(scene: Scene) -> Floats:
@@ -135,29 +118,3 @@ def _since_jerk(scene: Scene) -> tuple[Floats, Floats]:
     last = np.maximum.accumulate(np.where(jump > limit, index, -1))
     lag = np.where(last >= 0, (index - last) * period_s, np.inf)
     return lag, np.where(last >= 0, np.sign(change)[np.maximum(last, 0)], 0.0)
-
-
-def _pairs(evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts) -> list[Place]:
-    rows = evidence.rows
-    step = rows.laws.step
-    turns = float(np.ptp(rows.position_rev))
-    axes: dict[str, Axis] = {}
-    for axis in axes_of(facts, turns):
-        if axis.word in PAIR_WORDS or (axis.word == "memory" and axis.scale == PAIR_MEMORY_S):
-            axes.setdefault(axis.word, axis)
-    grips = np.concatenate([grip(s)[::step] for s in scenes])
-    curves = {}
-    for word, axis in axes.items():
-        at = np.concatenate([place[::step] for place in abscissa(scenes, axis)])
-        knots = np.unique(np.quantile(at[rows.kept], np.linspace(0.01, 0.99, PAIR_KNOTS)))
-        if knots.size >= 3:
-            curves[word] = _hats(np.clip(at, knots[0], knots[-1]), knots)
-    found = []
-    for first, second in itertools.combinations(curves, 2):
-        frictional = FRICTION in (axes[first].kind, axes[second].kind) and "velocity" not in (first, second)
-        weight = grips if frictional else np.ones(grips.size)
-        a, b = curves[first] * weight[:, None], curves[second] * weight[:, None]
-        both = (a[:, :, None] * curves[second][:, None, :]).reshape(a.shape[0], -1)
-        name = f"{first} x {second}"
-        found.append(Place(name, both, np.concatenate([a, b], axis=1), int(rows.kept.sum())))
-    return found

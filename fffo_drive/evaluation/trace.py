@@ -41,7 +41,7 @@ def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
     held = np.searchsorted(known, grid, side="right") - 1
 
     def straight(name: str) -> Floats:
-        return np.interp(grid, known, inside[name])
+        return np.asarray(np.interp(grid, known, inside[name]), dtype=np.float64)
 
     true_rps = straight("true_velocity_rps")
     return Trace(

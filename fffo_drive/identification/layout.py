@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.effects.law import STRENGTH, Law, Parameter
+from ..model.effects.laws.lookup import values_of
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term
 
@@ -84,7 +85,7 @@ class EffectLayout(NamedTuple):
 def default_free(law: Law, values: Mapping[str, float]) -> tuple[str, ...]:
     """What of an effect a refit moves: strengths that act with these shapes, and shapes that it can follow."""
     if law.name == "lookup":
-        return tuple(f"y{k:02d}" for k in range(int(values.get("count", 0.0))))
+        return tuple(f"y{k:02d}" for k in range(values_of(values)))
     off: set[str] = set()
     if law.name == "position_dependent_friction":
         if values.get("period_rev", 0.0) <= 0.0:

@@ -213,7 +213,7 @@ def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
     for run in evaluations:
         for cutout in run.cutouts:
             places.setdefault(cutout.start_s, []).append((run.candidate, cutout))
-    figures = []
+    figures: list[Figure] = []
     for start_s, shown in places.items():
         longest = max((cutout for _, cutout in shown), key=lambda cutout: cutout.reference_rps.size)
         grid = Uniform(start_s, longest.period_s)

@@ -145,8 +145,8 @@ def test_a_residual_over_two_axes_and_one_after_rests_are_seen_where_they_are(of
     rows = data.rows
     corner = np.sign(rows.velocity_rps) * np.sign(rows.position_rev - np.median(rows.position_rev))
     both = fitted._replace(residual_nm=fitted.residual_nm + 0.002 * corner)
-    found = {c.name: c for c in where((evidence_of(data, matrix, both)[0], clean), scenes, FACTS, 0.01)}
-    pair = found["velocity x output_angle"]
+    found = {c.name: c for c in where((evidence_of(data, matrix, both)[0], clean), scenes, 0.01)}
+    pair = found["output_angle x velocity"]
     assert pair.significant_before
     assert pair.explained_before > 0.3
     assert pair.explained_before == max(c.explained_before for c in found.values())

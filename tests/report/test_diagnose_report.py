@@ -152,6 +152,11 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
     assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
     assert curve_words(finding()) == ""
+    more = {"across": 11.0, "across_scale": 0.0, "levels": 2.0, "z00": 0.1, "z01": 4.0, "y02": 0.0, "y03": 0.002}
+    numbers = tuple(Number(k, v, None, "") for k, v in {**knots, **more, "kind": 1.0}.items())
+    table = finding(name="unknown:motor_angle", parameters=numbers)
+    words = "a table over -2 to 3 and the speed, 0.1 to 4: friction from -0.001 to 0.004 Nm"
+    assert curve_words(table) == words
 
 
 def test_what_does_harm_on_held_out_runs_is_said():

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from .law import SHAPE, Axis, Law
-from .laws.lookup import AXIS_CODES, FIRST_X, KNOWN_AHEAD, UNKNOWN
+from .laws.lookup import AXIS_CODES, FIRST_X, KNOWN_AHEAD, NO_AXIS, UNKNOWN, VALUES, values_of
 
 NAMES = (
     "torque_offset",
@@ -67,7 +67,10 @@ def vector_of(name: str, values: Mapping[str, float]) -> list[float]:
 def is_compensable(name: str, values: Mapping[str, float]) -> bool:
     """True where a feed-forward can give the torque: for a lookup only over what is known ahead."""
     law = law_of(name)
-    return law.compensable and (law.name != "lookup" or vector_of(name, values)[0] in KNOWN_AHEAD)
+    if law.name != "lookup":
+        return law.compensable
+    axes = {vector_of(name, values)[0], values.get("across", NO_AXIS)} - {NO_AXIS}
+    return axes <= KNOWN_AHEAD
 
 
 def name_error(name: str) -> str | None:
@@ -92,6 +95,8 @@ def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, 
     missing = [p.name for p in law_of(name).parameters if p.kind == SHAPE and p.name not in values]
     if missing and law_of(name).name != "lookup":
         errors.append((missing[0], f"missing: effect {name!r} needs its shape ({', '.join(missing)})"))
+    if law_of(name).name == "lookup" and values_of(values) > VALUES:
+        errors.append(("levels", f"{values_of(values)} values of count times levels are more than {VALUES}"))
     return errors
 
 

@@ -55,7 +55,7 @@ ATTRACTION_NM_PER_REV = 27
 REST_SPEED_RPS = 28  # below it the axis rests
 N_SLOTS = 29
 
-MAX_PARAMETERS = 53
+MAX_PARAMETERS = 84
 MEMORY_SLOTS = 72
 
 REST_SPEED_DEFAULT_RPS = 0.02  # some counts of a 15-bit resolver in the memory of a filter; creep in presliding is less

@@ -1,0 +1,151 @@
+"""Two axes at once: what neither of them explains, nor both of them one by one.
+
+Pairs are scored by coarse tables beyond the sum of two curves: that tells where a residual lives. The best of them gets
+a table with more knots, which is a law like any other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.effects.laws.lookup import AXIS_CODES, FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word
+from .candidates import Columns, Scene, effect_of
+from .evidence import Evidence, Score, orthonormal, score, whiten
+from .free_curves import Axis, abscissa, factor, knots_of
+from .paths import Rows
+from .screening import Trial
+
+Floats = npt.NDArray[np.float64]
+
+COARSE = 5  # knots of each axis of a coarse table
+LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fine one: of the velocity, two each way
+TURNS = 3.0  # of the motor, for its angle to be an axis
+AXES = (  # the finer of a pair first
+    Axis("motor_angle", PLAIN, 1.0), Axis("output_angle", PLAIN, 0.0), Axis("velocity", PLAIN, 0.0),
+    Axis("travel_since_reversal", FRICTION, 0.0), Axis("time", FRICTION, 0.0), Axis("current", PLAIN, 0.0),
+    Axis("memory", FRICTION, 3.0), Axis("acceleration", PLAIN, 0.0),
+)  # fmt: skip
+SPEED = Axis("memory", FRICTION, 0.0)  # a memory without a length
+OVER_SPEED = ("motor_angle", "output_angle", "travel_since_reversal", "time", "memory")
+
+
+class Pair(NamedTuple):
+    """A table over two axes; the first is the finer."""
+
+    along: Axis
+    across: Axis
+
+    @property
+    def name(self) -> str:
+        """As a channel is called."""
+        return f"{self.along.word} x {across_word(self.shapes)}"
+
+    @property
+    def shapes(self) -> dict[str, float]:
+        """What the law of its table is told of the axes."""
+        return {
+            "kind": self.along.kind, "scale": self.along.scale, "of_current": 0.0,
+            "across": float(next(code for word, code in AXIS_CODES.items() if word == self.across.word)),
+            "across_scale": self.across.scale,
+        }  # fmt: skip
+
+
+def pairs_of(turns: float) -> list[Pair]:
+    """All pairs that are tried: torque over the velocity, friction over its size, and either over the others."""
+    axes = {axis.word: axis for axis in AXES if axis.word != "motor_angle" or turns > TURNS}
+    found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
+    return found + [Pair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+
+
+def _pair(first: Axis, second: Axis) -> Pair:
+    frictional = FRICTION in (first.kind, second.kind) and "velocity" not in (first.word, second.word)
+    return Pair(first._replace(kind=FRICTION if frictional else PLAIN), second)
+
+
+class Coarse(NamedTuple):
+    """Columns of a coarse table, and of the two curves that it holds."""
+
+    pair: Pair
+    columns: Floats  # (m, k)
+    beside: Floats  # (m, j)
+
+
+def coarse_tables(rows: Rows, scenes: Sequence[Scene]) -> list[Coarse]:
+    """A coarse table of every pair over which the data move. Thinned, not filtered: it changes slowly."""
+    step = rows.laws.step
+    curves: dict[tuple[str, float], Floats | None] = {}
+    found = []
+    for pair in pairs_of(float(np.ptp(rows.position_rev))):
+        for axis in pair:
+            if (axis.word, axis.scale) not in curves:
+                at = np.concatenate([place[::step] for place in abscissa(scenes, axis)])
+                knots = np.unique(np.quantile(at[rows.kept], np.linspace(0.01, 0.99, COARSE)))
+                own = hats(np.clip(at, knots[0], knots[-1]), knots) if knots.size >= 3 else None
+                curves[axis.word, axis.scale] = own
+        first, second = (curves[axis.word, axis.scale] for axis in pair)
+        if first is None or second is None:
+            continue
+        weight = np.concatenate([factor(s, pair.along.kind)[::step] for s in scenes])[:, None]
+        table = (first[:, :, None] * second[:, None, :]).reshape(first.shape[0], -1)
+        found.append(Coarse(pair, table * weight, np.concatenate([first, second], axis=1) * weight))
+    return found
+
+
+def hats(places: Floats, knots: Floats) -> Floats:
+    """Straight lines between knots, one column a knot; nothing beyond the last. (m, k)"""
+    found = np.empty((places.size, knots.size))
+    for k in range(knots.size):
+        unit = np.zeros(knots.size)
+        unit[k] = 1.0
+        found[:, k] = np.interp(places, knots, unit, right=0.0)
+    found[places > knots[-1]] = 0.0
+    return found
+
+
+def score_beyond(evidence: Evidence, columns: Floats, beside: Floats) -> Score:
+    """What columns explain beyond others that are fitted anyway."""
+    white = whiten(evidence.rows, evidence.whitening, beside)
+    white = white - evidence.basis @ (evidence.basis.T @ white)
+    more = orthonormal(white)
+    left = evidence.residual - more @ (more.T @ evidence.residual)
+    basis = np.concatenate([evidence.basis, more], axis=1)
+    return score(evidence._replace(residual=left, basis=basis), columns)
+
+
+def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Trial | None:
+    """A fine table over a pair."""
+    rows = evidence.rows
+    places = [abscissa(scenes, axis) for axis in pair]
+    first, second = (np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places)
+    levels = np.unique(np.quantile(second, LEVEL_SHARES))
+    knots = knots_of(first, pair.along)
+    if knots.size < 4 or levels.size < 2:
+        return None
+    most = VALUES // LEVELS
+    if knots.size > most:
+        knots = knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))]
+    name = UNKNOWN + pair.along.word
+    shapes = {**pair.shapes, "count": float(knots.size), "levels": float(levels.size)}
+    shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    shapes |= {f"z{k:02d}": float(z) for k, z in enumerate(levels)}
+    columns = []
+    weights = [factor(scene, pair.along.kind) for scene in scenes]
+    for number in range(knots.size * levels.size):
+        level, knot = divmod(number, knots.size)
+        parts = []
+        for x, z, weight in zip(*places, weights, strict=True):
+            hat = np.interp(x, knots, np.eye(knots.size)[knot]) * np.interp(z, levels, np.eye(levels.size)[level])
+            parts.append(rows.laws.rows(hat * weight))
+        columns.append(np.concatenate(parts))
+    names = tuple(f"y{k:02d}" for k in range(len(columns)))
+    joined = Columns(names, (-1,) * len(columns), np.stack(columns, axis=1))
+    found = score(evidence, joined.values)
+    if found.rank == 0:
+        return None
+    effect = effect_of(name, shapes, joined, found.strengths, 1)
+    return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)

@@ -1,0 +1,143 @@
+"""Tables over two axes, tried against what was selected: in its place, in place of one effect, or beside all.
+
+A law that fits half of an interaction takes the place of what is in no list, and the next one fills what it leaves. A
+table is tried last for that reason, against all of them: it has to explain more than the laws that it replaces, by the
+margin of any free curve, to be worth its many numbers, to carry over to other runs, and to be beyond chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identification.prediction import THREADS
+from .candidates import Scene
+from .evidence import Evidence, score
+from .fitting import Fitted, best_gain, cost, polished, refit
+from .pairs import Coarse, coarse_tables, score_beyond, table_trial
+from .removal import MATERIAL_SHARE
+from .screening import Surrogates, Trial, comparable, false_alarm_probability
+from .selection import (
+    CURVE_MARGIN,
+    Contest,
+    Selection,
+    beside,
+    evidence_of,
+    renewed,
+    replace_effect,
+    within_reason,
+    worth_it,
+)
+from .transfer import transfer
+
+COARSE_SHARE = 0.7  # of what the replaced effects explain, that a coarse table has to
+
+
+class Offer(NamedTuple):
+    """A selection with a table in it."""
+
+    kept: tuple[int, ...]  # of the selected effects
+    trial: Trial
+    without: Fitted  # with the kept effects alone
+    fitted: Fitted
+    replaced_gain: float  # of the effects whose place it takes
+    probability: float
+
+    @property
+    def gain(self) -> float:
+        """What the table explains beside the kept effects."""
+        return best_gain(self.without, self.fitted)
+
+
+def with_table(selected: Selection, rate: float, told: Callable[[float], None]) -> Selection:
+    """The selection, or the same with a table over two axes where that is what it lacked."""
+    data, matrix, fitted = selected.data, selected.sensitivities, selected.fitted
+    everything = tuple(range(len(fitted.effects)))
+    ways = {(), everything, *(tuple(k for k in everything if k != out) for out in everything)}
+    scenes = evidence_of(data, matrix, fitted)[1]
+    tables = coarse_tables(data.rows, scenes)
+    best: Offer | None = None
+    for number, kept in enumerate(sorted(ways, key=len)):
+        told(number / len(ways))
+        offer = _offer(selected, kept, tables, rate)
+        if offer is not None and (best is None or cost(offer.fitted, data) < cost(best.fitted, data)):
+            best = offer
+    return selected if best is None else _accepted(selected, best)
+
+
+def _offer(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse], rate: float) -> Offer | None:
+    """A table beside the kept effects; None where there is none that is better than what was selected."""
+    data, matrix, fitted = selected.data, selected.sensitivities, selected.fitted
+    others = [fitted.effects[k] for k in kept]
+    adding = len(others) == len(fitted.effects)
+    without = fitted if adding else refit(data, matrix, fitted.physical, others, iterations=3)
+    replaced_gain = best_gain(without, fitted)
+    evidence, scenes = evidence_of(data, matrix, without)
+    trial = _promising(evidence, scenes, tables, replaced_gain, rate)
+    if trial is None or trial.name in {e.name for e in others}:
+        return None
+    result = polished(data, beside(data, matrix, without, trial), rounds=2)
+    offer = Offer(kept, replace_effect(trial, result.effects[-1]), without, result, replaced_gain, 1.0)
+    if not within_reason(data, result, len(others)) or cost(result, data) >= cost(fitted, data):
+        return None
+    if replaced_gain >= CURVE_MARGIN * offer.gain:
+        return None
+    if not worth_it(data, matrix, without, result, _contest(selected, offer)):
+        return None
+    offer = offer._replace(probability=_probability(selected, offer, tables))
+    return offer if offer.probability <= rate and transfer(data, matrix, result, without).holds else None
+
+
+def _promising(
+    evidence: Evidence, scenes: Sequence[Scene], tables: Sequence[Coarse], replaced_gain: float, rate: float
+) -> Trial | None:
+    """The pair that explains most, of those that explain something together that they do not one by one."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        whole = list(pool.map(lambda c: score(evidence, c.columns), tables))
+        beyond = list(pool.map(lambda c: score_beyond(evidence, c.columns, c.beside), tables))
+    surrogates = Surrogates(evidence, seed=7)
+    for one in beyond:
+        surrogates.take(one)
+    limit = float(np.quantile(surrogates.maxima, 1.0 - rate)) if tables else np.inf
+    able = [k for k, one in enumerate(beyond) if surrogates.statistic(one) > limit]
+    if not able:
+        return None
+    best = max(able, key=lambda k: whole[k].explained)
+    if whole[best].explained < COARSE_SHARE * replaced_gain:
+        return None
+    trial = table_trial(evidence, scenes, tables[best].pair)
+    least = max(replaced_gain, MATERIAL_SHARE * evidence.energy)
+    return trial if trial is not None and trial.explained >= least else None
+
+
+def _probability(selected: Selection, offer: Offer, tables: Sequence[Coarse]) -> float:
+    """That noise alone, of what is left, would do as well in a search over all pairs."""
+    evidence, _ = evidence_of(selected.data, selected.sensitivities, offer.fitted)
+    surrogates = Surrogates(evidence, seed=11)
+    with ThreadPoolExecutor(THREADS) as pool:
+        for one in pool.map(partial(score, evidence), [c.columns for c in tables]):
+            surrogates.take(one)
+    statistic = comparable(np.array([offer.gain / offer.fitted.loss]), offer.trial.rank)
+    return false_alarm_probability(float(statistic[0]), np.sort(surrogates.maxima))
+
+
+def _contest(selected: Selection, offer: Offer) -> Contest:
+    """The table against what it replaces."""
+    name = offer.trial.name
+    out = [k for k in range(len(selected.contests)) if k not in offer.kept]
+    gains = {selected.contests[k].chosen: offer.replaced_gain for k in out}
+    return Contest(name, {**gains, name: offer.gain}, {name: offer.trial})
+
+
+def _accepted(selected: Selection, offer: Offer) -> Selection:
+    data, base, fitted, matrix = renewed(selected.data, selected.base, offer.fitted)
+    return selected._replace(
+        data=data, base=base, fitted=fitted, sensitivities=matrix,
+        contests=(*(selected.contests[k] for k in offer.kept), _contest(selected, offer)),
+        probabilities=(*(selected.probabilities[k] for k in offer.kept), offer.probability),
+        left=None,
+    )  # fmt: skip

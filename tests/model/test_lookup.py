@@ -1,0 +1,94 @@
+"""The table of what has no name, against interpolation by scipy: inside, at the edges, beyond, and as a plain curve."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from fffo_drive.model.effects import slots as s
+from fffo_drive.model.effects.laws.lookup import AXIS_CODES, FRICTION, PLAIN, RESPONSE, VISCOUS, across_word, values_of
+from fffo_drive.model.effects.registry import law_of, parameter_errors, vector_of
+
+NAME = "unknown:velocity"
+X = np.array([-4.0, -0.5, 0.2, 3.0])
+Z = np.array([-10.0, 0.0, 40.0])
+Y = np.random.default_rng(1).normal(size=(Z.size, X.size))
+SHAPES = {
+    "count": 4.0, "across": float(AXIS_CODES["acceleration"]), "levels": 3.0,
+    **{f"x{k:02d}": x for k, x in enumerate(X)}, **{f"z{k:02d}": z for k, z in enumerate(Z)},
+}  # fmt: skip
+VALUES = {f"y{k:02d}": y for k, y in enumerate(Y.ravel())}
+
+
+def torque(velocity_rps, acceleration_rps2=0.0, kind=PLAIN, grip=0.0, **values):
+    signals, memory = np.zeros(s.N_SLOTS), np.zeros(s.MEMORY_SLOTS)
+    signals[s.STEP_S] = 5e-4
+    signals[s.VELOCITY_RPS], signals[s.ACCELERATION_RPS2], signals[s.GRIP] = velocity_rps, acceleration_rps2, grip
+    parameters = np.zeros(s.MAX_PARAMETERS)
+    given = vector_of(NAME, {**SHAPES, **VALUES, "kind": kind, **values})
+    parameters[: len(given)] = given
+    law_of(NAME).kernel(signals, parameters, memory)
+    return signals[s.LOAD_NM]
+
+
+@given(velocity_rps=st.floats(-6.0, 6.0), acceleration_rps2=st.floats(-20.0, 60.0))
+def test_a_table_is_straight_between_its_knots_and_constant_beyond(velocity_rps, acceleration_rps2):
+    wanted = RegularGridInterpolator((Z, X), Y)
+    inside = (np.clip(acceleration_rps2, Z[0], Z[-1]), np.clip(velocity_rps, X[0], X[-1]))
+    assert torque(velocity_rps, acceleration_rps2) == pytest.approx(float(wanted(inside)), abs=1e-12)
+
+
+@given(velocity_rps=st.floats(-6.0, 6.0), kind=st.sampled_from((PLAIN, FRICTION, VISCOUS)), grip=st.floats(-1.0, 1.0))
+def test_a_curve_is_a_table_without_a_second_axis(velocity_rps, kind, grip):
+    times = {PLAIN: 1.0, FRICTION: grip, VISCOUS: velocity_rps}[kind]
+    wanted = np.interp(velocity_rps, X, Y[0]) * times
+    assert torque(velocity_rps, 25.0, kind, grip, across=-1.0) == pytest.approx(wanted, abs=1e-12)
+    level = Z[0] - 1.0
+    assert torque(velocity_rps, level, kind, grip) == pytest.approx(wanted, abs=1e-12)
+
+
+@given(velocity_rps=st.floats(-6.0, 6.0))
+def test_a_memory_without_a_length_is_the_speed(velocity_rps):
+    own = torque(velocity_rps, across=float(AXIS_CODES["memory"]), across_scale=0.0)
+    wanted = RegularGridInterpolator((Z, X), Y)((min(abs(velocity_rps), Z[-1]), np.clip(velocity_rps, X[0], X[-1])))
+    assert own == pytest.approx(float(wanted), abs=1e-9)
+
+
+def test_a_table_says_how_many_values_it_has_and_over_what():
+    assert values_of(SHAPES) == 12
+    assert values_of({"count": 4.0}) == 4
+    assert across_word(SHAPES) == "acceleration"
+    assert across_word({"count": 4.0}) == ""
+    assert across_word({**SHAPES, "across": 11.0, "across_scale": 0.0}) == "speed"
+    assert across_word({**SHAPES, "across": 11.0, "across_scale": 3.0}) == "memory"
+
+
+def test_a_table_that_does_not_fit_is_refused():
+    assert parameter_errors(NAME, {**SHAPES, **VALUES}) == []
+    assert [key for key, _ in parameter_errors(NAME, {**SHAPES, "levels": 5.0})] == ["levels"]
+    assert [key for key, _ in parameter_errors(NAME, {**SHAPES, "count": 20.0, "levels": 4.0})] == ["levels"]
+
+
+@pytest.mark.parametrize("band_hz", [2.0, 8.0])
+def test_a_response_gives_what_is_in_phase_and_what_is_a_quarter_of_a_period_late(band_hz):
+    """At its own frequency a band passes all of the motor torque."""
+    step_s, samples = 5e-4, 20_000
+    time_s = np.arange(samples) * step_s
+    torque_nm = np.sin(2.0 * np.pi * band_hz * time_s)
+    for in_phase, late in ((0.3, 0.0), (0.0, -0.2)):
+        values = {"kind": RESPONSE, "count": 2.0, "x00": 2.0, "x01": 8.0}
+        values["y00" if band_hz == 2.0 else "y01"], values["y02" if band_hz == 2.0 else "y03"] = in_phase, late
+        parameters, signals = np.zeros(s.MAX_PARAMETERS), np.zeros(s.N_SLOTS)
+        given = vector_of("unknown:frequency", values)
+        parameters[: len(given)] = given
+        signals[s.STEP_S] = step_s
+        memory, load_nm = np.zeros(s.MEMORY_SLOTS), np.zeros(samples)
+        for k in range(samples):
+            signals[s.MOTOR_TORQUE_NM], signals[s.LOAD_NM] = torque_nm[k], 0.0
+            law_of("unknown:frequency").kernel(signals, parameters, memory)
+            load_nm[k] = signals[s.LOAD_NM]
+        settled = time_s > 5.0
+        wanted = in_phase * torque_nm - late * np.cos(2.0 * np.pi * band_hz * time_s)
+        assert load_nm[settled] == pytest.approx(wanted[settled], abs=0.01)
+    assert values_of(values) == 4
