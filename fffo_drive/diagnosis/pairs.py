@@ -23,6 +23,10 @@ from .screening import Trial
 Floats = npt.NDArray[np.float64]
 
 COARSE = 5  # knots of each axis of a coarse table
+ANGLES = ("motor_angle", "output_angle")
+FINE = 40  # knots of the curve that says where those of a table over an angle lie
+STEEPEST = 20.0  # bend of that curve over its median, beyond which it counts no more
+EVEN_SHARE = 0.5  # of the knots' density that is even, over what follows the bends
 LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fine one: of the velocity, two each way
 TURNS = 3.0  # of the motor, for its angle to be an axis
 AXES = (  # the finer of a pair first
@@ -123,12 +127,9 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
     places = [abscissa(scenes, axis) for axis in pair]
     first, second = (np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places)
     levels = np.unique(np.quantile(second, LEVEL_SHARES))
-    knots = knots_of(first, pair.along)
+    knots = _knots(evidence, scenes, pair.along, places[0])
     if knots.size < 4 or levels.size < 2:
         return None
-    most = VALUES // LEVELS
-    if knots.size > most:
-        knots = knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))]
     name = UNKNOWN + pair.along.word
     shapes = {**pair.shapes, "count": float(knots.size), "levels": float(levels.size)}
     shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
@@ -149,3 +150,34 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
         return None
     effect = effect_of(name, shapes, joined, found.strengths, 1)
     return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+
+
+def _knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, places: Sequence[Floats]) -> Floats:
+    """Knots of the finer axis: of an angle where a curve over it bends, as a window may be narrow."""
+    most = VALUES // LEVELS
+    if axis.word in ANGLES:
+        return bent_knots(evidence, scenes, axis, most)
+    knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
+    if knots.size <= most:
+        return knots
+    return knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))]
+
+
+def bent_knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, count: int) -> Floats:
+    """Knots where a fine curve over an axis bends: as friction, where that explains more than as torque."""
+    rows = evidence.rows
+    step = rows.laws.step
+    at = np.concatenate([place[::step] for place in abscissa(scenes, axis)])
+    low, high = (float(x) for x in np.quantile(at[rows.kept], (0.0, 1.0)))
+    if not high > low:
+        return np.zeros(0)
+    fine = np.linspace(low, high, FINE)
+    columns = hats(at, fine)
+    weights = [np.concatenate([factor(s, kind)[::step] for s in scenes])[:, None] for kind in (PLAIN, FRICTION)]
+    best = max((score(evidence, columns * weight) for weight in weights), key=lambda found: found.explained)
+    bend = np.abs(np.diff(best.strengths, 2, prepend=best.strengths[0], append=best.strengths[-1]))
+    bend = np.minimum(bend, STEEPEST * float(np.median(bend))) if bend.any() else np.ones(FINE)
+    density = np.sqrt(np.convolve(bend, np.full(3, 1.0 / 3.0), mode="same"))
+    density = density / density.sum() + EVEN_SHARE / FINE
+    reached = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+    return np.asarray(np.unique(np.interp(np.linspace(0.0, reached[-1], count), reached, fine)), dtype=np.float64)

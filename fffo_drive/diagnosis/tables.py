@@ -7,7 +7,7 @@ margin of any free curve, to be worth its many numbers, to carry over to other r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
@@ -35,6 +35,9 @@ from .selection import (
 from .transfer import transfer
 
 COARSE_SHARE = 0.7  # of what the replaced effects explain, that a coarse table has to
+TOGETHER = 0.1  # of what a pair explains, that its axes do not explain one by one
+FINE_TABLES = 8  # pairs that get a fine table ...
+REFITTED = 2  # ... and of those, that are refitted
 
 
 class Offer(NamedTuple):
@@ -58,60 +61,74 @@ def with_table(selected: Selection, rate: float, told: Callable[[float], None]) 
     data, matrix, fitted = selected.data, selected.sensitivities, selected.fitted
     everything = tuple(range(len(fitted.effects)))
     ways = {(), everything, *(tuple(k for k in everything if k != out) for out in everything)}
-    scenes = evidence_of(data, matrix, fitted)[1]
-    tables = coarse_tables(data.rows, scenes)
-    best: Offer | None = None
-    for number, kept in enumerate(sorted(ways, key=len)):
+    tables = coarse_tables(data.rows, evidence_of(data, matrix, selected.base)[1])
+    for number, kept in enumerate(sorted(ways, key=len)):  # with the fewest laws beside it first
         told(number / len(ways))
-        offer = _offer(selected, kept, tables, rate)
-        if offer is not None and (best is None or cost(offer.fitted, data) < cost(best.fitted, data)):
-            best = offer
-    return selected if best is None else _accepted(selected, best)
+        best = min(_offers(selected, kept, tables, rate), key=lambda offer: cost(offer.fitted, data), default=None)
+        if best is not None:
+            return _accepted(selected, best)
+    return selected
 
 
-def _offer(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse], rate: float) -> Offer | None:
-    """A table beside the kept effects; None where there is none that is better than what was selected."""
+def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse], rate: float) -> Iterator[Offer]:
+    """Tables beside the kept effects that are better than what was selected."""
     data, matrix, fitted = selected.data, selected.sensitivities, selected.fitted
     others = [fitted.effects[k] for k in kept]
-    adding = len(others) == len(fitted.effects)
-    without = fitted if adding else refit(data, matrix, fitted.physical, others, iterations=3)
+    if len(others) == len(fitted.effects):
+        without = fitted
+    else:
+        without = refit(data, matrix, fitted.physical, others, iterations=3) if others else selected.base
     replaced_gain = best_gain(without, fitted)
     evidence, scenes = evidence_of(data, matrix, without)
-    trial = _promising(evidence, scenes, tables, replaced_gain, rate)
-    if trial is None or trial.name in {e.name for e in others}:
-        return None
-    result = polished(data, beside(data, matrix, without, trial), rounds=2)
-    offer = Offer(kept, replace_effect(trial, result.effects[-1]), without, result, replaced_gain, 1.0)
-    if not within_reason(data, result, len(others)) or cost(result, data) >= cost(fitted, data):
-        return None
-    if replaced_gain >= CURVE_MARGIN * offer.gain:
-        return None
-    if not worth_it(data, matrix, without, result, _contest(selected, offer)):
-        return None
-    offer = offer._replace(probability=_probability(selected, offer, tables))
-    return offer if offer.probability <= rate and transfer(data, matrix, result, without).holds else None
+    for trial in _promising(evidence, scenes, tables, replaced_gain, rate):
+        if trial.name in {e.name for e in others}:
+            continue
+        result = beside(data, matrix, without, trial)
+        offer = Offer(kept, trial, without, result, replaced_gain, 1.0)
+        if replaced_gain >= CURVE_MARGIN * offer.gain or not _worth_it(selected, offer):
+            continue
+        result = polished(data, result, rounds=2)
+        offer = offer._replace(trial=replace_effect(trial, result.effects[-1]), fitted=result)
+        if cost(result, data) >= cost(fitted, data) or not transfer(data, matrix, result, without).holds:
+            continue
+        offer = offer._replace(probability=_probability(selected, offer, tables))
+        if offer.probability <= rate:
+            yield offer
+
+
+def _worth_it(selected: Selection, offer: Offer) -> bool:
+    data, result = selected.data, offer.fitted
+    if not within_reason(data, result, len(result.effects) - 1):
+        return False
+    return worth_it(data, selected.sensitivities, offer.without, result, _contest(selected, offer))
 
 
 def _promising(
     evidence: Evidence, scenes: Sequence[Scene], tables: Sequence[Coarse], replaced_gain: float, rate: float
-) -> Trial | None:
-    """The pair that explains most, of those that explain something together that they do not one by one."""
+) -> list[Trial]:
+    """The pairs that explain most, of those that explain something together that they do not one by one.
+
+    Beside what was selected that has to be beyond chance; in its place the rest has, and the margin is what counts.
+    """
     with ThreadPoolExecutor(THREADS) as pool:
         whole = list(pool.map(lambda c: score(evidence, c.columns), tables))
         beyond = list(pool.map(lambda c: score_beyond(evidence, c.columns, c.beside), tables))
-    surrogates = Surrogates(evidence, seed=7)
-    for one in beyond:
-        surrogates.take(one)
-    limit = float(np.quantile(surrogates.maxima, 1.0 - rate)) if tables else np.inf
-    able = [k for k, one in enumerate(beyond) if surrogates.statistic(one) > limit]
-    if not able:
-        return None
-    best = max(able, key=lambda k: whole[k].explained)
-    if whole[best].explained < COARSE_SHARE * replaced_gain:
-        return None
-    trial = table_trial(evidence, scenes, tables[best].pair)
-    least = max(replaced_gain, MATERIAL_SHARE * evidence.energy)
-    return trial if trial is not None and trial.explained >= least else None
+        surrogates = Surrogates(evidence, seed=7)
+        for one in beyond:
+            surrogates.take(one)
+        limit = float(np.quantile(surrogates.maxima, 1.0 - rate)) if tables and not replaced_gain else 0.0
+        able = [
+            k
+            for k, one in enumerate(beyond)
+            if surrogates.statistic(one) > limit
+            and one.explained >= TOGETHER * whole[k].explained
+            and whole[k].explained >= COARSE_SHARE * replaced_gain
+        ]
+        able = sorted(able, key=lambda k: -whole[k].explained)[:FINE_TABLES]
+        trials = list(pool.map(lambda k: table_trial(evidence, scenes, tables[k].pair), able))
+    least = max(replaced_gain / CURVE_MARGIN, MATERIAL_SHARE * evidence.energy)
+    found = [trial for trial in trials if trial is not None and trial.explained >= least]
+    return sorted(found, key=lambda trial: -trial.explained)[:REFITTED]
 
 
 def _probability(selected: Selection, offer: Offer, tables: Sequence[Coarse]) -> float:
