@@ -160,7 +160,7 @@ def _knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, places: Sequ
     knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
     if knots.size <= most:
         return knots
-    return knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))]
+    return np.asarray(knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))])
 
 
 def bent_knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, count: int) -> Floats:
@@ -180,4 +180,4 @@ def bent_knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, count: i
     density = np.sqrt(np.convolve(bend, np.full(3, 1.0 / 3.0), mode="same"))
     density = density / density.sum() + EVEN_SHARE / FINE
     reached = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-    return np.asarray(np.unique(np.interp(np.linspace(0.0, reached[-1], count), reached, fine)), dtype=np.float64)
+    return np.unique(np.interp(np.linspace(0.0, reached[-1], count), reached, fine))

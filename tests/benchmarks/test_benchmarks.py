@@ -51,7 +51,7 @@ def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
         assert facts["socket pair: least cycle, numba over C"]["median"] < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_plant_is_the_plant_in_c_bit_for_bit_at_its_cost():
     facts = sample("plant")
@@ -60,7 +60,7 @@ def test_the_plant_is_the_plant_in_c_bit_for_bit_at_its_cost():
         assert facts["sub-step, numba over C"]["median"] < 1.8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_every_loop_of_the_lateness_benchmark_runs_its_ticks():
