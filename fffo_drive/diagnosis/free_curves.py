@@ -16,7 +16,8 @@ import numpy.typing as npt
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
-from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import RESPONSE as RESPONSE_KIND
 from .candidates import Columns, Scene, effect_of, load_along, torque_rows
 from .evidence import Evidence, score
 from .screening import Trial
@@ -28,6 +29,7 @@ FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of sever
 MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6
+RESPONSE = UNKNOWN + "frequency"
 RESPONSE_KNOTS = 7
 LOWEST_HZ = 0.5
 HIGHEST_SHARE = 0.4  # of the rate of the rows
@@ -68,7 +70,7 @@ def free_trials(
     axes = axes_of(facts, turns)
     with ThreadPoolExecutor(THREADS) as pool:
         found = list(pool.map(lambda axis: _trial(evidence, scenes, axis), axes))
-    found.append(_response_trial(evidence, scenes))
+    found.append(response_trial(evidence, scenes))
     best: dict[str, Trial] = {}
     for trial in found:
         if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
@@ -103,23 +105,23 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
     return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
 
 
-def _response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
+def response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
     """The best bank of bands over frequency: how the residual answers to the motor torque."""
     rows = evidence.rows
-    name = UNKNOWN + "frequency"
     highest_hz = HIGHEST_SHARE / rows.filter.row_period_s
     knots = np.geomspace(LOWEST_HZ, highest_hz, RESPONSE_KNOTS)
-    shapes = {"kind": RESPONSE, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    shapes = {"kind": RESPONSE_KIND, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
     names = tuple(f"y{k:02d}" for k in range(2 * knots.size))
     columns = [
-        np.concatenate([torque_rows(scene, name, {**shapes, own: 1.0}, rows.laws) for scene in scenes]) for own in names
+        np.concatenate([torque_rows(scene, RESPONSE, {**shapes, own: 1.0}, rows.laws) for scene in scenes])
+        for own in names
     ]
     joined = Columns(names, (-1,) * len(names), np.stack(columns, axis=1))
     found = score(evidence, joined.values)
     if found.rank == 0:
         return None
-    effect = effect_of(name, shapes, joined, found.strengths, 1)
-    return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+    effect = effect_of(RESPONSE, shapes, joined, found.strengths, 1)
+    return Trial(RESPONSE, shapes, found.explained, found.rank, effect, found.window_scores, joined)
 
 
 def factor(scene: Scene, kind: float) -> Floats:

@@ -41,7 +41,7 @@ from .fitting import (
     refit,
     slots_of,
 )
-from .free_curves import free_trials
+from .free_curves import RESPONSE, free_trials
 from .removal import MATERIAL_SHARE, backward
 from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
 from .startup import noise_model
@@ -170,7 +170,8 @@ def contend(
 ) -> tuple[Contest, Fitted | None]:
     """Refit every rival beside what is accepted; the cheapest is chosen.
 
-    A free curve is chosen only where it explains what no law of the library explains, by a margin.
+    A free curve is chosen only where it explains what no law of the library explains, by a margin. A response over
+    frequency takes no part: it can stand in for any joint or lag, and is tried last.
     """
     trials = list(screening.trials)
     top = max(penalised(t, evidence) for t in trials)
@@ -180,7 +181,8 @@ def contend(
 
     taken = {e.name for e in fitted.effects}
     laws = len(picked)
-    picked += [t for t in free if t.name not in taken and t.explained >= CURVE_SHARE * top][:2]
+    curves = [t for t in free if t.name not in taken and t.name != RESPONSE]
+    picked += [t for t in curves if t.explained >= CURVE_SHARE * top][:2]
 
     one = partial(beside, data, matrix, fitted)
     with ThreadPoolExecutor(THREADS) as pool:

@@ -1,8 +1,10 @@
-"""Tables over two axes, tried against what was selected: in its place, in place of one effect, or beside all.
+"""What is tried last, against what was selected: tables over two axes, and a response over frequency.
 
-A law that fits half of an interaction takes the place of what is in no list, and the next one fills what it leaves. A
-table is tried last for that reason, against all of them: it has to explain more than the laws that it replaces, by the
-margin of any free curve, to be worth its many numbers, to carry over to other runs, and to be beyond chance.
+A table is tried in the place of everything, of one effect, or beside all; a response, which can stand in for any joint
+or lag, beside all.
+A law that fits half of an interaction takes the place of what is in no list, and the next one fills what it leaves.
+What is tried here has to explain more than the laws that it replaces, by the margin of any free curve, to be worth its
+many numbers, to carry over to other runs, and to be beyond chance.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from ..identification.prediction import THREADS
 from .candidates import Scene
 from .evidence import Evidence, score
 from .fitting import Fitted, best_gain, cost, polished, refit
+from .free_curves import response_trial
 from .pairs import Coarse, coarse_tables, score_beyond, table_trial
 from .removal import MATERIAL_SHARE
 from .screening import Surrogates, Trial, comparable, false_alarm_probability
@@ -34,6 +37,7 @@ from .selection import (
 )
 from .transfer import transfer
 
+LEAST_CARRIED = 0.7  # of the gain on a run that has to be there when the run is left out: more than of a law
 COARSE_SHARE = 0.7  # of what the replaced effects explain, that a coarse table has to
 TOGETHER = 0.1  # of what a pair explains, that its axes do not explain one by one
 FINE_TABLES = 8  # pairs that get a fine table ...
@@ -74,13 +78,18 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     """Tables beside the kept effects that are better than what was selected."""
     data, matrix, fitted = selected.data, selected.sensitivities, selected.fitted
     others = [fitted.effects[k] for k in kept]
-    if len(others) == len(fitted.effects):
+    adding = len(others) == len(fitted.effects)
+    if adding:
         without = fitted
     else:
         without = refit(data, matrix, fitted.physical, others, iterations=3) if others else selected.base
     replaced_gain = best_gain(without, fitted)
     evidence, scenes = evidence_of(data, matrix, without)
-    for trial in _promising(evidence, scenes, tables, replaced_gain, rate):
+    trials = _promising(evidence, scenes, tables, replaced_gain, rate)
+    response = response_trial(evidence, scenes) if adding else None
+    if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
+        trials.append(response)
+    for trial in trials:
         if trial.name in {e.name for e in others}:
             continue
         result = beside(data, matrix, without, trial)
@@ -89,7 +98,8 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
             continue
         result = polished(data, result, rounds=2)
         offer = offer._replace(trial=replace_effect(trial, result.effects[-1]), fitted=result)
-        if cost(result, data) >= cost(fitted, data) or not transfer(data, matrix, result, without).holds:
+        carried = transfer(data, matrix, result, without)
+        if cost(result, data) >= cost(fitted, data) or carried.left_out < LEAST_CARRIED * carried.fitted:
             continue
         offer = offer._replace(probability=_probability(selected, offer, tables))
         if offer.probability <= rate:
