@@ -12,8 +12,9 @@ from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import at_rest, evaluate, huber_terms, refit
 from fffo_drive.diagnosis.free_curves import free_trials
 from fffo_drive.diagnosis.removal import backward
-from fffo_drive.diagnosis.selection import beside, evidence_of
+from fffo_drive.diagnosis.selection import Contest, Selection, beside, evidence_of
 from fffo_drive.diagnosis.startup import fit_base
+from fffo_drive.diagnosis.tables import with_table
 from fffo_drive.diagnosis.transfer import Transfer, of_one_size, transfer
 from fffo_drive.diagnosis.where import where
 from fffo_drive.drive.simulated.parameters import EffectConfig
@@ -152,6 +153,15 @@ def test_a_residual_over_two_axes_and_one_after_rests_are_seen_where_they_are(of
     assert pair.explained_before == max(c.explained_before for c in found.values())
     assert not pair.significant_after
     assert {"break_away", "reversal", "jerk"} <= set(found)
+
+
+@pytest.mark.slow
+def test_one_axis_alone_makes_no_table(offset_axis):
+    data, base, matrix = offset_axis
+    fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": -OFFSET_NM})])
+    contest = Contest("torque_offset", {"torque_offset": 1.0}, {})
+    given = Selection(data, base, fitted, matrix, (contest,), (1e-9,), (), (), None)
+    assert with_table(given, 0.01, lambda share: None) is given
 
 
 @pytest.mark.slow

@@ -56,15 +56,12 @@ def untold(share):
 def test_what_two_axes_do_together_is_found_as_a_table_and_takes_the_place_of_a_law_that_fits_half_of_it(patched):
     data, base, matrix = patched
     offset = Effect("torque_offset", {}, {"torque_nm": np.array([1e-4])})
-    for wrong in ((), (offset,)):
-        found = with_table(selection(data, base, matrix, *wrong), RATE, untold)
-        name = [e.name for e in found.fitted.effects]
-        assert name == ["unknown:motor_angle"]
-        shapes = found.fitted.effects[0].shapes
-        assert across_word(shapes) in ("speed", "velocity")
-        assert found.fitted.loss < 0.75 * found.base.loss
-        assert found.probabilities[-1] <= RATE
-        assert len(found.contests) == len(found.probabilities) == 1
+    found = with_table(selection(data, base, matrix, offset), RATE, untold)
+    assert [e.name for e in found.fitted.effects] == ["unknown:motor_angle"]
+    assert across_word(found.fitted.effects[0].shapes) in ("speed", "velocity")
+    assert found.fitted.loss < 0.75 * found.base.loss
+    assert found.probabilities[-1] <= RATE
+    assert len(found.contests) == len(found.probabilities) == 1
 
 
 @pytest.mark.slow
@@ -76,14 +73,6 @@ def test_the_columns_of_a_table_are_its_law(patched):
     strengths = np.array([trial.effect.strengths[name][0] for name in trial.columns.names])
     along = effect_rows(consistent_scenes(data, base.physical, ()), trial.effect, data.rows.laws)
     assert along == pytest.approx(trial.columns.values @ strengths, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_one_axis_alone_makes_no_table():
-    data, base, matrix = axis_with(EffectConfig("torque_offset", {"torque_nm": 0.004}))
-    offset = Effect("torque_offset", {}, {"torque_nm": np.array([-0.004])})
-    given = selection(data, base, matrix, offset)
-    assert with_table(given, RATE, untold) is given
 
 
 def test_an_axis_that_hardly_turns_has_no_angle_of_the_motor():

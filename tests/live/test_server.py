@@ -179,7 +179,8 @@ def test_a_client_that_does_not_read_is_dropped_and_disturbs_nobody(tmp_path, mo
         small = socket.socket()
         small.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # the kernel takes nothing in its place
         small.connect(("127.0.0.1", scope.port))
-        good, stalled = scope.open(), scope.open(sock=small, max_queue=1)
+        good = scope.open(max_queue=None)  # it reads also while this test waits for the other
+        stalled = scope.open(sock=small, max_queue=1)
         scope.until(lambda: scope.server.hub.feed._reader is not None)
         write(scope.ring, rows_of(0, 20_000))
         hear(good, "rows")

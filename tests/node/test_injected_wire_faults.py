@@ -69,6 +69,14 @@ def test_duplicates() -> None:
 
 
 @pytest.mark.conformance("CiA 402", "frames dropped, doubled, delayed, with jitter, reordered; in both directions")
+def test_each_fault_doubles_the_frame_and_not_what_others_made_of_it() -> None:
+    rig = turning()
+    for _ in range(40):
+        inject(rig, FaultKind.DUPLICATE_SENT, can_id=0x181)
+    assert cycles(rig, 1) == [["181"] * 41 + ["281"]]
+
+
+@pytest.mark.conformance("CiA 402", "frames dropped, doubled, delayed, with jitter, reordered; in both directions")
 def test_delays() -> None:
     rig = turning()
     inject(rig, FaultKind.DELAY_SENT, can_id=0x181, value=200)  # us

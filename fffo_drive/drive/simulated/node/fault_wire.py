@@ -74,7 +74,7 @@ class FaultyWire:
 
     def _apply(self, rule: WireRule, frames: list[bytes], now_ns: int) -> list[bytes]:
         if rule.effect is WireEffect.DUPLICATE:
-            return frames * 2
+            return [*frames, frames[0]]  # one more a rule: rules that doubled what others doubled would fill the memory
         if rule.effect is WireEffect.DELAY:
             for frame in frames:
                 self._sequence += 1
