@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
-from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.laws.lookup import UNKNOWN, across_word
 from ..model.parameters import ModelFile
 from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
@@ -158,7 +158,7 @@ def _found(accepted: Sequence[Finding]) -> Table:
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
                 Cell(text=", ".join(finding.alternatives) or "–"),
-                Cell(text=finding.axis.replace("_", " ")),
+                Cell(text=_axes(finding).replace("_", " ")),
                 Cell(text=finding.regime),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],
@@ -221,6 +221,12 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
         f"{ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
+
+
+def _axes(finding: Finding) -> str:
+    """The axis of a finding, or both axes of a table."""
+    across = across_word({number.name: number.value for number in finding.parameters})
+    return f"{finding.axis} x {across}" if across else finding.axis
 
 
 def _parameters(accepted: Sequence[Finding]) -> Table:

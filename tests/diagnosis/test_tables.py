@@ -11,6 +11,7 @@ from fffo_drive.diagnosis.candidates import Effect, effect_rows
 from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import consistent_scenes, refit
 from fffo_drive.diagnosis.pairs import coarse_tables, pairs_of, table_trial
+from fffo_drive.diagnosis.pictures import picture
 from fffo_drive.diagnosis.selection import Contest, Selection, evidence_of
 from fffo_drive.diagnosis.startup import fit_base
 from fffo_drive.diagnosis.tables import with_table
@@ -62,6 +63,10 @@ def test_what_two_axes_do_together_is_found_as_a_table_and_takes_the_place_of_a_
     assert found.fitted.loss < 0.75 * found.base.loss
     assert found.probabilities[-1] <= RATE
     assert len(found.contests) == len(found.probabilities) == 1
+    shown = picture(found.data, found.base, found.fitted, 0).curves  # at the two levels that differ most
+    assert [curve.kind for curve in shown] == ["points", "line"] * 2
+    assert len({curve.label for curve in shown}) == 4
+    assert all(" near " in curve.label for curve in shown)
 
 
 @pytest.mark.slow

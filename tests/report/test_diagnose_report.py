@@ -157,6 +157,8 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     table = finding(name="unknown:motor_angle", parameters=numbers)
     words = "a table over -2 to 3 and the speed, 0.1 to 4: friction from -0.001 to 0.004 Nm"
     assert curve_words(table) == words
+    page = render_page(diagnosis_report(SOURCE, diagnosis(findings=(table,))))
+    assert "motor angle x speed" in page
 
 
 def test_what_does_harm_on_held_out_runs_is_said():
