@@ -97,7 +97,13 @@ def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | N
         for place, scene in zip(places, scenes, strict=True):
             parts.append(rows.laws.rows(np.interp(place, knots, unit) * factor(scene, axis.kind)))
         columns.append(np.concatenate(parts))
-    joined = Columns(tuple(f"y{k:02d}" for k in range(knots.size)), (-1,) * knots.size, np.stack(columns, axis=1))
+    return trial_of(evidence, name, shapes, columns)
+
+
+def trial_of(evidence: Evidence, name: str, shapes: dict[str, float], columns: Sequence[Floats]) -> Trial | None:
+    """The lookup whose k-th value has the k-th column (m,); None where the base can do all of it."""
+    names = tuple(f"y{k:02d}" for k in range(len(columns)))
+    joined = Columns(names, (-1,) * len(names), np.stack(columns, axis=1))
     found = score(evidence, joined.values)
     if found.rank == 0:
         return None
@@ -116,12 +122,7 @@ def response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
         np.concatenate([torque_rows(scene, RESPONSE, {**shapes, own: 1.0}, rows.laws) for scene in scenes])
         for own in names
     ]
-    joined = Columns(names, (-1,) * len(names), np.stack(columns, axis=1))
-    found = score(evidence, joined.values)
-    if found.rank == 0:
-        return None
-    effect = effect_of(RESPONSE, shapes, joined, found.strengths, 1)
-    return Trial(RESPONSE, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+    return trial_of(evidence, RESPONSE, shapes, columns)
 
 
 def factor(scene: Scene, kind: float) -> Floats:

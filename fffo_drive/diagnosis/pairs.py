@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.effects.laws.lookup import AXIS_CODES, FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word
-from .candidates import Columns, Scene, effect_of
+from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
-from .free_curves import Axis, abscissa, factor, knots_of
+from .free_curves import Axis, abscissa, factor, knots_of, trial_of
 from .paths import Rows
 from .screening import Trial
 
@@ -143,13 +143,7 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
             hat = np.interp(x, knots, np.eye(knots.size)[knot]) * np.interp(z, levels, np.eye(levels.size)[level])
             parts.append(rows.laws.rows(hat * weight))
         columns.append(np.concatenate(parts))
-    names = tuple(f"y{k:02d}" for k in range(len(columns)))
-    joined = Columns(names, (-1,) * len(columns), np.stack(columns, axis=1))
-    found = score(evidence, joined.values)
-    if found.rank == 0:
-        return None
-    effect = effect_of(name, shapes, joined, found.strengths, 1)
-    return Trial(name, shapes, found.explained, found.rank, effect, found.window_scores, joined)
+    return trial_of(evidence, name, shapes, columns)
 
 
 def _knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, places: Sequence[Floats]) -> Floats:
