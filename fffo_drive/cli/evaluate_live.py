@@ -24,7 +24,6 @@ from ..config.scenario import (
     wrong_model,
     yardstick_of,
 )
-from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.port import DriveIdentity
 from ..evaluation.campaign import Evaluation, evaluation_of
@@ -72,9 +71,8 @@ def evaluate_recordings(
         name = controller_name(run)
         counted[name] = counted.get(name, 0) + 1
         period_s = float(run.metadata["period_s"])
-        trace = trace_of(own, period_s)
-        windows = tuple((a, b) for a, b in _windows(own, period_s)) if counted[name] == 1 else ()
-        evaluations.append(evaluation_of(name, counted[name], trace, yardstick, windows))
+        windows = cutouts_of(period_s * int(run.metadata["profile_samples"])) if counted[name] == 1 else ()
+        evaluations.append(evaluation_of(name, counted[name], trace_of(own, period_s), yardstick, windows))
     return yardstick, evaluations, cautions
 
 
@@ -96,11 +94,6 @@ def _profile_of(run: Run) -> Rows:
     if inside.size == 0 or "period_s" not in run.metadata:
         raise DocumentError(f"{run.path}: holds no profile in which the velocity loop was closed")
     return inside
-
-
-def _windows(rows: Rows, period_s: float) -> tuple[tuple[float, float], ...]:
-    profile = Profile("recorded", 1, period_s, rows["reference_rps"], rows["reference_rps2"])
-    return cutouts_of(profile)
 
 
 def evaluate_on_bus(
@@ -143,7 +136,7 @@ def evaluate_on_bus(
                 if outcome.gap_text is not None:
                     raise RecordingGapError(f"{candidate.name}: {outcome.gap_text}")
                 trace = trace_of(recorded_rows(outcome.files), profile.period_s, profile.values.size)
-                windows = cutouts_of(profile) if seed == scenario.seeds[0] else ()
+                windows = cutouts_of(profile.duration_s) if seed == scenario.seeds[0] else ()
                 evaluations.append(evaluation_of(candidate.name, seed, trace, yardstick_of(scenario.file), windows))
     return evaluations
 

@@ -246,10 +246,10 @@ def yardstick_of(file: ScenarioFile) -> Yardstick:
     return Yardstick(tuple(file.band_edges_rps), edges_rps)
 
 
-def cutouts_of(profile: Profile) -> tuple[tuple[float, float], ...]:
-    """What is kept of a run to be looked at."""
-    length_s = min(CUTOUT_S, 0.1 * profile.duration_s)
-    return tuple((place * profile.duration_s, place * profile.duration_s + length_s) for place in CUTOUT_PLACES)
+def cutouts_of(duration_s: float) -> tuple[tuple[float, float], ...]:
+    """What is kept of a run of this profile's length to be looked at: begin and end of each piece, s."""
+    length_s = min(CUTOUT_S, 0.1 * duration_s)
+    return tuple((place * duration_s, place * duration_s + length_s) for place in CUTOUT_PLACES)
 
 
 def case_of(scenario: Scenario, seed: int) -> Case:
@@ -267,7 +267,7 @@ def case_of(scenario: Scenario, seed: int) -> Case:
         profile,
         candidates,
         yardstick_of(scenario.file),
-        cutouts_of(profile) if seed == scenario.file.first_seed else (),
+        cutouts_of(profile.duration_s) if seed == scenario.file.first_seed else (),
     )
 
 

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
-from ..model.effects.laws.lookup import FRICTION, PLAIN, UNKNOWN, VISCOUS
-from ..model.effects.laws.lookup import RESPONSE as RESPONSE_KIND
+from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS
 from .candidates import Columns, Scene, effect_of, load_along, torque_rows
 from .evidence import Evidence, score
 from .screening import Trial
@@ -29,7 +28,7 @@ FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of sever
 MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
 FAR = 1e6
-RESPONSE = UNKNOWN + "frequency"
+FREQUENCY = UNKNOWN + "frequency"
 RESPONSE_KNOTS = 7
 LOWEST_HZ = 0.5
 HIGHEST_SHARE = 0.4  # of the rate of the rows
@@ -116,13 +115,13 @@ def response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
     rows = evidence.rows
     highest_hz = HIGHEST_SHARE / rows.filter.row_period_s
     knots = np.geomspace(LOWEST_HZ, highest_hz, RESPONSE_KNOTS)
-    shapes = {"kind": RESPONSE_KIND, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    shapes = {"kind": RESPONSE, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
     names = tuple(f"y{k:02d}" for k in range(2 * knots.size))
     columns = [
-        np.concatenate([torque_rows(scene, RESPONSE, {**shapes, own: 1.0}, rows.laws) for scene in scenes])
+        np.concatenate([torque_rows(scene, FREQUENCY, {**shapes, own: 1.0}, rows.laws) for scene in scenes])
         for own in names
     ]
-    return trial_of(evidence, RESPONSE, shapes, columns)
+    return trial_of(evidence, FREQUENCY, shapes, columns)
 
 
 def factor(scene: Scene, kind: float) -> Floats:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import AXIS_CODES, FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word
+from ..model.effects.laws.lookup import FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word, code_of
 from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
 from .free_curves import Axis, abscissa, factor, knots_of, trial_of
@@ -53,9 +53,8 @@ class Pair(NamedTuple):
     def shapes(self) -> dict[str, float]:
         """What the law of its table is told of the axes."""
         return {
-            "kind": self.along.kind, "scale": self.along.scale, "of_current": 0.0,
-            "across": float(next(code for word, code in AXIS_CODES.items() if word == self.across.word)),
-            "across_scale": self.across.scale,
+            "kind": self.along.kind, "scale": self.along.scale,
+            "across": code_of(self.across.word), "across_scale": self.across.scale,
         }  # fmt: skip
 
 
@@ -125,9 +124,12 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
     """A fine table over a pair."""
     rows = evidence.rows
     places = [abscissa(scenes, axis) for axis in pair]
-    first, second = (np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places)
-    levels = np.unique(np.quantile(second, LEVEL_SHARES))
-    knots = _knots(evidence, scenes, pair.along, places[0])
+    moving = [np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places]
+    levels = np.unique(np.quantile(moving[1], LEVEL_SHARES))
+    if pair.along.word in ANGLES:  # a window may be narrow
+        knots = bent_knots(evidence, scenes, places[0], VALUES // LEVELS)
+    else:
+        knots = thinned(knots_of(moving[0], pair.along), VALUES // LEVELS)
     if knots.size < 4 or levels.size < 2:
         return None
     name = UNKNOWN + pair.along.word
@@ -146,23 +148,18 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
     return trial_of(evidence, name, shapes, columns)
 
 
-def _knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, places: Sequence[Floats]) -> Floats:
-    """Knots of the finer axis: of an angle where a curve over it bends, as a window may be narrow."""
-    most = VALUES // LEVELS
-    if axis.word in ANGLES:
-        return bent_knots(evidence, scenes, axis, most)
-    knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
+def thinned(knots: Floats, most: int) -> Floats:
+    """At most so many of the knots, both ends among them."""
     if knots.size <= most:
         return knots
     return np.asarray(knots[np.unique(np.rint(np.linspace(0, knots.size - 1, most)).astype(int))])
 
 
-def bent_knots(evidence: Evidence, scenes: Sequence[Scene], axis: Axis, count: int) -> Floats:
+def bent_knots(evidence: Evidence, scenes: Sequence[Scene], places: Sequence[Floats], count: int) -> Floats:
     """Knots where a fine curve over an axis bends: as friction, where that explains more than as torque."""
-    rows = evidence.rows
-    step = rows.laws.step
-    at = np.concatenate([place[::step] for place in abscissa(scenes, axis)])
-    low, high = (float(x) for x in np.quantile(at[rows.kept], (0.0, 1.0)))
+    step = evidence.rows.laws.step
+    at = np.concatenate([place[::step] for place in places])
+    low, high = float(at[evidence.rows.kept].min()), float(at[evidence.rows.kept].max())
     if not high > low:
         return np.zeros(0)
     fine = np.linspace(low, high, FINE)

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import AXIS_CODES, PLAIN, across_word
+from ..model.effects.laws.lookup import PLAIN, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
 from .fitting import Data, Fitted, consistent_scenes, loads_of
@@ -95,16 +95,16 @@ def _shares(
     word = across_word(effect.shapes)
     if not word:
         return [("", kept)]
-    own = FreeAxis(next(w for w, code in AXIS_CODES.items() if code == effect.shapes["across"]), PLAIN,
-                   effect.shapes["across_scale"])  # fmt: skip
-    at = np.concatenate([part[::step] for part in abscissa(scenes, own)])[kept]
+    across = FreeAxis(across_axis(effect.shapes), PLAIN, effect.shapes["across_scale"])
+    at = np.concatenate([part[::step] for part in abscissa(scenes, across)])[kept]
     levels = np.array([effect.shapes[f"z{k:02d}"] for k in range(int(effect.shapes["levels"]))])
     nearest = np.argmin(np.abs(at[:, None] - levels), axis=1)
     rows = [kept[nearest == k] for k in range(levels.size)]
-    sizes = [float(np.std(load_nm[own])) if own.size >= LEAST_ROWS else 0.0 for own in rows]
-    means = [float(np.mean(load_nm[own])) if own.size >= LEAST_ROWS else 0.0 for own in rows]
+    looks = [
+        np.array([load_nm[own].mean(), load_nm[own].std()]) if own.size >= LEAST_ROWS else np.zeros(2) for own in rows
+    ]
     pairs = itertools.combinations(range(levels.size), 2)
-    chosen = max(pairs, key=lambda pair: abs(sizes[pair[0]] - sizes[pair[1]]) + abs(means[pair[0]] - means[pair[1]]))
+    chosen = max(pairs, key=lambda pair: float(np.abs(looks[pair[0]] - looks[pair[1]]).sum()))
     unit = UNITS["velocity" if word == "speed" else word][1]
     return [(f", {word.replace('_', ' ')} near {levels[k]:.3g} {unit}", rows[k]) for k in chosen]
 

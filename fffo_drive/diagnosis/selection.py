@@ -41,7 +41,7 @@ from .fitting import (
     refit,
     slots_of,
 )
-from .free_curves import RESPONSE, free_trials
+from .free_curves import FREQUENCY, free_trials
 from .removal import MATERIAL_SHARE, backward
 from .screening import Screening, Trial, comparable, false_alarm_probability, penalised, screen, search_context
 from .startup import noise_model
@@ -181,7 +181,7 @@ def contend(
 
     taken = {e.name for e in fitted.effects}
     laws = len(picked)
-    curves = [t for t in free if t.name not in taken and t.name != RESPONSE]
+    curves = [t for t in free if t.name not in taken and t.name != FREQUENCY]
     picked += [t for t in curves if t.explained >= CURVE_SHARE * top][:2]
 
     one = partial(beside, data, matrix, fitted)

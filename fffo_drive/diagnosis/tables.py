@@ -98,8 +98,9 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
             continue
         result = polished(data, result, rounds=2)
         offer = offer._replace(trial=replace_effect(trial, result.effects[-1]), fitted=result)
-        carried = transfer(data, matrix, result, without)
-        if cost(result, data) >= cost(fitted, data) or carried.left_out < LEAST_CARRIED * carried.fitted:
+        if cost(result, data) >= cost(fitted, data):
+            continue
+        if not transfer(data, matrix, result, without).carries(LEAST_CARRIED):
             continue
         offer = offer._replace(probability=_probability(selected, offer, tables))
         if offer.probability <= rate:

@@ -35,7 +35,11 @@ class Transfer(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether the effect carries over; with a single run nothing speaks against it."""
-        return self.folds == 0 or self.left_out >= LEAST_TRANSFER * max(self.fitted, 0.0)
+        return self.carries(LEAST_TRANSFER)
+
+    def carries(self, least: float) -> bool:
+        """Whether so much of the gain is there on runs that were left out; with a single run nothing speaks against."""
+        return self.folds == 0 or self.left_out >= least * max(self.fitted, 0.0)
 
 
 def transfer(data: Data, matrix: Floats, fitted: Fitted, without: Fitted) -> Transfer:

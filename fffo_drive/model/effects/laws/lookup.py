@@ -164,11 +164,21 @@ def is_table(shapes: Mapping[str, float]) -> bool:
     return shapes.get("across", NO_AXIS) >= 0.0
 
 
+def code_of(word: str) -> float:
+    """Number of an axis. Raises KeyError for a word that is none."""
+    return float({str(axis): code for axis, code in AXIS_CODES.items()}[word])
+
+
+def across_axis(shapes: Mapping[str, float]) -> Axis:
+    """The second axis of a table."""
+    return next(word for word, code in AXIS_CODES.items() if code == shapes["across"])
+
+
 def across_word(shapes: Mapping[str, float]) -> str:
     """The second axis of a table in words; empty for a curve."""
     if not is_table(shapes):
         return ""
-    word = next(word for word, code in AXIS_CODES.items() if code == shapes["across"])
+    word = across_axis(shapes)
     return "speed" if word == "memory" and shapes.get("across_scale", 0.0) == 0.0 else word
 
 
