@@ -126,7 +126,7 @@ def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> fl
             motion[:, s.CURRENT_A] = needed_nm / axis.torque_constant_nm_per_a
             motion[:, s.DIRECTION] = np.sign(contact_nm)
             motion[:, s.VELOCITY_RPS] = np.sign(contact_nm) * speed_rps
-            motion[:, s.TRAVEL_REV] = travel_rev
+            motion[:, s.TRAVEL_REV] = travel_rev + step_s * speed_rps * np.arange(angles.size)
             along = _loads(term, axis, motion, step_s)
             motion[:, s.MOTOR_ANGLE_REV] = motion[:, s.SENSOR_ANGLE_REV] = 0.0
             along -= _loads(term, axis, motion, step_s)  # what changes although the angle does not

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage, signal
 
 from ..model.axis import AxisConfig
 from ..model.effects import slots
@@ -57,8 +58,10 @@ class Effect:
         return replace(self, strengths=strengths)
 
 
+KEPT_BAND = 0.7  # of what a thinned command can carry
+
 # these act between command and torque: they see the command itself
-COMMANDED = frozenset({"voltage_limit", "delay", "current_lag"})
+COMMANDED = frozenset({"voltage_limit", "delay", "current_lag", "dead_zone", "torque_saturation"})
 
 
 class Scene(NamedTuple):
@@ -71,7 +74,7 @@ class Scene(NamedTuple):
 
     stretch: Stretch
     motion: Floats  # (n, slots.N_MOTION), with the model's torque
-    commanded: Floats  # (n,) current as commanded
+    commanded: Floats  # current as commanded, at the rate of the record
     axis: AxisConfig
     moving: Floats  # (n,) 1, or 0 at rest: there friction balances whatever acts
 
@@ -100,25 +103,48 @@ def scenes_of(
         motion[:, slots.FRICTION_NM] = model.friction_nm
         motion[:, slots.TRAVEL_REV] = model.travel_rev
         motion[:, slots.DIRECTION] = model.direction
-        contact_levels(axis.friction, stretch.velocity_rps, motion[:, slots.CONTACT_LEVEL_NM])
-        commanded = model.torque_nm[:: thinning(stretch.period_s)] / stretch.torque_constant_nm_per_a
+        mean_rps = np.diff(stretch.path_rev, prepend=stretch.path_rev[:1]) / stretch.law_period_s  # over each step
+        contact_levels(axis.friction, mean_rps, motion[:, slots.CONTACT_LEVEL_NM])
+        commanded = model.torque_nm / stretch.torque_constant_nm_per_a
         found.append(Scene(stretch, motion, commanded, axis, (~stretch.rest).astype(np.float64)))
     return found
 
 
+def thinned(values: Floats, thin: int) -> Floats:
+    """Every `thin`-th of values (n,), low-passed without a delay so that noise does not fold down."""
+    if thin == 1:
+        return values
+    taps = signal.firwin(8 * thin + 1, KEPT_BAND / thin)
+    return np.asarray(ndimage.correlate1d(values, taps, mode="nearest")[::thin])
+
+
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
-    """What an effect adds to the torque residual of one stretch, at full rate: E, and -J e'' of a sensor's error."""
-    motion = scene.motion
-    if name in COMMANDED:
-        motion = motion.copy()
-        motion[:, slots.CURRENT_A] = scene.commanded
+    """What an effect adds to the torque residual of one stretch, at the laws' rate: E, -J e'' of a sensor's error."""
     period_s = scene.stretch.law_period_s
-    load_nm, sensor_rev = effects_along([Term(name, values)], motion, scene.axis, period_s, feedforward=True)
+    terms = [Term(name, values)]
+    if name in COMMANDED:
+        load_nm, sensor_rev = commanded_load(scene, terms), np.zeros(0)
+    else:
+        load_nm, sensor_rev = effects_along(terms, scene.motion, scene.axis, period_s, feedforward=True)
     if sensor_rev.any():
         load_nm = load_nm - scene.axis.inertia_nm_s2_per_rev * second_difference(sensor_rev, period_s)
     if not np.isfinite(load_nm).all():
         return np.zeros(load_nm.size)  # a joint that is unstable at these numbers explains nothing
     return np.asarray(load_nm * scene.moving)
+
+
+def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
+    """What acts on the command, at the rate of the record: a limit cuts noise as well, and a lag takes it away. (n,)"""
+    stretch, size = scene.stretch, scene.commanded.size
+    thin = thinning(stretch.period_s)
+    motion = np.zeros((size, slots.N_MOTION))
+    places = np.arange(size) / thin
+    laws = np.arange(stretch.samples)
+    for slot in (slots.TIME_S, slots.VELOCITY_RPS):
+        motion[:, slot] = np.interp(places, laws, scene.motion[:, slot])
+    motion[:, slots.CURRENT_A] = scene.commanded
+    load_nm, _ = effects_along(terms, motion, scene.axis, stretch.period_s)
+    return thinned(load_nm, thin)
 
 
 def torque_rows(scene: Scene, name: str, values: Mapping[str, float], filter_: Filter) -> Floats:

@@ -6,40 +6,60 @@ motion misses. Where a current was measured, a law of that kind is believed only
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from .base import delayed
-from .candidates import Effect, effect_rows
+from .base import NAMES, delayed
+from .candidates import Effect, load_along
 from .fitting import Data, Fitted, consistent_scenes
 
 Floats = npt.NDArray[np.float64]
 
 SHOWN_BY_CURRENT = frozenset({"voltage_limit", "current_lag"})
-LEAST_SHARE = 0.5  # of an effect's torque that has to be missing in the measured current
+LEAST_SHARE = 0.5  # of what the measured current is short of, that an effect has to account for
 LONGEST_SAMPLES = 20
-FINENESS = 4  # delays tried a sample
+FINENESS = 2  # delays tried a sample
 
 
-def missing_rows(data: Data) -> Floats | None:
-    """Torque that the measured current is short of its command, at the rows (m,); None where none was measured."""
-    parts = []
-    for stretch in data.stretches:
-        if stretch.measured_a is None:
-            return None
-        delays = np.arange(0, LONGEST_SAMPLES * FINENESS) / FINENESS
-        thin = slice(None, min(stretch.current_a.size, 40_000))
-        errors = [float(np.mean((delayed(stretch.current_a[thin], d) - stretch.measured_a[thin]) ** 2)) for d in delays]
-        best = float(delays[int(np.argmin(errors))])
-        short = delayed(stretch.current_a, best) - stretch.measured_a
-        parts.append(data.rows.filter.rows(stretch.torque_constant_nm_per_a * short))
-    return np.concatenate(parts)
+class Shortage(NamedTuple):
+    """Torque that the measured current is short of its command, which takes so long to be measured."""
+
+    delays_s: Floats  # (k,)
+    rows_nm: Floats  # (k, m)
 
 
-def shown_share(data: Data, missing_nm: Floats, fitted: Fitted, effect: Effect) -> float:
-    """Share of an effect's torque that is missing in the measured current: 1 for what acts on the command."""
-    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    load = effect_rows(scenes, effect, data.rows.laws)
+def shortage(data: Data) -> Shortage | None:
+    """What the measured current is short of, under each delay that may lie between; None where none was measured."""
+    if any(stretch.measured_a is None for stretch in data.stretches):
+        return None
+    delays = np.arange(0, LONGEST_SAMPLES * FINENESS) / FINENESS
+    found = np.empty((delays.size, data.rows.time_s.size))
+    for stretch, (begin, end) in zip(data.stretches, data.rows.bounds, strict=True):
+        assert stretch.measured_a is not None
+        for k, delay in enumerate(delays):
+            short_a = delayed(stretch.current_a, float(delay)) - stretch.measured_a
+            found[k, begin:end] = data.rows.filter.rows(stretch.torque_constant_nm_per_a * short_a)
+    return Shortage(delays * data.rows.filter.period_s, found)
+
+
+def shown_share(data: Data, short: Shortage, fitted: Fitted, effect: Effect) -> float:
+    """Share of the squared shortage that an effect accounts for: 1 for what acts on the command, 0 or less for others.
+
+    The delay of the measurement is free on both sides: a delay alone takes in much of a lag.
+    """
+    acts_s = float(fitted.physical[NAMES.index("delay_s")])
     kept = data.rows.kept
-    power = float(load[kept] @ load[kept])
-    return float(load[kept] @ missing_nm[kept]) / power if power > 0.0 else 0.0
+    without = float(np.min(np.sum(short.rows_nm[:, kept] ** 2, axis=1)))
+    loads = [
+        (np.arange(scene.stretch.samples) * scene.stretch.law_period_s,
+         load_along(scene, effect.name, effect.values(scene.stretch.run)))
+        for scene in consistent_scenes(data, fitted.physical, fitted.effects)
+    ]  # fmt: skip
+    errors = []
+    for delay_s, rows_nm in zip(short.delays_s, short.rows_nm, strict=True):
+        # the effect acts with the torque, the current is measured at a time of its own
+        moved = [data.rows.laws.rows(np.interp(time_s - delay_s + acts_s, time_s, load)) for time_s, load in loads]
+        errors.append(float(np.sum((rows_nm - np.concatenate(moved))[kept] ** 2)))
+    return 1.0 - min(errors) / without if without > 0.0 else 0.0

@@ -20,9 +20,9 @@ from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
-from .candidates import Effect, Scene, load_along, scenes_of
+from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of, thinned
 from .evidence import Whitening, whiten
-from .paths import Rows, Stretch
+from .paths import Rows, Stretch, thinning
 
 Floats = npt.NDArray[np.float64]
 
@@ -128,9 +128,14 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
     for scene in scenes_of(data.stretches, physical, models_along(data.stretches, physical)):
         stretch = scene.stretch
         motion = scene.motion.copy()
-        motion[:, slots.CURRENT_A] = scene.commanded
+        motion[:, slots.CURRENT_A] = thinned(scene.commanded, thinning(stretch.period_s))
         terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
-        load_nm, _ = effects_along(terms, motion, scene.axis, stretch.law_period_s)
+        load_nm, _ = effects_along(
+            [term for term in terms if term.name not in COMMANDED], motion, scene.axis, stretch.law_period_s
+        )
+        on_command = [term for term in terms if term.name in COMMANDED]
+        if on_command:
+            load_nm = load_nm + commanded_load(scene, on_command)
         found.append(stretch._replace(balance_nm=stretch.balance_nm - np.nan_to_num(load_nm)))
     return data._replace(stretches=found)
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from ..model.effects.laws.lookup import PLAIN, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .candidates import Effect, Scene
+from .candidates import Effect, Scene, thinned
 from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .free_curves import Axis as FreeAxis
 from .free_curves import abscissa
-from .paths import Rows, Stretch
+from .paths import Rows, Stretch, thinning
 from .results import Ceiling, Channel, Curve, Picture, RunFigure
 from .screening import Trial
 
@@ -145,7 +145,11 @@ def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floa
         return np.sign(rows.velocity_rps)
     step = rows.laws.step
     if word == "frequency":
-        torque = [np.gradient(s.commanded, s.stretch.law_period_s) * s.axis.torque_constant_nm_per_a for s in scenes]
+        torque = [
+            np.gradient(thinned(s.commanded, thinning(s.stretch.period_s)), s.stretch.law_period_s)
+            * s.axis.torque_constant_nm_per_a
+            for s in scenes
+        ]
         return np.concatenate([rows.laws.rows(part) for part in torque])
     own = FreeAxis(word, 0.0, MEMORY_S if word == "memory" and scale <= 0.0 else scale)
     found = np.concatenate([part[::step] for part in abscissa(scenes, own)])

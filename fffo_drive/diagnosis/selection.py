@@ -23,7 +23,7 @@ from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
 from .current_side import LEAST_SHARE as SHOWN_SHARE
-from .current_side import SHOWN_BY_CURRENT, missing_rows, shown_share
+from .current_side import SHOWN_BY_CURRENT, shortage, shown_share
 from .evidence import Evidence, make_evidence
 from .fitting import (
     Data,
@@ -197,14 +197,14 @@ def contend(
     equal = [of_one_size(data, r, len(r.effects) - 1) for r in results]
     gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, equal, strict=True)}
     costs = [cost(r, data) for r in equal]
-    missing = missing_rows(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
+    short = shortage(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
     for k, result in enumerate(results):
         if not within_reason(data, result, len(result.effects) - 1):
             costs[k] = np.inf
             gains[picked[k].name] = 0.0
-        if missing is None or picked[k].name not in SHOWN_BY_CURRENT:
+        if short is None or picked[k].name not in SHOWN_BY_CURRENT:
             continue
-        if shown_share(data, missing, result, result.effects[-1]) < SHOWN_SHARE:
+        if shown_share(data, short, result, result.effects[-1]) < SHOWN_SHARE:
             costs[k] = np.inf
             gains[picked[k].name] = 0.0
     if not np.isfinite(min(costs)):

@@ -25,6 +25,8 @@ LEVEL_BLOCKS = 16  # in which the level of a spectrum is taken
 NEIGHBOURS = 40  # bins to each side that are the same line
 OUTSTANDING = 9.0  # times the level
 LONGEST_BINS = 1 << 18
+SLOWEST_LINE = 1.5  # order below which lines need not stand out ...
+BAND_RATIO = 1.5  # ... the largest of each band of this ratio
 
 
 class Peak(NamedTuple):
@@ -35,10 +37,20 @@ class Peak(NamedTuple):
 
 
 def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
-    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
+    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength, and the slow ones.
+
+    No line stands out where a turn is long against the travel and all else that the base lacks has its spectrum: the
+    largest of each band of slow orders is given, and what it explains decides.
+    """
     turns = float(np.ptp(rows.position_rev))
     if turns < 2.0:
         return []
+    orders, power = order_spectrum(rows, values, turns)
+    return _peaks(orders, power, count, least=1.0 / turns) + _slow_peaks(orders, power, 1.5 / turns)
+
+
+def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Floats]:
+    """Orders up to HIGHEST_ORDER, and the power of each, the mean over the runs."""
     bins_per_turn = BINS_PER_TURN
     length = min(LONGEST_BINS, 1 << int(np.ceil(np.log2(2.0 * turns * bins_per_turn))))
     orders = np.asarray(np.fft.rfftfreq(length, 1.0 / bins_per_turn), dtype=np.float64)
@@ -65,7 +77,23 @@ def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
             norm += gain * gain * part.sum()
         power += np.abs(total) ** 2 / np.maximum(norm, 1.0)
         weight += 1.0
-    return _peaks(orders[use], power / weight, count, least=1.0 / turns)
+    return orders[use], power / weight
+
+
+def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[Peak]:
+    """The largest of each band between `least` and SLOWEST_LINE, if it is a maximum and not the side of one."""
+    if not least < SLOWEST_LINE:
+        return []
+    count = max(1, round(np.log(SLOWEST_LINE / least) / np.log(BAND_RATIO)))
+    found = []
+    for low, high in itertools.pairwise(np.geomspace(least, SLOWEST_LINE, count + 1)):
+        inside = np.flatnonzero((orders >= low) & (orders < high))
+        if inside.size < 3:
+            continue
+        k = inside[np.argmax(power[inside])]
+        if power[k - 1] <= power[k] >= power[k + 1]:
+            found.append(Peak(float(orders[k]), float(power[k] / np.median(power[inside]))))
+    return found
 
 
 def frequency_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:

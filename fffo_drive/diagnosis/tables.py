@@ -40,6 +40,8 @@ from .transfer import transfer
 LEAST_CARRIED = 0.7  # of the gain on a run that has to be there when the run is left out: more than of a law
 COARSE_SHARE = 0.7  # of what the replaced effects explain, that a coarse table has to
 TOGETHER = 0.1  # of what a pair explains, that its axes do not explain one by one
+OVER_FREQUENCY = frozenset({"elasticity", "backlash", "current_lag", "delay", "frictional_lag"})  # what one of these
+# leaves over is no response of its own: where the motion dies out, the noise of its acceleration would be taken for one
 FINE_TABLES = 8  # pairs that get a fine table ...
 REFITTED = 2  # ... and of those, that are refitted
 
@@ -86,7 +88,7 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     replaced_gain = best_gain(without, fitted)
     evidence, scenes = evidence_of(data, matrix, without)
     trials = _promising(evidence, scenes, tables, replaced_gain, rate)
-    response = response_trial(evidence, scenes) if adding else None
+    response = response_trial(evidence, scenes) if adding and not OVER_FREQUENCY & {e.name for e in others} else None
     if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
         trials.append(response)
     for trial in trials:

@@ -91,6 +91,22 @@ def _mean_decay(exponent: float) -> float:
 
 
 @njit
+def torque_after(
+    torque_nm: float, steady_nm: float, lag_per_rev: float, omega_nm: float, stiffness_per_rev: float,
+    travel_rev: float, distance_rev: float,
+) -> float:  # fmt: skip
+    """F+ of a surface over a distance, without observation: towards `steady_nm`, `travel_rev` after a reversal."""
+    decay = math.exp(-lag_per_rev * distance_rev)  # E
+    torque_nm = torque_nm * decay
+    torque_nm += steady_nm * -math.expm1(-lag_per_rev * distance_rev)
+    # (exp(-K d) - exp(-b d)) / (b - K), written so that b -> K has its limit and nothing overflows
+    slower_per_rev = min(lag_per_rev, stiffness_per_rev)
+    gap_per_rev = abs(lag_per_rev - stiffness_per_rev)
+    overlap_rev = distance_rev * math.exp(-slower_per_rev * distance_rev) * _mean_decay(gap_per_rev * distance_rev)
+    return torque_nm + omega_nm * stiffness_per_rev * math.exp(-stiffness_per_rev * travel_rev) * overlap_rev
+
+
+@njit
 def friction_step(
     config: FrictionConfig, state: FrictionState, velocity_rps: float, observation_nm_per_s: float, period_s: float
 ) -> FrictionState:
@@ -113,16 +129,10 @@ def friction_step(
     distance_rev = speed_rps * period_s
     steady_nm = steady_friction_nm(config, speed_rps)
     lag_per_rev = config.attraction_nm_per_rev / steady_nm  # b
-    decay = math.exp(-lag_per_rev * distance_rev)  # E
-    stiffness_per_rev = config.stiffness_per_rev
-
-    torque_nm = state.torque_nm * decay
-    torque_nm += direction * steady_nm * -math.expm1(-lag_per_rev * distance_rev)
-    # (exp(-K d) - exp(-b d)) / (b - K), written so that b -> K has its limit and nothing overflows
-    slower_per_rev = min(lag_per_rev, stiffness_per_rev)
-    gap_per_rev = abs(lag_per_rev - stiffness_per_rev)
-    overlap_rev = distance_rev * math.exp(-slower_per_rev * distance_rev) * _mean_decay(gap_per_rev * distance_rev)
-    torque_nm += omega_nm * stiffness_per_rev * math.exp(-stiffness_per_rev * travel_rev) * overlap_rev
+    torque_nm = torque_after(
+        state.torque_nm, direction * steady_nm, lag_per_rev, omega_nm, config.stiffness_per_rev, travel_rev,
+        distance_rev,
+    )  # fmt: skip
     torque_nm += observation_nm_per_s * period_s * _mean_decay(lag_per_rev * distance_rev)
     return FrictionState(torque_nm, travel_rev + distance_rev, omega_nm, direction)
 

@@ -32,27 +32,32 @@ SHAPES = {
 }
 
 
-def motion(n=4000, friction=FRICTION, amplitude_rps=5.0):
+def motion(n=4000, friction=FRICTION, amplitude_rps=5.0, step_s=STEP_S, shake_hz=3.1):
     """A motion with reversals, its own friction, and a current that is not just that of the motion."""
-    time_s = np.arange(n) * STEP_S
-    velocity = amplitude_rps * np.sin(TURN * 0.5 * time_s) + np.sin(TURN * 3.1 * time_s)
+    time_s = np.arange(n) * step_s
+    velocity = amplitude_rps * np.sin(TURN * 0.5 * time_s) + np.sin(TURN * shake_hz * time_s)
     rows = np.zeros((n, s.N_MOTION))
     state = REST
     for k in range(n):
-        state = friction_step(friction, state, float(velocity[k]), 0.0, STEP_S)
+        state = friction_step(friction, state, float(velocity[k]), 0.0, step_s)
         rows[k, s.FRICTION_NM], rows[k, s.TRAVEL_REV], rows[k, s.DIRECTION] = state[0], state[1], state[3]
     rows[:, s.TIME_S], rows[:, s.VELOCITY_RPS] = time_s, velocity
-    rows[:, s.ACCELERATION_RPS2] = np.gradient(velocity, STEP_S)
-    rows[:, s.MOTOR_ANGLE_REV] = rows[:, s.SENSOR_ANGLE_REV] = np.cumsum(velocity) * STEP_S
+    rows[:, s.ACCELERATION_RPS2] = np.gradient(velocity, step_s)
+    rows[:, s.MOTOR_ANGLE_REV] = rows[:, s.SENSOR_ANGLE_REV] = np.cumsum(velocity) * step_s
     rows[:, s.CURRENT_A] = 1.2 * np.cos(TURN * 0.5 * time_s) + 0.3 * np.sin(TURN * 7.0 * time_s)
     return rows
 
 
 MOTION = motion()
+COARSE_S = 4.0 * STEP_S  # the step of a diagnosis: a fast reversal crosses presliding in one or two of them
+SHAKEN = motion(step_s=COARSE_S, shake_hz=21.3)
 
 
-def along(name, values):
-    return effects_along([Term(name, values)], MOTION, AXIS, STEP_S)
+NOT_LINEAR = {"delay", "elasticity", "backlash", "dwell_stiction", "asymmetric_viscous", "viscous_drift"}
+
+
+def along(name, values, rows=MOTION, step_s=STEP_S):
+    return effects_along([Term(name, values)], rows, AXIS, step_s)
 
 
 def kernel_results():
@@ -75,7 +80,6 @@ def test_compiled_and_interpreted_laws_agree_bit_for_bit():
 
 CLOSED = {
     "torque_offset": ({"torque_nm": 0.01}, lambda m: np.full(len(m), 0.01)),
-    "asymmetric_viscous": ({"excess_nm_per_rps": 2e-3}, lambda m: 2e-3 * np.abs(m[:, 1])),
     "quadratic_drag": ({"drag_nm_per_rps2": 1e-4}, lambda m: 1e-4 * m[:, 1] * np.abs(m[:, 1])),
     "cogging": (
         {"cos_nm": 0.004, "sin_nm": 0.003, "order": 6.0},
@@ -86,9 +90,6 @@ CLOSED = {
         {"cos_share": 0.1, "order": 2.0}, lambda m: 0.148 * m[:, 5] * 0.1 * np.cos(TURN * 2.0 * m[:, 3]),
     ),
     "periodic_disturbance": ({"sin_nm": 0.01, "frequency_hz": 7.3}, lambda m: 0.01 * np.sin(TURN * 7.3 * m[:, 0])),
-    "viscous_drift": (
-        {"change_nm_per_rps": 1e-3, "tau_s": 2.0}, lambda m: 1e-3 * m[:, 1] * (1.0 - np.exp(-m[:, 0] / 2.0)),
-    ),
     "dead_zone": (
         {"lost_nm": 0.0148, "width_a": 0.1}, lambda m: 0.0148 * np.clip(m[:, 5] / 0.1, -1.0, 1.0),
     ),
@@ -118,8 +119,8 @@ def test_a_lag_answers_a_step_with_an_exponential():
     rows = np.zeros((400, s.N_MOTION))
     rows[:, s.CURRENT_A] = 1.0
     load, _ = effects_along([Term("current_lag", {"share": 1.0, "tau_s": 0.01})], rows, AXIS, STEP_S)
-    time_s = (np.arange(400) + 1.0) * STEP_S
-    assert np.allclose(load, 0.148 * np.exp(-time_s / 0.01), rtol=1e-9)
+    ramp = 0.148 * 0.01 / STEP_S * -math.expm1(-STEP_S / 0.01)  # the step is a ramp between two instants
+    assert np.allclose(load, ramp * np.exp(-np.arange(400) * STEP_S / 0.01), rtol=1e-9)
 
 
 def test_the_resolver_is_wrong_and_the_torque_is_not():
@@ -142,23 +143,26 @@ LEVELS = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize(("rows", "step_s"), [(MOTION, STEP_S), (SHAKEN, COARSE_S)], ids=["slow", "shaken"])
 @pytest.mark.parametrize("name", LEVELS)
-def test_a_change_of_level_is_what_the_friction_of_another_level_is_more(name):
-    """Fc and Fs of a 2SEP surface moved step by step, on the same motion."""
+def test_a_change_of_level_is_what_the_friction_of_another_level_is_more(name, rows, step_s):
+    """Fc and Fs of a 2SEP surface moved step by step, on the same motion: by what acts in the middle of each step."""
     values, change = LEVELS[name]
-    load, _ = along(name, values)
-    state, expected = REST, np.zeros(len(MOTION))
-    for k, row in enumerate(MOTION):
-        scale = 1.0 + change(row)
+    load, _ = along(name, values, rows, step_s)
+    state, expected = REST, np.zeros(len(rows))
+    middle = rows.copy()
+    for slot in (s.MOTOR_ANGLE_REV, s.CURRENT_A):
+        middle[1:, slot] = 0.5 * (rows[1:, slot] + rows[:-1, slot])
+    for k, row in enumerate(rows):
+        scale = 1.0 + change(middle[k])
         config = FRICTION._replace(coulomb_nm=0.025 * scale, static_nm=0.067 * scale)
-        state = friction_step(config, state, float(row[s.VELOCITY_RPS]), 0.0, STEP_S)
+        state = friction_step(config, state, float(row[s.VELOCITY_RPS]), 0.0, step_s)
         expected[k] = state.torque_nm - row[s.FRICTION_NM]
     assert np.abs(expected).max() > 0.004
-    assert np.sqrt(np.mean((load - expected) ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
-    assert np.abs(load - expected).max() < 0.15 * np.abs(expected).max()  # the kick of presliding, within a step
+    assert np.abs(load - expected).max() < 1e-12
 
 
-@pytest.mark.parametrize("name", sorted(set(NAMES) - {"delay", "elasticity", "backlash", "dwell_stiction", *LEVELS}))
+@pytest.mark.parametrize("name", sorted(set(NAMES) - NOT_LINEAR - set(LEVELS)))
 def test_effects_are_linear_in_their_strengths(name):
     names, load, sensor = regressors(name, SHAPES.get(name, {}), MOTION, AXIS, STEP_S)
     generator = np.random.default_rng(4)
@@ -186,21 +190,6 @@ def test_friction_effects_do_nothing_to_an_axis_that_never_moved(name):
     values = {p.name: p.typical for p in LAWS[name].parameters} | SHAPES.get(name, {})
     load, _ = effects_along([Term(name, values)], rows, AXIS, STEP_S)
     assert not load.any()
-
-
-def test_asymmetric_friction_is_that_of_two_levels():
-    """In first order: the 2SEP model itself, with Fc and Fs higher one way than the other."""
-    share = 0.01
-    states = {a: REST for a in (share, 0.0)}
-    difference = np.empty(len(MOTION))
-    for k, velocity in enumerate(MOTION[:, s.VELOCITY_RPS]):
-        for a in states:
-            level = 1.0 + a * math.copysign(1.0, velocity)
-            config = FRICTION._replace(coulomb_nm=level * 0.025, static_nm=level * 0.067)
-            states[a] = friction_step(config, states[a], float(velocity), 0.0, STEP_S)
-        difference[k] = states[share].torque_nm - states[0.0].torque_nm
-    load, _ = along("asymmetric_coulomb", {"share": share})
-    assert np.sqrt(np.mean((load - difference) ** 2)) < 0.1 * np.sqrt(np.mean(difference**2))
 
 
 def test_break_away_grows_with_the_time_at_rest_and_goes_with_travel():

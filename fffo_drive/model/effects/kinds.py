@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 from ...jit import njit
+from ..friction import torque_after
 from . import slots as s
 from .slots import Floats
 
 TURN = 2.0 * math.pi
 LEAST_LEVEL = 0.05  # of a surface, however much an effect takes away
+LEVEL_MEMORY = 6  # slots that surface_response keeps; over_step has another, the second after them
 PRESLIDING_OVER = 40.0  # exp(-40) of anything is nothing
 
 
@@ -52,42 +54,60 @@ def steady_contact_nm(signals: Floats, speed_rps: float) -> float:
 
 
 @njit
+def over_step(signals: Floats, memory: Floats, value: float) -> float:
+    """A value in the middle of the step that ends here, where a surface moved on. memory[LEVEL_MEMORY + 1]: before."""
+    before = memory[LEVEL_MEMORY + 1]
+    memory[LEVEL_MEMORY + 1] = value
+    return 0.5 * (before + value) if signals[s.AT_INSTANTS] != 0.0 else value
+
+
+@njit
 def level_response(signals: Floats, memory: Floats, change: float) -> float:
-    """What friction gains where the contact's level (Fc and Fs) is (1 + change) times as high; memory[0:4].
+    """What friction gains where the contact's level (Fc and Fs) is (1 + change) times as high."""
+    return surface_response(signals, memory, change, 0.0)
 
-    The difference D of two 2SEP surfaces (2)-(7) on the same motion, one of them with the level S1 = S + change Sc:
 
-        dD/dx = (Omega1 - Omega) K exp(-K x) + (B/S1) (change F Sc/S - D),    Sc: S(w) without its viscous part
+@njit
+def surface_response(signals: Floats, memory: Floats, change: float, viscous_nm_per_rps: float) -> float:
+    """What friction gains on a surface of another level and a larger viscous coefficient; memory[0:LEVEL_MEMORY].
 
-    It follows a change of the level over the travel S1/B, keeps still at rest, and begins anew where friction does.
-    memory: D, Omega1 - Omega, direction and F before.
+    The difference D of two 2SEP surfaces (2)-(7) on the same motion, both by their exact step: one has |S|, the other
+    |S| + change Sc + viscous |w|, Sc being |S| without its viscous part. The base surface begins each step with the
+    friction that stands in the signals, so that whatever else acts on it is in both. The distance is that of the
+    travel: the speed of a sample is not the mean of its step, and a presliding that is crossed in one or two steps
+    would not add up. memory: D, Omega of both surfaces, direction, F and travel before.
     """
     direction = signals[s.DIRECTION]
+    before_nm, there_nm = memory[4], memory[4] + memory[0]
+    scale = max(LEAST_LEVEL, 1.0 + change)
+    if direction != memory[3]:
+        memory[3] = direction
+        coulomb_nm = signals[s.COULOMB_NM]
+        memory[1] = direction * max(0.0, coulomb_nm - direction * before_nm)
+        memory[2] = direction * max(0.0, scale * coulomb_nm - direction * there_nm)
+        memory[5] = 0.0
+    travel_rev = memory[5]
+    distance_rev = signals[s.TRAVEL_REV] - travel_rev
+    memory[4], memory[5] = signals[s.FRICTION_NM], signals[s.TRAVEL_REV]
     if direction == 0.0:
         memory[0] = 0.0
-        memory[1] = 0.0
-    scale = max(LEAST_LEVEL, 1.0 + change)
-    friction_nm = signals[s.FRICTION_NM]
-    if direction != memory[2]:
-        memory[2] = direction
-        coulomb_nm = signals[s.COULOMB_NM]
-        missing_nm = coulomb_nm - direction * memory[3]
-        missing_there_nm = scale * coulomb_nm - direction * (memory[3] + memory[0])
-        memory[1] = direction * (max(0.0, missing_there_nm) - max(0.0, missing_nm))
-    memory[3] = friction_nm
-    speed_rps = abs(signals[s.VELOCITY_RPS])
-    distance_rev = speed_rps * signals[s.STEP_S]
-    if distance_rev == 0.0:
+    if direction == 0.0 or distance_rev <= 0.0:
         return float(memory[0])
+    speed_rps = distance_rev / signals[s.STEP_S]
     contact_nm = signals[s.CONTACT_LEVEL_NM]
     if contact_nm <= 0.0:
         contact_nm = steady_contact_nm(signals, speed_rps)
-    steady_nm = contact_nm + signals[s.VISCOUS_NM_PER_RPS] * speed_rps
-    there_nm = steady_nm + (scale - 1.0) * contact_nm
-    goal_nm = (scale - 1.0) * friction_nm * contact_nm / steady_nm
-    memory[0] = approach(memory[0], goal_nm, distance_rev, there_nm / signals[s.ATTRACTION_NM_PER_REV])
-    stiffness_per_rev = signals[s.STIFFNESS_PER_REV]
-    before = stiffness_per_rev * max(0.0, signals[s.TRAVEL_REV] - distance_rev)
-    if before < PRESLIDING_OVER:
-        memory[0] += memory[1] * math.exp(-before) * -math.expm1(-stiffness_per_rev * distance_rev)
+    level_nm = contact_nm + signals[s.VISCOUS_NM_PER_RPS] * speed_rps
+    other_nm = max(LEAST_LEVEL * level_nm, level_nm + (scale - 1.0) * contact_nm + viscous_nm_per_rps * speed_rps)
+    rate, stiffness_per_rev = signals[s.ATTRACTION_NM_PER_REV], signals[s.STIFFNESS_PER_REV]
+    if stiffness_per_rev * travel_rev < PRESLIDING_OVER:
+        memory[0] = torque_after(
+            there_nm, direction * other_nm, rate / other_nm, memory[2], stiffness_per_rev, travel_rev, distance_rev
+        ) - torque_after(
+            before_nm, direction * level_nm, rate / level_nm, memory[1], stiffness_per_rev, travel_rev, distance_rev
+        )
+    else:
+        memory[0] = approach(there_nm, direction * other_nm, distance_rev, other_nm / rate) - approach(
+            before_nm, direction * level_nm, distance_rev, level_nm / rate
+        )
     return float(memory[0])

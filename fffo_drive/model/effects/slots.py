@@ -53,7 +53,8 @@ VISCOUS_NM_PER_RPS = 25
 STIFFNESS_PER_REV = 26
 ATTRACTION_NM_PER_REV = 27
 REST_SPEED_RPS = 28  # below it the axis rests
-N_SLOTS = 29
+AT_INSTANTS = 29  # 1: the motion is that of instants, as in a record; 0: of the middle of each step
+N_SLOTS = 30
 
 MAX_PARAMETERS = 84
 MEMORY_SLOTS = 72

@@ -110,6 +110,7 @@ def effects_along(
     `feedforward` the current of the motion is what it would be without the effects.
     """
     table = effect_table(terms, axis, period_s, facts, feedforward)
+    table.signals[s.AT_INSTANTS] = 1.0
     load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
     along_into(table, np.ascontiguousarray(motion, dtype=np.float64), load_nm, sensor_rev)
     return load_nm, sensor_rev

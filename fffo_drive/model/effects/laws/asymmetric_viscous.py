@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
+from ..kinds import surface_response
 from ..law import STRENGTH, Law, Parameter, no_shape
 from ..slots import Floats
 
 
 @njit
 def asymmetric_viscous(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = excess |w|: even in the direction."""
-    signals[s.LOAD_NM] += parameters[0] * abs(signals[s.VELOCITY_RPS])
+    """The viscous coefficient is so much larger in positive direction, smaller in the other."""
+    viscous = parameters[0] * signals[s.DIRECTION]
+    signals[s.LOAD_NM] += surface_response(signals, memory, 0.0, viscous)
 
 
 LAW = Law(
@@ -37,4 +39,5 @@ LAW = Law(
     experiment="constant speeds at three levels and more, both ways: the even part grows in proportion to speed",
     motions=("staircase",),
     picture="velocity",
+    level=True,
 )

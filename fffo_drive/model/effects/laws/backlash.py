@@ -17,16 +17,16 @@ FLANK_DAMPING = 0.5
 def _search(context: SearchContext) -> list[Shape]:
     return [
         {"gap_rev": gap_rev, "friction_share": friction_share, "contact_hz": min(150.0, 0.1 / context.period_s)}
-        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 6)
-        for friction_share in (0.0, 1.0)
+        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 14)
+        for friction_share in (0.0, 0.25, 0.5, 0.75, 1.0, 1.3)
     ]
 
 
 @njit
-def backlash(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """Two masses as in elasticity, with a joint that bears nothing inside the gap and only pushes at its flanks.
+def _load_rps2(signals: Floats, parameters: Floats, memory: Floats) -> float:
+    """Acceleration that the flanks give the load: of instants at the end of the step, else the mean over it.
 
-    Behind the gap are a share of the inertia and a share of the friction. memory: speed of the load, lead of the motor.
+    memory: speed of the load, lead of the motor, speed of the motor before.
     """
     share, gap_rev, friction_share, contact_hz = parameters[0], parameters[1], parameters[2], parameters[3]
     omega = TURN * contact_hz
@@ -34,10 +34,14 @@ def backlash(signals: Floats, parameters: Floats, memory: Floats) -> None:
     step_s = signals[s.STEP_S] / count
     inertia = signals[s.INERTIA_NM_S2_PER_REV]
     stiff, damp = omega * omega * (1.0 - share), FLANK_DAMPING * omega * (1.0 - share)
-    drag_rps2 = friction_share * abs(signals[s.CONTACT_NM]) / inertia
+    drag_rps2 = friction_share * signals[s.COULOMB_NM] / inertia
     total = 0.0
-    for _ in range(count):
-        slip_rps = signals[s.VELOCITY_RPS] - memory[0]
+    load_rps2 = 0.0
+    now_rps = signals[s.VELOCITY_RPS]
+    before_rps = memory[2] if signals[s.AT_INSTANTS] != 0.0 else now_rps
+    memory[2] = now_rps
+    for k in range(count):
+        slip_rps = before_rps + (k + 0.5) / count * (now_rps - before_rps) - memory[0]
         memory[1] += slip_rps * step_s
         load_rps2 = 0.0
         if memory[1] > 0.5 * gap_rev:
@@ -52,11 +56,33 @@ def backlash(signals: Floats, parameters: Floats, memory: Floats) -> None:
         else:
             memory[0] = 0.0
         total += load_rps2
+    return load_rps2 if signals[s.AT_INSTANTS] != 0.0 else total / count
+
+
+@njit
+def _behind_nm(signals: Floats, parameters: Floats) -> float:
+    """Friction behind the gap: it is part of F, and is given back, as the motor feels the joint instead."""
+    return float(parameters[0] * parameters[2] * signals[s.CONTACT_NM])
+
+
+@njit
+def backlash(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """Two masses as in elasticity, with a joint that bears nothing inside the gap and only pushes at its flanks.
+
+    Behind the gap are a share of the inertia and a share of the friction.
+    """
+    joint_rps2 = _load_rps2(signals, parameters, memory)
     driving_nm = signals[s.MOTOR_TORQUE_NM] - signals[s.FRICTION_NM]
-    joint_nm = share * inertia * total / count
-    # the friction behind the gap is part of F, and is given back: the motor feels the joint instead
-    behind_nm = share * friction_share * signals[s.CONTACT_NM]
-    signals[s.LOAD_NM] += (joint_nm - share * driving_nm - behind_nm) / (1.0 - share)
+    joint_nm = parameters[0] * (signals[s.INERTIA_NM_S2_PER_REV] * joint_rps2 - driving_nm)
+    signals[s.LOAD_NM] += (joint_nm - _behind_nm(signals, parameters)) / (1.0 - parameters[0])
+
+
+@njit
+def _along_motion(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """The same of a motion that is known, with u - F = J dw/dt + E."""
+    slower_rps2 = _load_rps2(signals, parameters, memory) - signals[s.ACCELERATION_RPS2]
+    joint_nm = parameters[0] * signals[s.INERTIA_NM_S2_PER_REV] * slower_rps2
+    signals[s.LOAD_NM] += joint_nm - _behind_nm(signals, parameters)
 
 
 LAW = Law(
@@ -71,9 +97,9 @@ LAW = Law(
             "-",
             SHAPE,
             0.0,
-            1.0,
+            10.0,
             0.0,
-            "friction behind the gap, as a share of what its inertia would have",
+            "share of the friction behind the gap, over that of the inertia",
         ),
         Parameter("contact_hz", "Hz", SHAPE, 1.0, 10000.0, 150.0, "resonance of the closed joint"),
     ),
@@ -85,4 +111,5 @@ LAW = Law(
     experiment="reversals at several accelerations: the gap is fixed in angle; the resonance falls at small amplitude",
     motions=("triangles", "pairs"),
     picture="travel_since_reversal",
+    feedforward=_along_motion,
 )

@@ -15,9 +15,15 @@ def _search(context: SearchContext) -> list[Shape]:
 
 @njit
 def current_lag(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = share (torque - lagged torque). memory: the lagged torque."""
+    """E = share (torque - lagged torque), exact for a torque that is held over a step, or of straight lines between
+    instants. memory: the lagged torque, the torque before.
+    """
     torque_nm = signals[s.MOTOR_TORQUE_NM]
-    memory[0] = approach(memory[0], torque_nm, signals[s.STEP_S], parameters[1])
+    before_nm = memory[1] if signals[s.AT_INSTANTS] != 0.0 else torque_nm
+    memory[1] = torque_nm
+    behind_nm = (torque_nm - before_nm) * parameters[1] / signals[s.STEP_S]  # of a ramp that has lasted
+    memory[0] = approach(memory[0] - before_nm, -behind_nm, signals[s.STEP_S], parameters[1]) + before_nm
+    memory[0] += torque_nm - before_nm
     signals[s.LOAD_NM] += parameters[0] * (torque_nm - memory[0])
 
 

@@ -6,7 +6,7 @@ import math
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import level_response, settled
+from ..kinds import LEVEL_MEMORY, level_response, settled
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
 from ..slots import Floats
 
@@ -26,14 +26,14 @@ def dwell_stiction(signals: Floats, parameters: Floats, memory: Floats) -> None:
 
     d(age)/dt = 1 - age |w| / release,    Fc and Fs are 1 + (peak/Fs) (1 - exp(-age/tau)) times as high
 
-    memory[4]: age.
+    memory[LEVEL_MEMORY]: age.
     """
     step_s = signals[s.STEP_S]
     distance_rev = abs(signals[s.VELOCITY_RPS]) * step_s
     renewed = distance_rev / parameters[2]
     mean = 1.0 if renewed < 1e-12 else -math.expm1(-renewed) / renewed
-    memory[4] = memory[4] * math.exp(-renewed) + step_s * mean
-    change = parameters[0] / signals[s.STATIC_NM] * settled(memory[4], parameters[1])
+    memory[LEVEL_MEMORY] = memory[LEVEL_MEMORY] * math.exp(-renewed) + step_s * mean
+    change = parameters[0] / signals[s.STATIC_NM] * settled(memory[LEVEL_MEMORY], parameters[1])
     signals[s.LOAD_NM] += level_response(signals, memory, change)
 
 

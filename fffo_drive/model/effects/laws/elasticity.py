@@ -25,27 +25,45 @@ def _search(context: SearchContext) -> list[Shape]:
 
 
 @njit
-def elasticity(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = (Ts - share (u - F)) / (1 - share), Ts the torque of the joint: J - share J turns with the motor.
+def _load_rps2(signals: Floats, parameters: Floats, memory: Floats) -> float:
+    """Acceleration of the load, of instants at the end of the step, else the mean over it.
 
-    memory: speed of the load, twist of the joint. A damped spring whose resonance, motor against load, is given; as
-    many sub-steps as the resonance needs.
+    memory: speed of the load, twist of the joint, speed of the motor before.
+    A damped spring whose resonance, motor against load, is given; as many sub-steps as the resonance needs.
     """
     share, frequency_hz, damping = parameters[0], parameters[1], parameters[2]
     omega = TURN * frequency_hz
     count = math.ceil(omega * signals[s.STEP_S] / FINEST)
     step_s = signals[s.STEP_S] / count
-    inertia = signals[s.INERTIA_NM_S2_PER_REV]
     stiff, damp = omega * omega * (1.0 - share), 2.0 * damping * omega * (1.0 - share)
     total = 0.0
-    for _ in range(count):
-        slip_rps = signals[s.VELOCITY_RPS] - memory[0]
+    load_rps2 = 0.0
+    now_rps = signals[s.VELOCITY_RPS]
+    before_rps = memory[2] if signals[s.AT_INSTANTS] != 0.0 else now_rps
+    memory[2] = now_rps
+    for k in range(count):
+        slip_rps = before_rps + (k + 0.5) / count * (now_rps - before_rps) - memory[0]
         memory[1] += slip_rps * step_s
         load_rps2 = stiff * memory[1] + damp * slip_rps
         memory[0] += load_rps2 * step_s
         total += load_rps2
+    return load_rps2 if signals[s.AT_INSTANTS] != 0.0 else total / count
+
+
+@njit
+def elasticity(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """E = (Ts - share (u - F)) / (1 - share), Ts the torque of the joint: J - share J turns with the motor."""
+    joint_rps2 = _load_rps2(signals, parameters, memory)
     driving_nm = signals[s.MOTOR_TORQUE_NM] - signals[s.FRICTION_NM]
-    signals[s.LOAD_NM] += share * (inertia * total / count - driving_nm) / (1.0 - share)
+    share = parameters[0]
+    signals[s.LOAD_NM] += share * (signals[s.INERTIA_NM_S2_PER_REV] * joint_rps2 - driving_nm) / (1.0 - share)
+
+
+@njit
+def _along_motion(signals: Floats, parameters: Floats, memory: Floats) -> None:
+    """The same of a motion that is known: with u - F = J dw/dt + E, E = share J (acceleration of load - of motor)."""
+    slower_rps2 = _load_rps2(signals, parameters, memory) - signals[s.ACCELERATION_RPS2]
+    signals[s.LOAD_NM] += parameters[0] * signals[s.INERTIA_NM_S2_PER_REV] * slower_rps2
 
 
 LAW = Law(
@@ -65,4 +83,5 @@ LAW = Law(
     experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring stays",
     motions=("chirp",),
     picture="frequency",
+    feedforward=_along_motion,
 )

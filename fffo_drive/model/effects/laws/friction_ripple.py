@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import level_response, wave
+from ..kinds import level_response, over_step, wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, motor_orders, over
 from ..slots import Floats
 
@@ -16,7 +16,7 @@ def _search(context: SearchContext) -> list[Shape]:
 @njit
 def friction_ripple(signals: Floats, parameters: Floats, memory: Floats) -> None:
     """Fc and Fs are 1 + (cos, sin of an order of the motor turn) times as high: E turns its sign with the direction."""
-    turns = parameters[2] * signals[s.MOTOR_ANGLE_REV]
+    turns = parameters[2] * over_step(signals, memory, signals[s.MOTOR_ANGLE_REV])
     signals[s.LOAD_NM] += level_response(signals, memory, wave(parameters[0], parameters[1], turns))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import level_response
+from ..kinds import LEVEL_MEMORY, level_response, over_step
 from ..law import STRENGTH, Law, Parameter, no_shape
 from ..slots import Floats
 
@@ -12,16 +12,16 @@ from ..slots import Floats
 @njit
 def load_dependent_friction(signals: Floats, parameters: Floats, memory: Floats) -> None:
     """Fc grows by share |motor torque|, and Fs in proportion."""
-    change = parameters[0] * abs(signals[s.MOTOR_TORQUE_NM]) / signals[s.COULOMB_NM]
-    signals[s.LOAD_NM] += level_response(signals, memory, change)
+    pressing_nm = abs(over_step(signals, memory, signals[s.MOTOR_TORQUE_NM]))
+    signals[s.LOAD_NM] += level_response(signals, memory, parameters[0] * pressing_nm / signals[s.COULOMB_NM])
 
 
 @njit
 def _inverse(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """The E that the wanted torque needs: what is added presses too. memory[4]: E of the tick before."""
-    wanted_nm = signals[s.MOTOR_TORQUE_NM] + signals[s.LOAD_NM] + memory[4]
-    memory[4] = level_response(signals, memory, parameters[0] * abs(wanted_nm) / signals[s.COULOMB_NM])
-    signals[s.LOAD_NM] += memory[4]
+    """The E that the wanted torque needs: what is added presses too. memory[LEVEL_MEMORY]: E of the tick before."""
+    wanted_nm = over_step(signals, memory, signals[s.MOTOR_TORQUE_NM] + signals[s.LOAD_NM]) + memory[LEVEL_MEMORY]
+    memory[LEVEL_MEMORY] = level_response(signals, memory, parameters[0] * abs(wanted_nm) / signals[s.COULOMB_NM])
+    signals[s.LOAD_NM] += memory[LEVEL_MEMORY]
 
 
 LAW = Law(

@@ -6,7 +6,7 @@ import math
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import TURN, level_response, wave
+from ..kinds import TURN, level_response, over_step, wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, slow_periods_rev
 from ..slots import Floats
 
@@ -35,7 +35,7 @@ def position_dependent_friction(signals: Floats, parameters: Floats, memory: Flo
     The window has the shape of a raised cosine towards its edges (a fifth of the width each); it repeats every pitch,
     or stands once along the travel.
     """
-    angle_rev = signals[s.MOTOR_ANGLE_REV]
+    angle_rev = over_step(signals, memory, signals[s.MOTOR_ANGLE_REV])
     scale = 0.0
     if parameters[3] > 0.0:
         scale += wave(parameters[0], parameters[1], angle_rev / parameters[3])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import settled
+from ..kinds import settled, surface_response
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
 from ..slots import Floats
 
@@ -15,8 +15,9 @@ def _search(context: SearchContext) -> list[Shape]:
 
 @njit
 def viscous_drift(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = change w (1 - exp(-t/tau))."""
-    signals[s.LOAD_NM] += parameters[0] * signals[s.VELOCITY_RPS] * settled(signals[s.TIME_S], parameters[1])
+    """The viscous coefficient is larger by change (1 - exp(-t/tau))."""
+    viscous = parameters[0] * settled(signals[s.TIME_S], parameters[1])
+    signals[s.LOAD_NM] += surface_response(signals, memory, 0.0, viscous)
 
 
 LAW = Law(
@@ -39,4 +40,5 @@ LAW = Law(
     ),
     motions=("staircase", "dwells", "staircase", "pairs", "staircase"),
     picture="time",
+    level=True,
 )
