@@ -138,10 +138,8 @@ def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
     stretch, size = scene.stretch, scene.commanded.size
     thin = thinning(stretch.period_s)
     motion = np.zeros((size, slots.N_MOTION))
-    places = np.arange(size) / thin
-    laws = np.arange(stretch.samples)
-    for slot in (slots.TIME_S, slots.VELOCITY_RPS):
-        motion[:, slot] = np.interp(places, laws, scene.motion[:, slot])
+    places, laws = np.arange(size) / thin, np.arange(stretch.samples)
+    motion[:, slots.VELOCITY_RPS] = np.interp(places, laws, stretch.velocity_rps)
     motion[:, slots.CURRENT_A] = scene.commanded
     load_nm, _ = effects_along(terms, motion, scene.axis, stretch.period_s)
     return thinned(load_nm, thin)

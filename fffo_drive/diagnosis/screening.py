@@ -18,7 +18,7 @@ from .base import NAMES
 from .candidates import Columns, Effect, Scene, effect_of, strength_columns
 from .evidence import Evidence, Score, score
 from .paths import Rows
-from .spectra import frequency_peaks, order_peaks
+from .spectra import frequency_peaks, order_peaks, slow_orders
 
 Floats = npt.NDArray[np.float64]
 
@@ -82,6 +82,8 @@ def search_context(
         pole_pairs=facts.pole_pairs,
         slots=facts.slots,
         orders=tuple(orders),
+        slow_orders=slow_orders(rows, residual_nm),
+        slow_level_orders=slow_orders(rows, residual_nm * sign),
         frequencies_hz=tuple(p.place for p in frequency_peaks(rows, residual_nm, PEAKS)),
     )
 

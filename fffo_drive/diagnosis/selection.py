@@ -173,13 +173,15 @@ def contend(
     A free curve is chosen only where it explains what no law of the library explains, by a margin. A response over
     frequency takes no part: it can stand in for any joint or lag, and is tried last.
     """
-    trials = list(screening.trials)
+    taken = {e.name for e in fitted.effects}
+    trials = [t for t in screening.trials if t.name not in taken or law_of(t.name).per_run]  # waves may be several
+    if not trials:
+        return Contest("", {}, {}), None
     top = max(penalised(t, evidence) for t in trials)
     picked = [t for t in trials if penalised(t, evidence) >= LEAST_SHARE * top][:CONTENDERS]
     alike = {name for t in picked[:1] for name in law_of(t.name).lookalikes}
     picked += [t for t in trials if t.name in alike and t not in picked and t.explained > 0.02 * top][:3]
 
-    taken = {e.name for e in fitted.effects}
     laws = len(picked)
     curves = [t for t in free if t.name not in taken and t.name != FREQUENCY]
     picked += [t for t in curves if t.explained >= CURVE_SHARE * top][:2]

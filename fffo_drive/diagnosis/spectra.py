@@ -37,16 +37,23 @@ class Peak(NamedTuple):
 
 
 def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
-    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength, and the slow ones.
-
-    No line stands out where a turn is long against the travel and all else that the base lacks has its spectrum: the
-    largest of each band of slow orders is given, and what it explains decides.
-    """
+    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
     turns = float(np.ptp(rows.position_rev))
     if turns < 2.0:
         return []
     orders, power = order_spectrum(rows, values, turns)
-    return _peaks(orders, power, count, least=1.0 / turns) + _slow_peaks(orders, power, 1.5 / turns)
+    return _peaks(orders, power, count, least=1.0 / turns)
+
+
+def slow_orders(rows: Rows, values: Floats) -> tuple[float, ...]:
+    """The largest order of each band below SLOWEST_LINE.
+
+    No line stands out there, where all else that a base lacks has its spectrum: what the order explains decides.
+    """
+    turns = float(np.ptp(rows.position_rev))
+    if turns < 2.0:
+        return ()
+    return tuple(_slow_peaks(*order_spectrum(rows, values, turns), 1.5 / turns))
 
 
 def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Floats]:
@@ -80,7 +87,7 @@ def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Fl
     return orders[use], power / weight
 
 
-def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[Peak]:
+def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[float]:
     """The largest of each band between `least` and SLOWEST_LINE, if it is a maximum and not the side of one."""
     if not least < SLOWEST_LINE:
         return []
@@ -92,7 +99,7 @@ def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[Peak]:
             continue
         k = inside[np.argmax(power[inside])]
         if power[k - 1] <= power[k] >= power[k + 1]:
-            found.append(Peak(float(orders[k]), float(power[k] / np.median(power[inside]))))
+            found.append(float(orders[k]))
     return found
 
 

@@ -54,6 +54,8 @@ class SearchContext(NamedTuple):
     pole_pairs: int | None = None
     slots: int | None = None
     orders: tuple[float, ...] = ()  # peaks of the residual over the motor angle, per rev: orders that nobody foresaw
+    slow_orders: tuple[float, ...] = ()  # the largest of each band of long waves, of the residual itself ...
+    slow_level_orders: tuple[float, ...] = ()  # ... and of the residual times the direction
     frequencies_hz: tuple[float, ...] = ()  # peaks of the residual over time
     windows_rev: tuple[tuple[float, float], ...] = ()  # (centre, width) of places where the residual stands out
     bands_rps: tuple[float, ...] = ()  # speeds at which it does
@@ -121,7 +123,7 @@ def geometric(low: float, high: float, count: int) -> list[float]:
     return [float(x) for x in np.geomspace(low, high, count)]
 
 
-def motor_orders(context: SearchContext, half: bool = False) -> list[float]:
+def motor_orders(context: SearchContext, half: bool = False, slow: Sequence[float] = ()) -> list[float]:
     """Orders of the motor turn that the data can carry: whole, of the winding and the gear, and what was found.
 
     With `half` also halves. An order needs to be passed twice, and its period to last four samples at top speed.
@@ -136,7 +138,7 @@ def motor_orders(context: SearchContext, half: bool = False) -> list[float]:
         orders |= {float(context.slots), 2.0 * context.slots}
         if context.pole_pairs is not None:
             orders.add(float(np.lcm(context.slots, 2 * context.pole_pairs)))
-    orders |= set(context.orders)
+    orders |= {*context.orders, *slow}
     lowest = 2.0 / max(context.turns, 1e-9)
     return sorted(order for order in orders if lowest <= order <= highest)
 
@@ -146,5 +148,5 @@ def slow_periods_rev(context: SearchContext) -> list[float]:
     periods = {float(x) for x in geometric(1.5, 2.0 * max(context.turns, 1.0), 12)} if context.turns > 0.75 else set()
     if context.gear_ratio is not None and context.gear_ratio > 1.0:
         periods |= {context.gear_ratio / k for k in (1.0, 2.0, 3.0, 4.0)}
-    periods |= {1.0 / order for order in context.orders if 0.0 < order < 1.0}
+    periods |= {1.0 / order for order in (*context.orders, *context.slow_level_orders) if 0.0 < order < 1.0}
     return sorted(p for p in periods if 1.0 < p <= 2.0 * max(context.turns, 1e-9))

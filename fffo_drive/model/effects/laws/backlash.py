@@ -17,8 +17,8 @@ FLANK_DAMPING = 0.5
 def _search(context: SearchContext) -> list[Shape]:
     return [
         {"gap_rev": gap_rev, "friction_share": friction_share, "contact_hz": min(150.0, 0.1 / context.period_s)}
-        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 14)
-        for friction_share in (0.0, 0.25, 0.5, 0.75, 1.0, 1.3)
+        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 10)
+        for friction_share in (0.0, 0.4, 0.7, 1.0, 1.3)
     ]
 
 

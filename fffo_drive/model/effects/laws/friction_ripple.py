@@ -10,7 +10,7 @@ from ..slots import Floats
 
 
 def _search(context: SearchContext) -> list[Shape]:
-    return over("order", motor_orders(context, half=True))
+    return over("order", motor_orders(context, half=True, slow=context.slow_level_orders))
 
 
 @njit
