@@ -173,6 +173,8 @@ def strength_columns(
     numbers: list[int] = []
     columns: list[Floats] = []
     for strength in law.strengths:
+        if strength.needs and shapes.get(strength.needs, 0.0) <= 0.0:
+            continue
         probe = strength.typical
         parts = [torque_rows(scene, name, {**shapes, strength.name: probe}, rows.laws) / probe for scene in scenes]
         column = np.concatenate(parts)

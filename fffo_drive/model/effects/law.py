@@ -33,6 +33,7 @@ class Parameter(NamedTuple):
     high: float
     typical: float
     meaning: str
+    needs: str = ""  # a shape without which, at zero, this strength does nothing
 
 
 class SearchContext(NamedTuple):

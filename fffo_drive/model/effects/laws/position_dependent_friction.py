@@ -57,10 +57,17 @@ LAW = Law(
     kernel=position_dependent_friction,
     parameters=(
         Parameter(
-            "cos_share", "-", STRENGTH, -10.0, 10.0, 0.1, "cosine of the wave, as a share of the contact's friction"
+            "cos_share",
+            "-",
+            STRENGTH,
+            -10.0,
+            10.0,
+            0.1,
+            "cosine of the wave, as a share of the contact's friction",
+            "period_rev",
         ),
-        Parameter("sin_share", "-", STRENGTH, -10.0, 10.0, 0.1, "sine of the wave"),
-        Parameter("window_share", "-", STRENGTH, -10.0, 10.0, 0.1, "change inside the window"),
+        Parameter("sin_share", "-", STRENGTH, -10.0, 10.0, 0.1, "sine of the wave", "period_rev"),
+        Parameter("window_share", "-", STRENGTH, -10.0, 10.0, 0.1, "change inside the window", "width_rev"),
         Parameter("period_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "period of the wave along the travel; 0: no wave"),
         Parameter("centre_rev", "rev", SHAPE, -1000000000.0, 1000000000.0, 0.0, "centre of the window"),
         Parameter("width_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "width of the window; 0: no window"),
