@@ -60,8 +60,9 @@ class Effect:
 
 KEPT_BAND = 0.7  # of what a thinned command can carry
 
-# these act between command and torque: they see the command itself
-COMMANDED = frozenset({"voltage_limit", "delay", "current_lag", "dead_zone", "torque_saturation"})
+# These act between command and torque and see the command itself, the residual in it too. The measured current tells
+# whether a lag or a limit is real; inside a dead zone the residual explains itself: little of the motion may lie there.
+COMMANDED = frozenset({"voltage_limit", "delay", "current_lag", "dead_zone"})
 
 
 class Scene(NamedTuple):

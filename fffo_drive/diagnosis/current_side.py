@@ -6,14 +6,16 @@ motion misses. Where a current was measured, a law of that kind is believed only
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from .base import NAMES, delayed
-from .candidates import Effect, load_along
+from .candidates import Effect, Scene, load_along, thinned
 from .fitting import Data, Fitted, consistent_scenes
+from .paths import thinning
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,6 +23,7 @@ SHOWN_BY_CURRENT = frozenset({"voltage_limit", "current_lag"})
 LEAST_SHARE = 0.5  # of what the measured current is short of, that an effect has to account for
 LONGEST_SAMPLES = 20
 FINENESS = 2  # delays tried a sample
+MOST_INSIDE = 0.2  # of the motion inside a dead zone: there the residual explains itself
 
 
 class Shortage(NamedTuple):
@@ -42,6 +45,23 @@ def shortage(data: Data) -> Shortage | None:
             short_a = delayed(stretch.current_a, float(delay)) - stretch.measured_a
             found[k, begin:end] = data.rows.filter.rows(stretch.torque_constant_nm_per_a * short_a)
     return Shortage(delays * data.rows.filter.period_s, found)
+
+
+def believed(data: Data, short: Shortage | None, fitted: Fitted) -> bool:
+    """Whether the current, commanded and measured, lets the last effect stand."""
+    effect = fitted.effects[-1]
+    if effect.name == "dead_zone":
+        return effect.shapes["width_a"] <= driving_a(consistent_scenes(data, fitted.physical, ()))
+    if effect.name in SHOWN_BY_CURRENT and short is not None:
+        return shown_share(data, short, fitted, effect) >= LEAST_SHARE
+    return True
+
+
+def driving_a(scenes: Sequence[Scene]) -> float:
+    """Current below which only MOST_INSIDE of the motion is made, A: a dead zone that is wider cannot be told."""
+    parts = [np.abs(thinned(s.commanded, thinning(s.stretch.period_s))[s.moving > 0.0]) for s in scenes]
+    moving = np.concatenate(parts)
+    return float(np.quantile(moving, MOST_INSIDE)) if moving.size else 0.0
 
 
 def shown_share(data: Data, short: Shortage, fitted: Fitted, effect: Effect) -> float:

@@ -16,6 +16,7 @@ from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS
 from .base import NAMES
 from .candidates import Columns, Effect, Scene, effect_of, strength_columns
+from .current_side import driving_a
 from .evidence import Evidence, Score, score
 from .paths import Rows
 from .spectra import frequency_peaks, order_peaks, slow_orders
@@ -74,6 +75,7 @@ def search_context(
         high_rev=float(rows.position_rev.max()),
         highest_current_a=float(np.quantile(np.abs(torque), 0.9999)),
         highest_torque_nm=float(kt * np.quantile(np.abs(torque), 0.9999)),
+        driving_a=driving_a(scenes),
         coulomb_nm=value["coulomb_nm"],
         static_nm=value["static_nm"],
         stiffness_per_rev=value["stiffness_per_rev"],

@@ -22,8 +22,7 @@ from ..identification.prediction import THREADS
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
-from .current_side import LEAST_SHARE as SHOWN_SHARE
-from .current_side import SHOWN_BY_CURRENT, shortage, shown_share
+from .current_side import SHOWN_BY_CURRENT, believed, shortage
 from .evidence import Evidence, make_evidence
 from .fitting import (
     Data,
@@ -201,14 +200,10 @@ def contend(
     costs = [cost(r, data) for r in equal]
     short = shortage(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
     for k, result in enumerate(results):
-        if not within_reason(data, result, len(result.effects) - 1):
-            costs[k] = np.inf
-            gains[picked[k].name] = 0.0
-        if short is None or picked[k].name not in SHOWN_BY_CURRENT:
+        if within_reason(data, result, len(result.effects) - 1) and believed(data, short, result):
             continue
-        if shown_share(data, short, result, result.effects[-1]) < SHOWN_SHARE:
-            costs[k] = np.inf
-            gains[picked[k].name] = 0.0
+        costs[k] = np.inf
+        gains[picked[k].name] = 0.0
     if not np.isfinite(min(costs)):
         return Contest("", gains, {}), None
     order = int(np.argmin(costs[:laws])) if laws else 0

@@ -51,6 +51,7 @@ class SearchContext(NamedTuple):
     static_nm: float
     stiffness_per_rev: float
     attraction_nm_per_rev: float
+    driving_a: float = 0.0  # current that most of the motion needs at least; 0: not known
     gear_ratio: float | None = None
     pole_pairs: int | None = None
     slots: int | None = None

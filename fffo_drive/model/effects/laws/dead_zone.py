@@ -11,7 +11,10 @@ STEEPEST = 10.0
 
 
 def _search(context: SearchContext) -> list[Shape]:
-    return over("width_a", geometric(0.004 * context.highest_current_a, 0.3 * context.highest_current_a, 8))
+    widest_a = 0.3 * context.highest_current_a
+    if context.driving_a > 0.0:
+        widest_a = min(widest_a, context.driving_a)
+    return over("width_a", geometric(0.004 * context.highest_current_a, widest_a, 8))
 
 
 @njit
