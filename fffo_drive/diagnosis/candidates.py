@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -79,6 +80,11 @@ class Scene(NamedTuple):
     axis: AxisConfig
     moving: Floats  # (n,) 1, or 0 at rest: there friction balances whatever acts
 
+    @property
+    def commanded_thinned(self) -> Floats:
+        """The command at the laws' rate. (n,)"""
+        return thinned(self.commanded, thinning(self.stretch.period_s))
+
 
 def scenes_of(
     stretches: Sequence[Stretch], physical: Floats, models: Sequence[Along],
@@ -115,8 +121,12 @@ def thinned(values: Floats, thin: int) -> Floats:
     """Every `thin`-th of values (n,), low-passed without a delay so that noise does not fold down."""
     if thin == 1:
         return values
-    taps = signal.firwin(8 * thin + 1, KEPT_BAND / thin)
-    return np.asarray(ndimage.correlate1d(values, taps, mode="nearest")[::thin])
+    return np.asarray(ndimage.correlate1d(values, _taps(thin), mode="nearest")[::thin])
+
+
+@cache
+def _taps(thin: int) -> Floats:
+    return np.asarray(signal.firwin(8 * thin + 1, KEPT_BAND / thin), dtype=np.float64)
 
 
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:

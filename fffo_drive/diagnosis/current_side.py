@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .base import NAMES, delayed
-from .candidates import Effect, Scene, load_along, thinned
+from .candidates import Effect, Scene, load_along
 from .fitting import Data, Fitted, consistent_scenes
-from .paths import thinning
 
 Floats = npt.NDArray[np.float64]
 
@@ -59,7 +58,7 @@ def believed(data: Data, short: Shortage | None, fitted: Fitted) -> bool:
 
 def driving_a(scenes: Sequence[Scene]) -> float:
     """Current below which only MOST_INSIDE of the motion is made, A: a dead zone that is wider cannot be told."""
-    parts = [np.abs(thinned(s.commanded, thinning(s.stretch.period_s))[s.moving > 0.0]) for s in scenes]
+    parts = [np.abs(s.commanded_thinned[s.moving > 0.0]) for s in scenes]
     moving = np.concatenate(parts)
     return float(np.quantile(moving, MOST_INSIDE)) if moving.size else 0.0
 

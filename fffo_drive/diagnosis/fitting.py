@@ -20,9 +20,9 @@ from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
-from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of, thinned
+from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of
 from .evidence import Whitening, whiten
-from .paths import Rows, Stretch, thinning
+from .paths import Rows, Stretch
 
 Floats = npt.NDArray[np.float64]
 
@@ -128,7 +128,7 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
     for scene in scenes_of(data.stretches, physical, models_along(data.stretches, physical)):
         stretch = scene.stretch
         motion = scene.motion.copy()
-        motion[:, slots.CURRENT_A] = thinned(scene.commanded, thinning(stretch.period_s))
+        motion[:, slots.CURRENT_A] = scene.commanded_thinned
         terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
         load_nm, _ = effects_along(
             [term for term in terms if term.name not in COMMANDED], motion, scene.axis, stretch.law_period_s

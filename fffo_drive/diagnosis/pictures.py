@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from ..model.effects.laws.lookup import PLAIN, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .candidates import Effect, Scene, thinned
+from .candidates import Effect, Scene
 from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .free_curves import Axis as FreeAxis
 from .free_curves import abscissa
-from .paths import Rows, Stretch, thinning
+from .paths import Rows, Stretch
 from .results import Ceiling, Channel, Curve, Picture, RunFigure
 from .screening import Trial
 
@@ -146,9 +146,7 @@ def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floa
     step = rows.laws.step
     if word == "frequency":
         torque = [
-            np.gradient(thinned(s.commanded, thinning(s.stretch.period_s)), s.stretch.law_period_s)
-            * s.axis.torque_constant_nm_per_a
-            for s in scenes
+            np.gradient(s.commanded_thinned, s.stretch.law_period_s) * s.axis.torque_constant_nm_per_a for s in scenes
         ]
         return np.concatenate([rows.laws.rows(part) for part in torque])
     own = FreeAxis(word, 0.0, MEMORY_S if word == "memory" and scale <= 0.0 else scale)

@@ -54,11 +54,17 @@ def steady_contact_nm(signals: Floats, speed_rps: float) -> float:
 
 
 @njit
+def before_step(signals: Floats, memory: Floats, slot: int, value: float) -> float:
+    """A value as the step began: of instants that of the one before, kept in memory[slot]; else it is held over it."""
+    before = memory[slot] if signals[s.AT_INSTANTS] != 0.0 else value
+    memory[slot] = value
+    return float(before)
+
+
+@njit
 def over_step(signals: Floats, memory: Floats, value: float) -> float:
     """A value in the middle of the step that ends here, where a surface moved on. memory[LEVEL_MEMORY + 1]: before."""
-    before = memory[LEVEL_MEMORY + 1]
-    memory[LEVEL_MEMORY + 1] = value
-    return 0.5 * (before + value) if signals[s.AT_INSTANTS] != 0.0 else value
+    return 0.5 * (before_step(signals, memory, LEVEL_MEMORY + 1, value) + value)
 
 
 @njit

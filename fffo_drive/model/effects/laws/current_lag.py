@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import approach
+from ..kinds import approach, before_step
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
 from ..slots import Floats
 
@@ -19,8 +19,7 @@ def current_lag(signals: Floats, parameters: Floats, memory: Floats) -> None:
     instants. memory: the lagged torque, the torque before.
     """
     torque_nm = signals[s.MOTOR_TORQUE_NM]
-    before_nm = memory[1] if signals[s.AT_INSTANTS] != 0.0 else torque_nm
-    memory[1] = torque_nm
+    before_nm = before_step(signals, memory, 1, torque_nm)
     behind_nm = (torque_nm - before_nm) * parameters[1] / signals[s.STEP_S]  # of a ramp that has lasted
     memory[0] = approach(memory[0] - before_nm, -behind_nm, signals[s.STEP_S], parameters[1]) + before_nm
     memory[0] += torque_nm - before_nm

@@ -6,7 +6,7 @@ import math
 
 from ....jit import njit
 from .. import slots as s
-from ..kinds import TURN
+from ..kinds import TURN, before_step
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
 from ..slots import Floats
 
@@ -39,8 +39,7 @@ def _load_rps2(signals: Floats, parameters: Floats, memory: Floats) -> float:
     total = 0.0
     load_rps2 = 0.0
     now_rps = signals[s.VELOCITY_RPS]
-    before_rps = memory[2] if signals[s.AT_INSTANTS] != 0.0 else now_rps
-    memory[2] = now_rps
+    before_rps = before_step(signals, memory, 2, now_rps)
     for k in range(count):
         slip_rps = before_rps + (k + 0.5) / count * (now_rps - before_rps) - memory[0]
         memory[1] += slip_rps * step_s
