@@ -3,6 +3,7 @@
 "use strict";
 
 const dgram = require("dgram");
+const { EventEmitter } = require("events");
 const { createRequire } = require("module");
 
 const PORT = Number(process.argv[2]);
@@ -48,14 +49,14 @@ async function openBus(device) {
     data.copy(frame, 8);
     tx.send(frame, PORT, BROADCAST);
   });
-  const listeners = [];
+  const frames = new EventEmitter();
   rx.on("message", (frame, sender) => {
     if (sender.port === own) return;
     const message = { id: frame.readUInt32LE(0), len: frame[4], data: Buffer.from(frame.subarray(8, 8 + frame[4])) };
-    for (const listener of listeners) listener(message);
     device.receive(message);
+    frames.emit("frame", message);
   });
-  return { listeners, close: () => (rx.close(), tx.close()) };
+  return { frames, close: () => (rx.close(), tx.close()) };
 }
 
 function once(emitter, event, condition, what) {
@@ -99,10 +100,10 @@ async function main() {
   device.nmt.startNode(); // ours: its PDOs and its SYNC
 
   // boot-up
-  const booted = new Promise((resolve) =>
-    bus.listeners.push(({ id, data }) => id === 0x700 + NODE && data[0] === 0 && resolve(true)));
+  const booted = once(bus.frames, "frame", ({ id, data }) => id === 0x700 + NODE && data[0] === 0, "boot-up");
   device.nmt.resetNode(NODE);
-  seen.boot_up = await booted;
+  await booted;
+  seen.boot_up = true;
 
   // SDO
   seen.device_type = await read(0x1000, 0, UNSIGNED32);
@@ -148,7 +149,8 @@ async function main() {
     controlword.value = word;
     device.pdo.write(0x200 + NODE);
     const before = await read(0x6041, 0, UNSIGNED16);
-    const answer = once(device.pdo, "pdo", (pdo) => pdo.cobId === 0x280 + NODE, "TPDO2");
+    // the frame itself: the module's "pdo" event is left out where no value changed, as on an axis at rest
+    const answer = once(bus.frames, "frame", ({ id }) => id === 0x280 + NODE, "TPDO2");
     device.sync.write();
     await answer;
     seen.statuswords.push([before & 0x6f, (await read(0x6041, 0, UNSIGNED16)) & 0x6f]);
