@@ -16,6 +16,12 @@ if str(TESTS) not in sys.path:
 
 os.environ["NUMBA_CACHE_DIR"] = os.environ.get("FFFO_TEST_CACHE") or str(Path(sys.prefix) / "numba-tests")
 
+from hypothesis import settings  # noqa: E402
+
+# the first example compiles kernels, and machines are shared: no example has a deadline; seeds are fixed
+settings.register_profile("fffo", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("fffo")
+
 from bus_fixtures import drive_bus, whole_run  # noqa: E402, F401
 from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on this machine is left out, with a word
     pytest_collection_modifyitems,

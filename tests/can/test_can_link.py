@@ -82,7 +82,7 @@ def test_filters_work_in_the_kernel(spec, filters, heard):
     st.lists(st.builds(CanFilter, st.integers(0, 0x7FF), st.integers(0, 0x7FF), st.booleans()), max_size=6),
     st.lists(st.integers(0, 0x7FF), min_size=1, max_size=20),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_filters_against_their_definition(filters, sent):
     bus = f"loopback:{free_loopback_port()}"
     with open_link(bus) as sender, open_link(bus, filters=filters) as receiver:

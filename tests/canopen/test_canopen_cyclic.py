@@ -235,7 +235,7 @@ def test_the_position_counter_wraps(bench):
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.lists(st.integers(-(2**30), 2**30), max_size=20))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_unwrapped_positions_follow_the_truth(first, steps):
     bench = Bench()
     try:
@@ -461,7 +461,7 @@ FRAMES = st.builds(
 
 
 @given(st.lists(FRAMES, max_size=30))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_garbage_never_breaks_the_books(frames):
     bench = Bench()
     try:

@@ -144,7 +144,7 @@ def test_a_tidy_file_stays_as_it_is() -> None:
 BASE = Path(path_of("no_torque")).read_text().splitlines()
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_broken_file_is_read_or_refused_in_one_sentence(tmp_path: Path, data: st.DataObject) -> None:
     lines = list(BASE)
@@ -177,7 +177,7 @@ def test_a_broken_file_is_read_or_refused_in_one_sentence(tmp_path: Path, data: 
     assert "\n" not in refusal
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(raw=st.binary(max_size=300))
 def test_any_bytes(tmp_path: Path, raw: bytes) -> None:
     path = tmp_path / "noise.eds"

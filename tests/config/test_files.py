@@ -175,7 +175,7 @@ def test_numbers_are_yaml_1_2():
     assert isinstance(data["c"], int)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.text(max_size=200))
 def test_any_text_is_a_file_or_a_clean_error(tmp_path_factory, text):
     path = tmp_path_factory.mktemp("any") / "axis.yaml"

@@ -10,7 +10,7 @@ import socket
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.daemon.event_log import KEPT, EventLog
@@ -108,7 +108,6 @@ def decode_fields(raw: bytes) -> dict[str, str]:
     return found
 
 
-@settings(deadline=None)
 @given(
     st.dictionaries(
         st.from_regex(r"[A-Z][A-Z0-9_]{0,20}", fullmatch=True),

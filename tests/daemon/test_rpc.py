@@ -6,7 +6,7 @@ import json
 import math
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fffo_drive.daemon import rpc
@@ -81,7 +81,6 @@ def test_a_batch_keeps_its_order_and_answers_each_item():
     assert [isinstance(item, Call) for item in document.items] == [False, True, False]
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=300))
 @example(b'{"a":' * 500)
 def test_any_bytes_are_a_call_or_an_error(line):
@@ -91,14 +90,12 @@ def test_any_bytes_are_a_call_or_an_error(line):
             assert json.loads(encode(item)) == item
 
 
-@settings(deadline=None)
 @given(VALUES)
 def test_any_json_is_a_call_or_an_error(content):
     for item in read_line(json.dumps(content).encode()).items:
         assert isinstance(item, Call) or item["error"]["code"]
 
 
-@settings(deadline=None)
 @given(st.one_of(st.text(), st.integers()), st.text(), st.dictionaries(st.text(), VALUES, max_size=4))
 def test_a_well_formed_call_comes_back_as_it_was(number, method, params):
     line = json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params})
@@ -106,7 +103,6 @@ def test_a_well_formed_call_comes_back_as_it_was(number, method, params):
         assert only(line) == Call(number, method, params)
 
 
-@settings(deadline=None)
 @given(VALUES)
 def test_an_encoded_message_is_one_line_of_json(content):
     line = encode(content)

@@ -232,7 +232,7 @@ def test_a_flood_is_read_slowly_and_everybody_else_is_served(rig):
 LINES = st.binary(min_size=1, max_size=200).filter(lambda line: b"\n" not in line and line.strip())
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(st.binary(min_size=1, max_size=200).filter(lambda line: b"\n" not in line and line.strip()), max_size=5)
 )

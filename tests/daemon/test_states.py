@@ -80,7 +80,6 @@ def test_a_stop_is_never_refused_where_there_is_a_drive(state):
     assert step(state, Event.QUICK_STOP) is not None
 
 
-@settings(deadline=None)
 @given(st.sampled_from(list(State)), st.sampled_from(ASKED))
 def test_what_is_asked_for_without_a_row_is_refused_with_the_states_that_allow_it(state, event):
     if (state, event) in TABLE:
@@ -94,7 +93,6 @@ def test_what_is_asked_for_without_a_row_is_refused_with_the_states_that_allow_i
     assert all(allowed.value in str(refused.value) for allowed in refused.value.allowed)
 
 
-@settings(deadline=None)
 @given(st.sampled_from(list(State)), st.sampled_from(OBSERVED))
 def test_an_observation_without_a_row_is_passed_over(state, event):
     assert step(state, event) == TABLE.get((state, event))
@@ -172,4 +170,4 @@ class Axis(RuleBasedStateMachine):
 
 
 TestAxis = Axis.TestCase
-TestAxis.settings = settings(max_examples=300, stateful_step_count=40, deadline=None)
+TestAxis.settings = settings(max_examples=300, stateful_step_count=40)

@@ -26,7 +26,7 @@ def sine(lag_s: float = 0.0, amplitude_rps: float = 3.0, frequency_hz: float = 1
 
 
 @given(lag_ms=st.floats(-8.0, 8.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_lag_of_a_shifted_sine_is_its_shift(lag_ms):
     reference, axis = (find_reversals(sine(lag), PERIOD_S) for lag in (0.0, 1e-3 * lag_ms))
     lag = reversal_lag(reference, axis)

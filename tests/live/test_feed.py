@@ -32,7 +32,7 @@ NAMES = [signal.name for signal in SIGNALS]
     cuts=st.lists(st.integers(0, 200), max_size=8), first=st.integers(0, 90), bin_ticks=st.integers(1, 50),
     missing=st.sets(st.integers(0, 199), max_size=60),
 )  # fmt: skip
-@settings(deadline=None, max_examples=15, derandomize=True)
+@settings(max_examples=15, derandomize=True)
 def test_however_rows_come_each_whole_bin_has_the_extremes_of_its_ticks(cuts, first, bin_ticks, missing):
     rows = rows_of(first, 200)[[i for i in range(200) if i not in missing]]
     decimator = Decimator(bin_ticks)

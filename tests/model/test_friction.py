@@ -146,7 +146,7 @@ def test_dithering_reversals_keep_the_level_with_the_clipped_omega_alone():
     assert not (abs(literal) < 1.0).all()  # the printed form ratchets to any value
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.floats(-50, 50, allow_nan=False), min_size=1, max_size=60),
     st.floats(1e-6, 5e-3),
@@ -192,7 +192,7 @@ def test_agreement_with_an_ode_solver_through_reversals():
     assert np.abs(sampled - np.concatenate(reference_nm)).max() < 2e-5
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     st.floats(-40, 40).filter(lambda w: abs(w) > 1e-6),
     st.floats(-0.1, 0.1),

@@ -222,9 +222,7 @@ class AnyCommands(RuleBasedStateMachine):
 
 @pytest.mark.conformance("CiA 402", "no torque outside OPERATION ENABLED but the drive's own braking, whatever is sent")
 class TestAnyCommands(AnyCommands.TestCase):  # type: ignore[misc, name-defined]
-    settings = settings(
-        max_examples=60, stateful_step_count=30, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-    )
+    settings = settings(max_examples=60, stateful_step_count=30, suppress_health_check=[HealthCheck.too_slow])
 
 
 def test_the_motor_would_notice() -> None:

@@ -95,7 +95,7 @@ def test_what_a_kill_costs_is_bounded_by_the_flush_interval(tmp_path):
     bench.recorder.close()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(bursts=st.lists(st.integers(0, 200), min_size=1, max_size=25))
 def test_overrun_is_counted_exactly(tmp_path_factory, bursts):
     bench = Bench(tmp_path_factory.mktemp("overrun"), capacity=64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from recording.samples import FakeRing, random_rows, same_bits
 
@@ -13,7 +13,6 @@ from fffo_drive.recording.ring_reader import RingReader
 ROWS = random_rows(4000)
 
 
-@settings(deadline=None)
 @given(
     capacity=st.sampled_from([2, 4, 16, 64]),
     bursts=st.lists(st.integers(0, 100), max_size=30),
@@ -33,7 +32,6 @@ def test_every_row_is_read_or_counted(capacity, bursts):
     assert reader.read().rows.size == 0
 
 
-@settings(deadline=None)
 @given(during=st.integers(0, 40), waiting=st.integers(0, 15))
 def test_rows_overwritten_while_they_are_copied_are_not_delivered(during, waiting):
     """The writer goes on between the copy and the second look at the head."""

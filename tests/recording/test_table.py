@@ -40,7 +40,7 @@ def table(tmp_path):
     return read
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     values=st.lists(
         st.tuples(st.floats(allow_nan=False, allow_infinity=False), st.floats(-1e6, 1e6)),
@@ -263,7 +263,7 @@ def test_mat_files_with_faults(tmp_path, changes, message):
         read_table(mat_file(tmp_path / "a.mat", **changes), LINEAR)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.binary(max_size=300), header=st.booleans())
 def test_bytes_that_are_no_mat_file(tmp_path_factory, data, header):
     path = tmp_path_factory.getbasetemp() / "noise.mat"
@@ -273,7 +273,7 @@ def test_bytes_that_are_no_mat_file(tmp_path_factory, data, header):
         read_table(path, LINEAR)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.text(alphabet='0123456789.,;\n\t -e#%naif"ti_s\r\0é', max_size=80))
 def test_any_text_is_read_or_refused_with_its_name(tmp_path_factory, data):
     path = tmp_path_factory.getbasetemp() / "noise.csv"

@@ -71,7 +71,7 @@ def test_cut_off_anywhere(sample, tmp_path):
     assert read_run(path).complete
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_flipped_bytes(sample, tmp_path_factory, data):
     """Damage inside: either a prefix of the rows with the reason, or a clear error; rows are never wrong."""
@@ -90,7 +90,7 @@ def test_flipped_bytes(sample, tmp_path_factory, data):
         assert len(run.rows) == len(ROWS)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.binary(max_size=400))
 def test_bytes_behind_the_magic(tmp_path_factory, data):
     path = tmp_path_factory.getbasetemp() / "noise.mcap"
@@ -123,7 +123,7 @@ def opened_by_others(path, rows):
     assert ticks == rows["tick"].tolist()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(share=st.floats(0.0, 1.0))
 def test_recovered_files_are_whole(sample, tmp_path_factory, share):
     directory = tmp_path_factory.mktemp("recover")

@@ -34,7 +34,7 @@ from fffo_drive.signals import ROW, UNITS
 EVENT = Event(WALL_NS + 7, Level.ERROR, "loop", "trip: following error", {"code": 4, "limit_rev": 0.5})
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     count=st.integers(0, 700),
     batch=st.integers(1, 300),
@@ -198,7 +198,7 @@ def test_rows_of_another_kind_are_refused(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["a.mcap"]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(room=st.integers(0, 40_000), batch=st.integers(1, 60))
 def test_full_disk_at_any_byte_leaves_whole_records(tmp_path_factory, room, batch):
     """Wherever the disk ends, the file ends with a whole record and holds a prefix of the rows."""

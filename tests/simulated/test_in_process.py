@@ -241,7 +241,7 @@ def test_closing_leaves_no_torque():
     assert column(rows, "true_velocity_rps")[-1] == pytest.approx(column(rows, "true_velocity_rps")[20], rel=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.tuples(st.integers(0, 0xFF), st.floats(-20, 20), st.booleans()), min_size=1, max_size=40))
 def test_there_is_no_torque_outside_operation_enabled_but_to_brake(events):
     """Whatever is sent: current is applied in OPERATION ENABLED, and against the motion in the two that brake."""
