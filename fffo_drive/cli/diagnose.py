@@ -20,7 +20,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.dataset import Record, load_records
 from ..identification.facts import DriveFacts, read_facts
-from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
+from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND, across_word
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import SourceFile, provenance, source_file
@@ -30,7 +30,8 @@ from .progress import progress_bar
 MODEL_NAME = "model.yaml"
 CURVES = {
     PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps",
-    RESPONSE: "shares from {} to {} of the motor torque",
+    RESPONSE: "shares from {} to {} of the motor torque", WOUND: "pulls from {} to {} Nm of springs that slip",
+    BRAKE: "a drag from {} to {} Nm",
 }  # fmt: skip
 
 

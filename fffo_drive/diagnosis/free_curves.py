@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
-from ..model.effects.laws.lookup import FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND
 from .candidates import Columns, Scene, effect_of, load_along, torque_rows
 from .evidence import Evidence, score
 from .screening import Trial
@@ -31,6 +31,7 @@ FAR = 1e6
 FREQUENCY = UNKNOWN + "frequency"
 RESPONSE_KNOTS = 7
 LOWEST_HZ = 0.5
+LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is near it
 HIGHEST_SHARE = 0.4  # of the rate of the rows
 
 
@@ -54,8 +55,8 @@ def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
     found += [Axis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
     for period_rev in MOTOR_PERIODS_REV:
         if turns > 3.0 * period_rev:
-            found += [Axis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION)]
-    found += [Axis("output_angle", PLAIN, 0.0), Axis("output_angle", FRICTION, 0.0)]
+            found += [Axis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION, BRAKE)]
+    found += [Axis("output_angle", kind, 0.0) for kind in (PLAIN, FRICTION, BRAKE)]
     found += [Axis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
     found += [Axis("memory", VISCOUS, 3.0), Axis("memory", VISCOUS, 12.0)]
     return found
@@ -69,7 +70,7 @@ def free_trials(
     axes = axes_of(facts, turns)
     with ThreadPoolExecutor(THREADS) as pool:
         found = list(pool.map(lambda axis: _trial(evidence, scenes, axis), axes))
-    found.append(response_trial(evidence, scenes))
+    found += [response_trial(evidence, scenes), wound_trial(evidence, scenes)]
     best: dict[str, Trial] = {}
     for trial in found:
         if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
@@ -112,22 +113,40 @@ def trial_of(evidence: Evidence, name: str, shapes: dict[str, float], columns: S
 
 def response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
     """The best bank of bands over frequency: how the residual answers to the motor torque."""
-    rows = evidence.rows
-    highest_hz = HIGHEST_SHARE / rows.filter.row_period_s
+    highest_hz = HIGHEST_SHARE / evidence.rows.filter.row_period_s
     knots = np.geomspace(LOWEST_HZ, highest_hz, RESPONSE_KNOTS)
-    shapes = {"kind": RESPONSE, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
-    names = tuple(f"y{k:02d}" for k in range(2 * knots.size))
+    return _own_trial(evidence, scenes, FREQUENCY, RESPONSE, knots, 2 * knots.size)
+
+
+def wound_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
+    """The best set of springs that slip, of reaches beyond presliding: hysteresis over the travel."""
+    travel = np.concatenate([s.motion[s.moving > 0.0, slots.TRAVEL_REV] for s in scenes])
+    furthest_rev = 0.5 * float(np.quantile(travel, 0.99)) if travel.size else 0.0
+    if furthest_rev < 4.0 * LEAST_REACH_REV:
+        return None
+    knots = np.geomspace(LEAST_REACH_REV, furthest_rev, KNOTS)
+    return _own_trial(evidence, scenes, UNKNOWN + "memory", WOUND, knots, knots.size)
+
+
+def _own_trial(
+    evidence: Evidence, scenes: Sequence[Scene], name: str, kind: float, knots: Floats, count: int
+) -> Trial | None:
+    """A lookup whose values come from its kernel, one at a time."""
+    shapes = {"kind": kind, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    filter_ = evidence.rows.laws
     columns = [
-        np.concatenate([torque_rows(scene, FREQUENCY, {**shapes, own: 1.0}, rows.laws) for scene in scenes])
-        for own in names
+        np.concatenate([torque_rows(scene, name, {**shapes, f"y{k:02d}": 1.0}, filter_) for scene in scenes])
+        for k in range(count)
     ]
-    return trial_of(evidence, FREQUENCY, shapes, columns)
+    return trial_of(evidence, name, shapes, columns)
 
 
 def factor(scene: Scene, kind: float) -> Floats:
     """What a curve of a kind is times, along a scene; zero at rest. (l,)"""
     if kind == FRICTION:
         return grip(scene) * scene.moving
+    if kind == BRAKE:
+        return np.clip(scene.motion[:, slots.VELOCITY_RPS] / slots.REST_SPEED_DEFAULT_RPS, -1.0, 1.0) * scene.moving
     return scene.motion[:, slots.VELOCITY_RPS] * scene.moving if kind == VISCOUS else scene.moving
 
 

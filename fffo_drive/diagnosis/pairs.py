@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word, code_of
+from ..model.effects.laws.lookup import BRAKE, FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word, code_of
 from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
 from .free_curves import Axis, abscissa, factor, knots_of, trial_of
@@ -47,7 +47,8 @@ class Pair(NamedTuple):
     @property
     def name(self) -> str:
         """As a channel is called."""
-        return f"{self.along.word} x {across_word(self.shapes)}"
+        drag = " (drag)" if self.along.kind == BRAKE else ""
+        return f"{self.along.word} x {across_word(self.shapes)}{drag}"
 
     @property
     def shapes(self) -> dict[str, float]:
@@ -59,10 +60,11 @@ class Pair(NamedTuple):
 
 
 def pairs_of(turns: float) -> list[Pair]:
-    """All pairs that are tried: torque over the velocity, friction over its size, and either over the others."""
+    """All pairs that are tried: torque over the velocity, friction and drag over its size, either over the others."""
     axes = {axis.word: axis for axis in AXES if axis.word != "motor_angle" or turns > TURNS}
     found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
-    return found + [Pair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+    found += [Pair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+    return found + [Pair(axes[word]._replace(kind=BRAKE), SPEED) for word in ANGLES if word in axes]
 
 
 def _pair(first: Axis, second: Axis) -> Pair:
@@ -156,7 +158,7 @@ def thinned(knots: Floats, most: int) -> Floats:
 
 
 def bent_knots(evidence: Evidence, scenes: Sequence[Scene], places: Sequence[Floats], count: int) -> Floats:
-    """Knots where a fine curve over an axis bends: as friction, where that explains more than as torque."""
+    """Knots where a fine curve over an axis bends, as what explains most: torque, friction or drag."""
     step = evidence.rows.laws.step
     at = np.concatenate([place[::step] for place in places])
     low, high = float(at[evidence.rows.kept].min()), float(at[evidence.rows.kept].max())
@@ -164,7 +166,7 @@ def bent_knots(evidence: Evidence, scenes: Sequence[Scene], places: Sequence[Flo
         return np.zeros(0)
     fine = np.linspace(low, high, FINE)
     columns = hats(at, fine)
-    weights = [np.concatenate([factor(s, kind)[::step] for s in scenes])[:, None] for kind in (PLAIN, FRICTION)]
+    weights = [np.concatenate([factor(s, kind)[::step] for s in scenes])[:, None] for kind in (PLAIN, FRICTION, BRAKE)]
     best = max((score(evidence, columns * weight) for weight in weights), key=lambda found: found.explained)
     bend = np.abs(np.diff(best.strengths, 2, prepend=best.strengths[0], append=best.strengths[-1]))
     bend = np.minimum(bend, STEEPEST * float(np.median(bend))) if bend.any() else np.ones(FINE)

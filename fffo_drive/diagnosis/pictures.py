@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import PLAIN, across_axis, across_word
+from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
 from .fitting import Data, Fitted, consistent_scenes, loads_of
@@ -125,6 +125,8 @@ def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, flo
     word = law_of(name).picture if law_of(name).name != "lookup" else axis_of_effect(name)
     if name == "resolver_error":
         word = "motor_angle"
+    if shapes.get("kind") == WOUND:  # a memory of the travel, not of the speed
+        word = "travel_since_reversal"
     return _Place(_along(data, scenes, word, shapes.get("scale", 0.0)), *UNITS[word])
 
 

@@ -4,7 +4,8 @@ A table is tried in the place of everything, of one effect, or beside all; a res
 or lag, beside all.
 A law that fits half of an interaction takes the place of what is in no list, and the next one fills what it leaves.
 What is tried here has to explain more than the laws that it replaces, by the margin of any free curve, to be worth its
-many numbers, to carry over to other runs, and to be beyond chance.
+many numbers, to carry over to other runs, and to be beyond chance. Where a free curve was needed beside a law, the law
+is not what it was taken for: no margin protects them then, and a single curve is tried in the place of both.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identification.prediction import THREADS
+from ..model.effects.laws.lookup import UNKNOWN
 from .candidates import Scene
 from .evidence import Evidence, score
 from .fitting import Fitted, best_gain, cost, polished, refit
-from .free_curves import response_trial
+from .free_curves import FREQUENCY, response_trial
 from .pairs import Coarse, coarse_tables, score_beyond, table_trial
 from .removal import MATERIAL_SHARE
 from .screening import Surrogates, Trial, comparable, false_alarm_probability
@@ -54,6 +56,7 @@ class Offer(NamedTuple):
     without: Fitted  # with the kept effects alone
     fitted: Fitted
     replaced_gain: float  # of the effects whose place it takes
+    margin: float  # share of its gain that they may not reach
     probability: float
 
     @property
@@ -86,8 +89,13 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     else:
         without = refit(data, matrix, fitted.physical, others, iterations=3) if others else selected.base
     replaced_gain = best_gain(without, fitted)
+    replaced = [e.name for k, e in enumerate(fitted.effects) if k not in kept]
+    mixed = len(replaced) > 1 and any(name.startswith(UNKNOWN) for name in replaced)
+    margin = 1.0 if mixed else CURVE_MARGIN
     evidence, scenes = evidence_of(data, matrix, without)
-    trials = _promising(evidence, scenes, tables, replaced_gain, rate)
+    trials = _promising(evidence, scenes, tables, replaced_gain / margin, rate)
+    if mixed and not others:
+        trials += [t for t in selected.curves[0][:REFITTED] if t.name != FREQUENCY]
     response = response_trial(evidence, scenes) if adding and not OVER_FREQUENCY & {e.name for e in others} else None
     if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
         trials.append(response)
@@ -95,8 +103,8 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
         if trial.name in {e.name for e in others}:
             continue
         result = beside(data, matrix, without, trial)
-        offer = Offer(kept, trial, without, result, replaced_gain, 1.0)
-        if replaced_gain >= CURVE_MARGIN * offer.gain or not _worth_it(selected, offer):
+        offer = Offer(kept, trial, without, result, replaced_gain, margin, 1.0)
+        if replaced_gain >= margin * offer.gain or not _worth_it(selected, offer):
             continue
         result = polished(data, result, rounds=2)
         offer = offer._replace(trial=replace_effect(trial, result.effects[-1]), fitted=result)
@@ -117,7 +125,7 @@ def _worth_it(selected: Selection, offer: Offer) -> bool:
 
 
 def _promising(
-    evidence: Evidence, scenes: Sequence[Scene], tables: Sequence[Coarse], replaced_gain: float, rate: float
+    evidence: Evidence, scenes: Sequence[Scene], tables: Sequence[Coarse], wanted: float, rate: float
 ) -> list[Trial]:
     """The pairs that explain most, of those that explain something together that they do not one by one.
 
@@ -129,17 +137,17 @@ def _promising(
         surrogates = Surrogates(evidence, seed=7)
         for one in beyond:
             surrogates.take(one)
-        limit = float(np.quantile(surrogates.maxima, 1.0 - rate)) if tables and not replaced_gain else 0.0
+        limit = float(np.quantile(surrogates.maxima, 1.0 - rate)) if tables and not wanted else 0.0
         able = [
             k
             for k, one in enumerate(beyond)
             if surrogates.statistic(one) > limit
             and one.explained >= TOGETHER * whole[k].explained
-            and whole[k].explained >= COARSE_SHARE * replaced_gain
+            and whole[k].explained >= COARSE_SHARE * wanted
         ]
         able = sorted(able, key=lambda k: -whole[k].explained)[:FINE_TABLES]
         trials = list(pool.map(lambda k: table_trial(evidence, scenes, tables[k].pair), able))
-    least = max(replaced_gain / CURVE_MARGIN, MATERIAL_SHARE * evidence.energy)
+    least = max(wanted, MATERIAL_SHARE * evidence.energy)
     found = [trial for trial in trials if trial is not None and trial.explained >= least]
     return sorted(found, key=lambda trial: -trial.explained)[:REFITTED]
 

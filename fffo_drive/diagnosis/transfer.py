@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .fitting import Data, Fitted, evaluate, huber_terms, refit
+from .fitting import Data, Fitted, consistent_scenes, evaluate, huber_terms, refit
 from .proof import with_own_datum
+from .visited import taught
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -45,22 +46,27 @@ class Transfer(NamedTuple):
 def transfer(data: Data, matrix: Floats, fitted: Fitted, without: Fitted) -> Transfer:
     """Leave each run out in turn, fit with an effect and `without` it, and compare on the run left out.
 
-    A datum per run of a run that is left out stays as the fit of all runs has it: it says nothing about the form.
+    A datum per run of a run that is left out stays as the fit of all runs has it: it says nothing about the form. What
+    a free curve says where no other run was is not asked.
     """
-    run = data.rows.run[data.whitening.kept]
-    gains = np.bincount(run, huber_terms(without.white) - huber_terms(fitted.white), data.runs)
-    total = float(gains.sum())
+    kept = data.whitening.kept
+    run = data.rows.run
+    gain = huber_terms(without.white) - huber_terms(fitted.white)
+    total = float(gain.sum())
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     left_out, expected, folds = 0.0, 0.0, 0
     for number in range(data.runs):
-        rows = int((run == number).sum())
-        if rows < LEAST_ROWS or total - gains[number] < TAUGHT_SHARE * total:
+        others = (run != number) & data.rows.kept
+        inside = (run == number) & taught(fitted.effects, scenes, data.rows.laws.step, others)
+        rows = int(inside[kept].sum())
+        if rows < LEAST_ROWS or total - float(gain[run[kept] == number].sum()) < TAUGHT_SHARE * total:
             continue
-        teaching, asked = _part(data, data.rows.run != number), _part(data, data.rows.run == number)
+        teaching, asked = _part(data, run != number), _part(data, inside)
         with_it = refit(teaching, matrix, fitted.physical, fitted.effects, iterations=2, shapes=False)
         without_it = refit(teaching, matrix, without.physical, without.effects, iterations=2, shapes=False)
         losses = [evaluate(asked, model.physical, model.effects)[0].loss for model in (without_it, with_it)]
         left_out += rows * (losses[0] - losses[1])
-        expected += float(gains[number])
+        expected += float(gain[inside[kept]].sum())
         folds += 1
     return Transfer(left_out, expected, folds)
 

@@ -7,7 +7,17 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from fffo_drive.model.effects import slots as s
-from fffo_drive.model.effects.laws.lookup import AXIS_CODES, FRICTION, PLAIN, RESPONSE, VISCOUS, across_word, values_of
+from fffo_drive.model.effects.laws.lookup import (
+    AXIS_CODES,
+    BRAKE,
+    FRICTION,
+    PLAIN,
+    RESPONSE,
+    VISCOUS,
+    WOUND,
+    across_word,
+    values_of,
+)
 from fffo_drive.model.effects.registry import law_of, parameter_errors, vector_of
 
 NAME = "unknown:velocity"
@@ -24,6 +34,7 @@ VALUES = {f"y{k:02d}": y for k, y in enumerate(Y.ravel())}
 def torque(velocity_rps, acceleration_rps2=0.0, kind=PLAIN, grip=0.0, **values):
     signals, memory = np.zeros(s.N_SLOTS), np.zeros(s.MEMORY_SLOTS)
     signals[s.STEP_S] = 5e-4
+    signals[s.REST_SPEED_RPS] = s.REST_SPEED_DEFAULT_RPS
     signals[s.VELOCITY_RPS], signals[s.ACCELERATION_RPS2], signals[s.GRIP] = velocity_rps, acceleration_rps2, grip
     parameters = np.zeros(s.MAX_PARAMETERS)
     given = vector_of(NAME, {**SHAPES, **VALUES, "kind": kind, **values})
@@ -39,9 +50,13 @@ def test_a_table_is_straight_between_its_knots_and_constant_beyond(velocity_rps,
     assert torque(velocity_rps, acceleration_rps2) == pytest.approx(float(wanted(inside)), abs=1e-12)
 
 
-@given(velocity_rps=st.floats(-6.0, 6.0), kind=st.sampled_from((PLAIN, FRICTION, VISCOUS)), grip=st.floats(-1.0, 1.0))
+KINDS = (PLAIN, FRICTION, VISCOUS, BRAKE)
+
+
+@given(velocity_rps=st.floats(-6.0, 6.0), kind=st.sampled_from(KINDS), grip=st.floats(-1.0, 1.0))
 def test_a_curve_is_a_table_without_a_second_axis(velocity_rps, kind, grip):
-    times = {PLAIN: 1.0, FRICTION: grip, VISCOUS: velocity_rps}[kind]
+    sign = np.clip(velocity_rps / s.REST_SPEED_DEFAULT_RPS, -1.0, 1.0)
+    times = {PLAIN: 1.0, FRICTION: grip, VISCOUS: velocity_rps, BRAKE: sign}[kind]
     wanted = np.interp(velocity_rps, X, Y[0]) * times
     assert torque(velocity_rps, 25.0, kind, grip, across=-1.0) == pytest.approx(wanted, abs=1e-12)
     level = Z[0] - 1.0
@@ -92,3 +107,25 @@ def test_a_response_gives_what_is_in_phase_and_what_is_a_quarter_of_a_period_lat
         wanted = in_phase * torque_nm - late * np.cos(2.0 * np.pi * band_hz * time_s)
         assert load_nm[settled] == pytest.approx(wanted[settled], abs=0.01)
     assert values_of(values) == 4
+
+
+def test_a_spring_that_slips_pulls_by_its_value_at_the_reach_and_lets_go_over_twice_the_reach():
+    """Wound up from rest over 2 rev, then back over 2 rev: 0, up to the reach, level, down by 2 reaches, level."""
+    step_s, speed_rps, reach_rev, pull_nm = 1e-3, 0.5, 0.3, 0.012
+    values = {"kind": WOUND, "count": 2.0, "x00": reach_rev, "x01": 5.0, "y00": pull_nm}
+    parameters, signals = np.zeros(s.MAX_PARAMETERS), np.zeros(s.N_SLOTS)
+    given = vector_of("unknown:memory", values)
+    parameters[: len(given)] = given
+    signals[s.STEP_S] = step_s
+    memory, pulls_nm, travel_rev = np.zeros(s.MEMORY_SLOTS), [], []
+    place_rev = 0.0
+    for k in range(8000):
+        signals[s.VELOCITY_RPS], signals[s.LOAD_NM] = speed_rps if k < 4000 else -speed_rps, 0.0
+        place_rev += signals[s.VELOCITY_RPS] * step_s
+        law_of("unknown:memory").kernel(signals, parameters, memory)
+        pulls_nm.append(signals[s.LOAD_NM])
+        travel_rev.append(place_rev)
+    forth = pull_nm * np.minimum(np.array(travel_rev[:4000]) / reach_rev, 1.0)
+    back = pull_nm * np.maximum(1.0 - (2.0 - np.array(travel_rev[4000:])) / reach_rev, -1.0)
+    assert pulls_nm == pytest.approx(np.concatenate([forth, back]), abs=1e-12)
+    assert values_of(values) == 2

@@ -38,6 +38,8 @@ PLAIN = 0.0  # the curve is a torque
 FRICTION = 1.0  # the curve is friction: times GRIP, -1 to 1
 VISCOUS = 2.0  # the curve is a coefficient of viscous friction: times the velocity
 RESPONSE = 3.0  # the curve is over frequency: a share of the motor torque, in phase and a quarter of a period late
+WOUND = 4.0  # the curve is over the reach of what is wound up by the travel, and slips at its end: rev
+BRAKE = 5.0  # the curve is a drag: times the sign of the velocity, which unlike GRIP does not wait for presliding
 BANDS = 12  # knots of a response
 DAMPING = 0.5  # of a band: neighbours whose frequencies have a ratio of 2 meet half way
 
@@ -118,8 +120,23 @@ def response(signals: Floats, parameters: Floats, memory: Floats, count: int) ->
 
 
 @njit
+def wound(signals: Floats, parameters: Floats, memory: Floats, count: int) -> float:
+    """Stops of Prandtl and Ishlinskii, one a knot: springs that pull back by their value once they slip, at the reach.
+
+    Any hysteresis that follows the travel, at whatever rate, is a sum of them.
+    """
+    travel_rev = signals[s.VELOCITY_RPS] * signals[s.STEP_S]
+    load_nm = 0.0
+    for k in range(count):
+        reach_rev = parameters[FIRST_X + k]
+        memory[k] = min(reach_rev, max(-reach_rev, memory[k] + travel_rev))
+        load_nm += parameters[FIRST_Y + k] * memory[k] / max(reach_rev, 1e-9)
+    return load_nm
+
+
+@njit
 def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """E = curve(axis) or table(axis, across), or that times GRIP, or times velocity; or a response over frequency.
+    """E = curve(axis) or table(axis, across), or that times GRIP, or times velocity; a response over frequency; stops.
 
     Parameters: axis, kind, scale, count, of_current, across, across_scale, levels, then the knots of both axes, and the
     values: all knots of the first level, then of the next.
@@ -129,6 +146,9 @@ def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
         return
     if parameters[1] == RESPONSE:
         signals[s.LOAD_NM] += response(signals, parameters, memory, min(count, BANDS))
+        return
+    if parameters[1] == WOUND:
+        signals[s.LOAD_NM] += wound(signals, parameters, memory, min(count, KNOTS))
         return
     x = abscissa(signals, parameters[0], parameters[2], parameters[4], memory)
     knot, share = between(x, parameters, FIRST_X, count)
@@ -145,6 +165,8 @@ def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
         torque_nm *= signals[s.GRIP]
     elif parameters[1] == VISCOUS:
         torque_nm *= signals[s.VELOCITY_RPS]
+    elif parameters[1] == BRAKE:
+        torque_nm *= max(-1.0, min(1.0, signals[s.VELOCITY_RPS] / signals[s.REST_SPEED_RPS]))
     signals[s.LOAD_NM] += torque_nm
 
 
@@ -189,7 +211,8 @@ LAW = Law(
     parameters=(
         Parameter("axis", "-", SHAPE, 0.0, 11.0, 1.0, "number of the axis in AXIS_CODES; unknown:AXIS says it itself"),
         Parameter(
-            "kind", "-", SHAPE, 0.0, 3.0, 0.0, "0: a torque; 1: friction; 2: Nm/rps; 3: shares of the motor torque"
+            "kind", "-", SHAPE, 0.0, 5.0, 0.0,
+            "0: a torque; 1: friction; 2: Nm/rps; 3: shares of the motor torque; 4: springs that slip; 5: a drag",
         ),
         Parameter("scale", "-", SHAPE, 0.0, 1e9, 0.0, "period of an angle, rev; time constant of a memory, s"),
         Parameter("count", "-", SHAPE, 0.0, float(KNOTS), 0.0, "number of knots"),
