@@ -31,6 +31,7 @@ JOINTS = frozenset({"elasticity", "backlash"})  # their torque is made from the 
 LOOKUP = "lookup"  # a free curve: its knots stay
 HUBER = 4.0
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
+STARTED = 2  # rounds of a fit from the start, its sensitivities made anew in each
 STEADY = 0.02  # ... and at which the effects' sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
 PENALTY = 2.0  # on the logarithm of the number of rows, a free number
@@ -44,6 +45,7 @@ class Data(NamedTuple):
     rows: Rows
     whitening: Whitening
     runs: int
+    start: Floats  # base parameters where the first fit began
 
 
 class Fitted(NamedTuple):
@@ -245,6 +247,18 @@ def refit(
         if fall < CONVERGED:
             break
     return best
+
+
+def from_start(data: Data, effects: Sequence[Effect]) -> Fitted:
+    """Base and effects fitted from where the first fit began.
+
+    A base that was fitted without an effect bends to take it in, and may not find back from where that led.
+    """
+    found = evaluate(data, data.start, effects)[0]
+    for _ in range(STARTED):
+        matrix = loaded_sensitivities(data, found.physical, found.effects)
+        found = refit(data, matrix, found.physical, found.effects)
+    return found
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import BRAKE, FRICTION, LEVELS, PLAIN, UNKNOWN, VALUES, across_word, code_of
+from ..model.effects.laws.lookup import BRAKE, FRICTION, KNOTS, PLAIN, UNKNOWN, across_word, code_of
 from .candidates import Scene
 from .evidence import Evidence, Score, orthonormal, score, whiten
 from .free_curves import Axis, abscissa, factor, knots_of, trial_of
@@ -129,9 +129,9 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
     moving = [np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places]
     levels = np.unique(np.quantile(moving[1], LEVEL_SHARES))
     if pair.along.word in ANGLES:  # a window may be narrow
-        knots = bent_knots(evidence, scenes, places[0], VALUES // LEVELS)
+        knots = bent_knots(evidence, scenes, places[0], KNOTS)
     else:
-        knots = thinned(knots_of(moving[0], pair.along), VALUES // LEVELS)
+        knots = thinned(knots_of(moving[0], pair.along), KNOTS)
     if knots.size < 4 or levels.size < 2:
         return None
     name = UNKNOWN + pair.along.word

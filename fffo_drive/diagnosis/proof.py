@@ -35,7 +35,7 @@ def data_of(records: Sequence[Record], physical: Floats) -> Data:
     stretches = balanced(stretches_of(records), physical)
     rows = rows_of(stretches, make_filter(records[0].period_s))
     blank = Whitening(np.zeros(1), rows.kept.astype(np.float64), np.flatnonzero(rows.kept))
-    data = Data(stretches, rows, blank, len(records))
+    data = Data(stretches, rows, blank, len(records), physical)
     return noise_model(data, physical, evaluate(data, physical, ())[0].residual_nm)
 
 

@@ -33,6 +33,7 @@ from .fitting import (
     cost,
     effect_jacobian,
     evaluate,
+    from_start,
     loaded_sensitivities,
     loads_of,
     polished,
@@ -58,6 +59,8 @@ SAME_AXIS_SHARE = 0.3  # ... and of an earlier one on the same axis
 MOST_PERCENT = 150.0  # rms of an effect over that of friction: beyond, it is no effect beside a base
 LEAST_PERCENT = 0.5  # rms of an effect over that of friction, base projected out
 RENEWALS = 8
+MUCH_PROMISED = 0.2  # of the residual: a trial that promises so much ...
+KEPT_PROMISE = 0.75  # ... and keeps less than this share of it once the base is free, is fitted from the base's start
 POLISHED = 3  # rivals whose fit is carried on ...
 UNSETTLED = 6.0  # ... where they are within this ratio of the best
 RIVAL_SHARE = 0.25  # of the gain of the chosen one, for a rival to be tried again
@@ -220,13 +223,19 @@ def beside(data: Data, matrix: Floats, fitted: Fitted, trial: Trial) -> Fitted:
     """A trial refitted beside what is accepted.
 
     Its strengths were found with the base projected out. Where law and base look alike they stand against a change of
-    the base that was never made, and the fit begins far out: then it begins with nothing of the law.
+    the base that was never made, and the fit begins far out: then it begins with nothing of the law. Where the base has
+    bent to take in much of what the law explains, and does not give it back, the fit begins where that of the base did.
     """
     found = refit(data, matrix, fitted.physical, [*fitted.effects, trial.effect], iterations=3)
-    if found.loss <= fitted.loss:
+    if found.loss > fitted.loss:
+        nothing = {name: np.zeros_like(values) for name, values in trial.effect.strengths.items()}
+        effects = [*fitted.effects, replace(trial.effect, strengths=nothing)]
+        found = refit(data, matrix, fitted.physical, effects, iterations=4)
+    promised = trial.explained / max(float(fitted.white @ fitted.white), 1e-300)
+    if promised < MUCH_PROMISED or 1.0 - found.loss / fitted.loss > KEPT_PROMISE * promised:
         return found
-    nothing = replace(trial.effect, strengths={name: np.zeros_like(v) for name, v in trial.effect.strengths.items()})
-    return refit(data, matrix, fitted.physical, [*fitted.effects, nothing], iterations=4)
+    again = from_start(data, [*fitted.effects, trial.effect])
+    return again if again.loss < found.loss else found
 
 
 def replace_effect(trial: Trial, effect: Effect) -> Trial:
@@ -296,6 +305,8 @@ def _left(
 
 def renewed(data: Data, base: Fitted, fitted: Fitted) -> tuple[Data, Fitted, Fitted, Floats]:
     """Noise model and sensitivities at the new model, refitted until it stays; and the plain base beside it."""
+    unbent = from_start(data, fitted.effects)
+    fitted = unbent if unbent.loss < fitted.loss else fitted
     for _ in range(RENEWALS):
         data = at_rest(data, fitted.physical, fitted.effects)
         data = noise_model(data, fitted.physical, fitted.residual_nm)

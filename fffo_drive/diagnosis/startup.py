@@ -72,7 +72,8 @@ def fit_base(
     for _ in range(rounds):
         ready = balanced(stretches, physical)
         residual = residual_rows(ready, physical, rows)
-        data = Data(ready, rows, estimate_whitening(rows, residual, np.zeros(rows.time_s.size, np.int64)), runs)
+        white = estimate_whitening(rows, residual, np.zeros(rows.time_s.size, np.int64))
+        data = Data(ready, rows, white, runs, start)
         data = noise_model(data, physical, residual)
         matrix = sensitivities(ready, physical, rows)
         before = fitted

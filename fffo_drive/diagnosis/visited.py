@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -33,28 +33,35 @@ def taught(effects: Sequence[Effect], scenes: Sequence[Scene], step: int, teachi
 
 
 def _taught(effect: Effect, scenes: Sequence[Scene], step: int, teaching: Mask) -> Mask:
-    shapes = effect.shapes
-    axes = [Axis(axis_of_effect(effect.name), PLAIN, shapes["scale"], shapes.get("of_current", 0.0))]
-    knots = [np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])]
-    if is_table(shapes):
-        axes.append(Axis(across_axis(shapes), PLAIN, shapes["across_scale"]))
-        knots.append(np.array([shapes[f"z{k:02d}"] for k in range(int(shapes["levels"]))]))
+    along = [
+        (axis, places) for axis, places in _axes(effect.shapes, axis_of_effect(effect.name)) if axis.word != "time"
+    ]
+    known = np.ones(teaching.size, dtype=bool)
+    if not along:
+        return known
     sides = [
-        _sides(np.concatenate([part[::step] for part in abscissa(scenes, axis)]), places)
-        for axis, places in zip(axes, knots, strict=True)
-        if axis.word != "time"
+        _sides(np.concatenate([part[::step] for part in abscissa(scenes, axis)]), places) for axis, places in along
     ]
     corners = [
         (tuple(place for place, _ in corner), np.prod([share for _, share in corner], axis=0))
         for corner in itertools.product(*sides)
     ]
-    rows = np.zeros([places.size for axis, places in zip(axes, knots, strict=True) if axis.word != "time"])
+    rows = np.zeros([places.size for _, places in along])
     for place, share in corners:
         np.add.at(rows, tuple(index[teaching] for index in place), share[teaching])
-    known = np.ones(teaching.size, dtype=bool)
     for place, share in corners:
         known &= (share < TOUCHED) | (rows[place] >= TAUGHT_ROWS)
     return known
+
+
+def _axes(shapes: Mapping[str, float], word: str) -> list[tuple[Axis, Floats]]:
+    """The axes of a curve or a table, and the knots on each."""
+    knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
+    found = [(Axis(word, PLAIN, shapes["scale"], shapes.get("of_current", 0.0)), knots)]
+    if is_table(shapes):
+        levels = np.array([shapes[f"z{k:02d}"] for k in range(int(shapes["levels"]))])
+        found.append((Axis(across_axis(shapes), PLAIN, shapes["across_scale"]), levels))
+    return found
 
 
 def _sides(at: Floats, knots: Floats) -> list[tuple[npt.NDArray[np.int64], Floats]]:

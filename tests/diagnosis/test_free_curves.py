@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from diagnosis.test_tables import FACTS, axis_with
 
+from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.candidates import Effect, effect_rows
-from fffo_drive.diagnosis.fitting import consistent_scenes, refit
+from fffo_drive.diagnosis.fitting import consistent_scenes, loaded_sensitivities, refit
 from fffo_drive.diagnosis.free_curves import free_trials
-from fffo_drive.diagnosis.selection import evidence_of
+from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.diagnosis.transfer import transfer
 from fffo_drive.diagnosis.visited import taught
 from fffo_drive.drive.simulated.parameters import EffectConfig
@@ -82,6 +83,8 @@ def test_a_curve_carries_over_to_a_run_and_is_not_asked_where_no_other_run_was(d
     assert taught(fitted.effects, scenes, step, data.rows.kept)[data.rows.kept].mean() > 0.99
     offset = Effect("torque_offset", {}, {"torque_nm": np.array([1e-3])})
     assert taught([offset], scenes, step, teaching).all()
+    over_time = next(t.effect for t in trials if t.name == "unknown:time")  # it does not come back: asked everywhere
+    assert taught([over_time], scenes, step, teaching).all()
     assert transfer(data, matrix, fitted, base).carries(0.7)
 
 
@@ -93,3 +96,20 @@ def test_the_columns_of_a_curve_are_its_law(dragged, name):
     strengths = np.array([trial.effect.strengths[key][0] for key in trial.columns.names])
     along = effect_rows(consistent_scenes(data, base.physical, ()), trial.effect, data.rows.laws)
     assert along == pytest.approx(trial.columns.values @ strengths, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_where_the_base_has_bent_beyond_return_a_rival_is_fitted_from_its_start(dragged):
+    """A Stribeck curve a tenth as wide and eight times as high: from there no step leads back."""
+    data, base, matrix, _, trials = dragged
+    straight = refit(data, matrix, base.physical, [trials[0].effect])
+    bent = base.physical.copy()
+    for name, factor in (("static_nm", 8.0), ("stribeck_velocity_rps", 0.1), ("attraction_nm_per_rev", 0.02)):
+        bent[NAMES.index(name)] *= factor
+    matrix = loaded_sensitivities(data, bent, ())
+    stuck = refit(data, matrix, bent, [trials[0].effect])
+    far = refit(data, matrix, bent, (), iterations=8)
+    promising = trials[0]._replace(explained=0.9 * float(far.white @ far.white))
+    found = beside(data, matrix, far, promising)
+    assert stuck.loss > 2.0 * straight.loss
+    assert found.loss < 1.1 * straight.loss

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from identification.synthetic import TRUTH, chirp_record
 
+from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.candidates import Columns, Effect
 from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
@@ -30,7 +31,7 @@ def moved_record(repeats=2):
 def seen(record):
     stretches = stretches_of([record])
     rows = rows_of(stretches, make_filter(record.period_s))
-    return Data(stretches, rows, None, 1)
+    return Data(stretches, rows, None, 1, np.zeros(len(NAMES)))
 
 
 def model(residual, effects=()):

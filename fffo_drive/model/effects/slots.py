@@ -56,7 +56,7 @@ REST_SPEED_RPS = 28  # below it the axis rests
 AT_INSTANTS = 29  # 1: the motion is that of instants, as in a record; 0: of the middle of each step
 N_SLOTS = 30
 
-MAX_PARAMETERS = 84
+MAX_PARAMETERS = 132
 MEMORY_SLOTS = 72
 
 REST_SPEED_DEFAULT_RPS = 0.02  # some counts of a 15-bit resolver in the memory of a filter; creep in presliding is less

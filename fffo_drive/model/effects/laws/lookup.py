@@ -17,7 +17,7 @@ from ..slots import Floats
 UNKNOWN = "unknown:"
 KNOTS = 24  # of a curve, and of the first axis of a table
 LEVELS = 4  # knots of the second axis of a table
-VALUES = 48
+VALUES = KNOTS * LEVELS
 FIRST_X = 8
 FIRST_Z = FIRST_X + KNOTS
 FIRST_Y = FIRST_Z + LEVELS
