@@ -21,6 +21,7 @@ from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
 from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of
+from .curves import curve_columns
 from .evidence import Whitening, whiten
 from .paths import Rows, Stretch
 
@@ -191,7 +192,14 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
     matrix = np.zeros((data.rows.time_s.size, len(numbers)))
     filter_ = data.rows.laws
     base: dict[tuple[int, int], Floats] = {}
+    curves = {k for k, effect in enumerate(effects) if law_of(effect.name).name == LOOKUP}
+    for k in curves:
+        own = [column for column, slot in enumerate(numbers) if slot.effect == k]
+        parts = [curve_columns(scene, effects[k].name, effects[k].shapes, filter_) for scene in scenes]
+        matrix[:, own] = np.concatenate(parts)
     for column, slot in enumerate(numbers):
+        if slot.effect in curves:
+            continue
         moved_effect = changed(effects, slot, slot.step)[slot.effect]
         for (begin, end), (number, scene) in zip(data.rows.bounds, enumerate(scenes), strict=True):
             run = scene.stretch.run

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,8 @@ from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND
-from .candidates import Columns, Scene, effect_of, load_along, torque_rows
+from .candidates import Columns, Scene, effect_of
+from .curves import Axis, abscissa, curve_columns
 from .evidence import Evidence, score
 from .screening import Trial
 
@@ -33,15 +33,6 @@ RESPONSE_KNOTS = 7
 LOWEST_HZ = 0.5
 LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is near it
 HIGHEST_SHARE = 0.4  # of the rate of the rows
-
-
-class Axis(NamedTuple):
-    """One axis of the search."""
-
-    word: str
-    kind: float  # of the lookup: a torque, friction with its sign, or a viscous coefficient
-    scale: float  # period of an angle in rev, or time constant of a memory in s
-    of_current: float = 0.0  # a memory of the squared current, not of the speed
 
 
 def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
@@ -81,29 +72,19 @@ def free_trials(
 
 
 def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | None:
-    rows = evidence.rows
-    name = UNKNOWN + axis.word
     places = abscissa(scenes, axis)
     knots = knots_of(np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)]), axis)
     if knots.size < 4:
         return None
-    shapes = {"kind": axis.kind, "scale": axis.scale, "of_current": axis.of_current, "count": float(knots.size)}
-    shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
-    columns = []
-    for k in range(knots.size):
-        unit = np.zeros(knots.size)
-        unit[k] = 1.0
-        parts = []
-        for place, scene in zip(places, scenes, strict=True):
-            parts.append(rows.laws.rows(np.interp(place, knots, unit) * factor(scene, axis.kind)))
-        columns.append(np.concatenate(parts))
-    return trial_of(evidence, name, shapes, columns)
+    shapes = {**_shapes(axis.kind, knots), "scale": axis.scale, "of_current": axis.of_current}
+    return curve_trial(evidence, scenes, UNKNOWN + axis.word, shapes)
 
 
-def trial_of(evidence: Evidence, name: str, shapes: dict[str, float], columns: Sequence[Floats]) -> Trial | None:
-    """The lookup whose k-th value has the k-th column (m,); None where the base can do all of it."""
-    names = tuple(f"y{k:02d}" for k in range(len(columns)))
-    joined = Columns(names, (-1,) * len(names), np.stack(columns, axis=1))
+def curve_trial(evidence: Evidence, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> Trial | None:
+    """The best values of a lookup with these shapes; None where the base can do all of it."""
+    columns = np.concatenate([curve_columns(scene, name, shapes, evidence.rows.laws) for scene in scenes])
+    names = tuple(f"y{k:02d}" for k in range(columns.shape[1]))
+    joined = Columns(names, (-1,) * len(names), columns)
     found = score(evidence, joined.values)
     if found.rank == 0:
         return None
@@ -115,7 +96,7 @@ def response_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
     """The best bank of bands over frequency: how the residual answers to the motor torque."""
     highest_hz = HIGHEST_SHARE / evidence.rows.filter.row_period_s
     knots = np.geomspace(LOWEST_HZ, highest_hz, RESPONSE_KNOTS)
-    return _own_trial(evidence, scenes, FREQUENCY, RESPONSE, knots, 2 * knots.size)
+    return curve_trial(evidence, scenes, FREQUENCY, _shapes(RESPONSE, knots))
 
 
 def wound_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
@@ -125,50 +106,11 @@ def wound_trial(evidence: Evidence, scenes: Sequence[Scene]) -> Trial | None:
     if furthest_rev < 4.0 * LEAST_REACH_REV:
         return None
     knots = np.geomspace(LEAST_REACH_REV, furthest_rev, KNOTS)
-    return _own_trial(evidence, scenes, UNKNOWN + "memory", WOUND, knots, knots.size)
+    return curve_trial(evidence, scenes, UNKNOWN + "memory", _shapes(WOUND, knots))
 
 
-def _own_trial(
-    evidence: Evidence, scenes: Sequence[Scene], name: str, kind: float, knots: Floats, count: int
-) -> Trial | None:
-    """A lookup whose values come from its kernel, one at a time."""
-    shapes = {"kind": kind, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
-    filter_ = evidence.rows.laws
-    columns = [
-        np.concatenate([torque_rows(scene, name, {**shapes, f"y{k:02d}": 1.0}, filter_) for scene in scenes])
-        for k in range(count)
-    ]
-    return trial_of(evidence, name, shapes, columns)
-
-
-def factor(scene: Scene, kind: float) -> Floats:
-    """What a curve of a kind is times, along a scene; zero at rest. (l,)"""
-    if kind == FRICTION:
-        return grip(scene) * scene.moving
-    if kind == BRAKE:
-        return np.clip(scene.motion[:, slots.VELOCITY_RPS] / slots.REST_SPEED_DEFAULT_RPS, -1.0, 1.0) * scene.moving
-    return scene.motion[:, slots.VELOCITY_RPS] * scene.moving if kind == VISCOUS else scene.moving
-
-
-def grip(scene: Scene) -> Floats:
-    """How far presliding is crossed, and which way: -1 to 1, as the laws see it. (l,)"""
-    friction = scene.axis.friction
-    contact = scene.motion[:, 6] - friction.viscous_nm_per_rps * scene.motion[:, 1]
-    return np.asarray(np.clip(contact / friction.coulomb_nm, -1.0, 1.0))
-
-
-def abscissa(scenes: Sequence[Scene], axis: Axis) -> list[Floats]:
-    """Where on an axis the motion is, stretch by stretch: the lookup's own, from a curve that is the identity."""
-    identity = {
-        "kind": PLAIN, "scale": axis.scale, "of_current": axis.of_current, "count": 2.0,
-        "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,
-    }  # fmt: skip
-    return [
-        load_along(
-            Scene(s.stretch, s.motion, s.commanded, s.axis, np.ones(s.moving.size)), UNKNOWN + axis.word, identity
-        )
-        for s in scenes
-    ]
+def _shapes(kind: float, knots: Floats) -> dict[str, float]:
+    return {"kind": kind, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
 
 
 def knots_of(places: Floats, axis: Axis) -> Floats:

@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from ..model.effects.laws.lookup import BRAKE, FRICTION, KNOTS, PLAIN, UNKNOWN, across_word, code_of
 from .candidates import Scene
+from .curves import Axis, abscissa, factor
 from .evidence import Evidence, Score, orthonormal, score, whiten
-from .free_curves import Axis, abscissa, factor, knots_of, trial_of
+from .free_curves import curve_trial, knots_of
 from .paths import Rows
 from .screening import Trial
 
@@ -124,7 +125,6 @@ def score_beyond(evidence: Evidence, columns: Floats, beside: Floats) -> Score:
 
 def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Trial | None:
     """A fine table over a pair."""
-    rows = evidence.rows
     places = [abscissa(scenes, axis) for axis in pair]
     moving = [np.concatenate([p[s.moving > 0.0] for p, s in zip(own, scenes, strict=True)]) for own in places]
     levels = np.unique(np.quantile(moving[1], LEVEL_SHARES))
@@ -138,16 +138,7 @@ def table_trial(evidence: Evidence, scenes: Sequence[Scene], pair: Pair) -> Tria
     shapes = {**pair.shapes, "count": float(knots.size), "levels": float(levels.size)}
     shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
     shapes |= {f"z{k:02d}": float(z) for k, z in enumerate(levels)}
-    columns = []
-    weights = [factor(scene, pair.along.kind) for scene in scenes]
-    for number in range(knots.size * levels.size):
-        level, knot = divmod(number, knots.size)
-        parts = []
-        for x, z, weight in zip(*places, weights, strict=True):
-            hat = np.interp(x, knots, np.eye(knots.size)[knot]) * np.interp(z, levels, np.eye(levels.size)[level])
-            parts.append(rows.laws.rows(hat * weight))
-        columns.append(np.concatenate(parts))
-    return trial_of(evidence, name, shapes, columns)
+    return curve_trial(evidence, scenes, name, shapes)
 
 
 def thinned(knots: Floats, most: int) -> Floats:

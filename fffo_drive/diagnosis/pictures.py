@@ -12,9 +12,9 @@ import numpy.typing as npt
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
+from .curves import Axis as FreeAxis
+from .curves import abscissa
 from .fitting import Data, Fitted, consistent_scenes, loads_of
-from .free_curves import Axis as FreeAxis
-from .free_curves import abscissa
 from .paths import Rows, Stretch
 from .results import Ceiling, Channel, Curve, Picture, RunFigure
 from .screening import Trial

@@ -99,18 +99,18 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     response = response_trial(evidence, scenes) if adding and not OVER_FREQUENCY & {e.name for e in others} else None
     if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
         trials.append(response)
-    for trial in trials:
-        if trial.name in {e.name for e in others}:
-            continue
-        result = beside(data, matrix, without, trial)
+    trials = [trial for trial in trials if trial.name not in {e.name for e in others}]
+    with ThreadPoolExecutor(THREADS) as pool:
+        results = list(pool.map(partial(beside, data, matrix, without), trials))
+    for trial, result in zip(trials, results, strict=True):
         offer = Offer(kept, trial, without, result, replaced_gain, margin, 1.0)
         if replaced_gain >= margin * offer.gain or not _worth_it(selected, offer):
             continue
-        result = polished(data, result, rounds=2)
-        offer = offer._replace(trial=replace_effect(trial, result.effects[-1]), fitted=result)
-        if cost(result, data) >= cost(fitted, data):
+        better = polished(data, result, rounds=2)
+        offer = offer._replace(trial=replace_effect(trial, better.effects[-1]), fitted=better)
+        if cost(better, data) >= cost(fitted, data):
             continue
-        if not transfer(data, matrix, result, without).carries(LEAST_CARRIED):
+        if not transfer(data, matrix, better, without).carries(LEAST_CARRIED):
             continue
         offer = offer._replace(probability=_probability(selected, offer, tables))
         if offer.probability <= rate:

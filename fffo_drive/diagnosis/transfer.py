@@ -9,11 +9,13 @@ that fill three gaps.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.prediction import THREADS
 from .fitting import Data, Fitted, consistent_scenes, evaluate, huber_terms, refit
 from .proof import with_own_datum
 from .visited import taught
@@ -54,21 +56,24 @@ def transfer(data: Data, matrix: Floats, fitted: Fitted, without: Fitted) -> Tra
     gain = huber_terms(without.white) - huber_terms(fitted.white)
     total = float(gain.sum())
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    left_out, expected, folds = 0.0, 0.0, 0
-    for number in range(data.runs):
+
+    def fold(number: int) -> tuple[float, float] | None:
+        """What is gained on one run by the fit of the others, and by that of all; None where it can tell nothing."""
         others = (run != number) & data.rows.kept
         inside = (run == number) & taught(fitted.effects, scenes, data.rows.laws.step, others)
         rows = int(inside[kept].sum())
         if rows < LEAST_ROWS or total - float(gain[run[kept] == number].sum()) < TAUGHT_SHARE * total:
-            continue
+            return None
         teaching, asked = _part(data, run != number), _part(data, inside)
-        with_it = refit(teaching, matrix, fitted.physical, fitted.effects, iterations=2, shapes=False)
-        without_it = refit(teaching, matrix, without.physical, without.effects, iterations=2, shapes=False)
-        losses = [evaluate(asked, model.physical, model.effects)[0].loss for model in (without_it, with_it)]
-        left_out += rows * (losses[0] - losses[1])
-        expected += float(gain[inside[kept]].sum())
-        folds += 1
-    return Transfer(left_out, expected, folds)
+        losses = []
+        for model in (without, fitted):
+            learnt = refit(teaching, matrix, model.physical, model.effects, iterations=2, shapes=False)
+            losses.append(evaluate(asked, learnt.physical, learnt.effects)[0].loss)
+        return rows * (losses[0] - losses[1]), float(gain[inside[kept]].sum())
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        folds = [found for found in pool.map(fold, range(data.runs)) if found is not None]
+    return Transfer(sum(left_out for left_out, _ in folds), sum(whole for _, whole in folds), len(folds))
 
 
 def of_one_size(data: Data, fitted: Fitted, number: int) -> Fitted:

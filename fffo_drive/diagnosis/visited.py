@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, WOUND, across_axis, is_table
-from ..model.effects.registry import axis_of_effect
+from ..model.effects.laws.lookup import UNKNOWN
 from .candidates import Effect, Scene
-from .free_curves import Axis, abscissa
+from .curves import abscissa, axes_of_curve, has_states
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -27,15 +26,13 @@ def taught(effects: Sequence[Effect], scenes: Sequence[Scene], step: int, teachi
     """
     known = np.ones(teaching.size, dtype=bool)
     for effect in effects:
-        if effect.name.startswith(UNKNOWN) and effect.shapes["kind"] not in (RESPONSE, WOUND):
+        if effect.name.startswith(UNKNOWN) and not has_states(effect.shapes):
             known &= _taught(effect, scenes, step, teaching)
     return known
 
 
 def _taught(effect: Effect, scenes: Sequence[Scene], step: int, teaching: Mask) -> Mask:
-    along = [
-        (axis, places) for axis, places in _axes(effect.shapes, axis_of_effect(effect.name)) if axis.word != "time"
-    ]
+    along = [(axis, places) for axis, places in axes_of_curve(effect.name, effect.shapes) if axis.word != "time"]
     known = np.ones(teaching.size, dtype=bool)
     if not along:
         return known
@@ -52,16 +49,6 @@ def _taught(effect: Effect, scenes: Sequence[Scene], step: int, teaching: Mask) 
     for place, share in corners:
         known &= (share < TOUCHED) | (rows[place] >= TAUGHT_ROWS)
     return known
-
-
-def _axes(shapes: Mapping[str, float], word: str) -> list[tuple[Axis, Floats]]:
-    """The axes of a curve or a table, and the knots on each."""
-    knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
-    found = [(Axis(word, PLAIN, shapes["scale"], shapes.get("of_current", 0.0)), knots)]
-    if is_table(shapes):
-        levels = np.array([shapes[f"z{k:02d}"] for k in range(int(shapes["levels"]))])
-        found.append((Axis(across_axis(shapes), PLAIN, shapes["across_scale"]), levels))
-    return found
 
 
 def _sides(at: Floats, knots: Floats) -> list[tuple[npt.NDArray[np.int64], Floats]]:

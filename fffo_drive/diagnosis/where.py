@@ -18,8 +18,8 @@ import numpy.typing as npt
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from .candidates import Scene
+from .curves import grip
 from .evidence import Evidence, Score, score
-from .free_curves import grip
 from .pairs import coarse_tables, hats, score_beyond
 from .results import Channel
 from .screening import Surrogates
