@@ -30,8 +30,8 @@ from .progress import progress_bar
 MODEL_NAME = "model.yaml"
 CURVES = {
     PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps",
-    RESPONSE: "shares from {} to {} of the motor torque", WOUND: "pulls from {} to {} Nm of springs that slip",
-    BRAKE: "a drag from {} to {} Nm",
+    RESPONSE: "shares from {} to {} of the motor torque", BRAKE: "a drag from {} to {} Nm",
+    WOUND: "springs along the travel that slip and then pull with {} to {} Nm",
 }  # fmt: skip
 
 
@@ -143,6 +143,12 @@ def curve_words(finding: Finding) -> str:
         levels = [value for name, value in values.items() if name.startswith("z")]
         reach = f"{min(levels):.4g} to {max(levels):.4g}"
         return f"a table over {places[0]:.4g} to {places[-1]:.4g} and the {word}, {reach}: {size}"
+    if values["kind"] == WOUND:
+        strongest = max((n for n in values if n.startswith("y")), key=lambda name: abs(values[name]))
+        reach_rev = values["x" + strongest.removeprefix("y")]
+        return (
+            f"{size}, after {places[0]:.4g} to {places[-1]:.4g} rev of travel; the strongest after {reach_rev:.3g} rev"
+        )
     return f"a curve of {len(places)} knots over {places[0]:.4g} to {places[-1]:.4g}: {size}"
 
 

@@ -24,7 +24,7 @@ from .cautions import cautions
 from .finishing import merged_datum, standard_deviations
 from .fitting import Data, Fitted, consistent_scenes, loads_of, raw_share
 from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
-from .pictures import ceiling, channels, picture, run_figures
+from .pictures import ceiling, picture, run_figures
 from .proof import data_of, error_figures, with_own_datum
 from .results import Channel, Diagnosis, ErrorFigures, Finding, Number, Rival
 from .selection import (
@@ -134,11 +134,10 @@ def assemble(
     findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
     left = evidence_of(data, selected.sensitivities, fitted)[0]
     evidence, scenes = evidence_of(data, selected.sensitivities, base)
-    places = where((evidence, left), scenes, settings.false_alarm_rate)
-    verdict, headline = _verdict(findings, selected, places, settings)
+    lives = where((evidence, left), scenes, facts, settings.false_alarm_rate)
+    verdict, headline = _verdict(findings, selected, lives.beyond, settings)
     accepted = [f for f in findings if f.accepted]
     energies = tuple(float(s.trials[0].explained) if s.trials else 0.0 for s in selected.screenings)
-    q = float(base.white.size)
     return Diagnosis(
         verdict=verdict,
         headline=headline,
@@ -148,13 +147,7 @@ def assemble(
         fit_before=error_figures(fit, data, base, velocity=False),
         fit_after=error_figures(fit, data, fitted, velocity=False),
         ceiling=ceiling(data, base, fitted),
-        channels=(
-            *channels(
-                selected.curves[0] if selected.curves else (), selected.curves[-1] if selected.curves else (),
-                (q * base.loss, q * fitted.loss), (selected.screenings[0].threshold, selected.screenings[-1].threshold),
-            ),
-            *places,
-        ),
+        channels=(*lives.axes, *lives.beyond),
         runs=(
             *run_figures(data, base, fitted, "fit"),
             *(run_figures(proof.data, proof.base, proof.fitted, "held_out") if proof.data is not None else ()),

@@ -16,8 +16,7 @@ from .curves import Axis as FreeAxis
 from .curves import abscissa
 from .fitting import Data, Fitted, consistent_scenes, loads_of
 from .paths import Rows, Stretch
-from .results import Ceiling, Channel, Curve, Picture, RunFigure
-from .screening import Trial
+from .results import Ceiling, Curve, Picture, RunFigure
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -266,28 +265,3 @@ def _repeats(stretch: Stretch, bounds: tuple[int, int], rows: Rows) -> list[tupl
         if max(starts) + rows_of_piece <= bounds[1]:
             found.append((starts[0] + np.arange(rows_of_piece), starts[1] + np.arange(rows_of_piece)))
     return found
-
-
-def channels(
-    first: Sequence[Trial], last: Sequence[Trial], energies: tuple[float, float], thresholds: tuple[float, float]
-) -> tuple[Channel, ...]:
-    """What free curves over each axis explain of the white residual, before and after.
-
-    `energies`: the white sums of squares. `thresholds`: what a curve has to explain of them to be beyond chance.
-    """
-    after = {trial.name: trial for trial in last}
-    found = []
-    for trial in first:
-        later = after.get(trial.name)
-        explained = 0.0 if later is None else later.explained
-        found.append(
-            Channel(
-                name=trial.name.partition(":")[2],
-                explained_before=trial.explained / max(energies[0], 1e-300),
-                explained_after=explained / max(energies[1], 1e-300),
-                significant_before=bool(trial.explained > thresholds[0]),
-                significant_after=bool(explained > thresholds[1]),
-                samples=int(trial.columns.values.shape[0]),
-            )
-        )
-    return tuple(found)

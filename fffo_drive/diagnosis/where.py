@@ -1,4 +1,4 @@
-"""Where a residual lives that no single axis shows: at events that are rare, and over two axes at once.
+"""Where a residual lives: over each axis, at events that are rare, and over two axes at once.
 
 A mean over a run hides what happens in a hundredth of it. Break-aways, reversals and jerks therefore have curves of
 their own, over the travel or the time since. Pairs of axes are scored beyond what the two explain one by one.
@@ -15,11 +15,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
+from ..model.effects.laws.lookup import UNKNOWN
 from .candidates import Scene
 from .curves import grip
 from .evidence import Evidence, Score, score
+from .free_curves import free_trials
 from .pairs import coarse_tables, hats, score_beyond
 from .results import Channel
 from .screening import Surrogates
@@ -41,7 +44,22 @@ class Place(NamedTuple):
     samples: int
 
 
-def places(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
+class Lives(NamedTuple):
+    """Channels of a residual before and after."""
+
+    axes: tuple[Channel, ...]  # over one axis
+    beyond: tuple[Channel, ...]  # what no axis shows by itself: at events, and over pairs beyond their axes
+
+
+def over_axes(evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts) -> list[Place]:
+    """Over each axis the curve that explains most of this residual."""
+    return [
+        Place(trial.name.removeprefix(UNKNOWN), trial.columns.values, None, int(evidence.rows.kept.sum()))
+        for trial in free_trials(evidence, scenes, facts)
+    ]
+
+
+def beyond_axes(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     """All events and pairs that the data have."""
     rows = evidence.rows
     pairs = [Place(c.pair.name, c.columns, c.beside, int(rows.kept.sum())) for c in coarse_tables(rows, scenes)]
@@ -49,10 +67,11 @@ def places(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
 
 
 def where(
-    evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], rate: float, seed: int = 5
-) -> tuple[Channel, ...]:
+    evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], facts: DriveFacts, rate: float, seed: int = 5
+) -> Lives:
     """Channels of a residual before and after; significant against the largest of as many surrogates of each."""
-    found = places(evidences[0], scenes)
+    axes = over_axes(evidences[0], scenes, facts)
+    found = axes + beyond_axes(evidences[0], scenes)
     shares, significant = [], []
     for evidence in evidences:
         with ThreadPoolExecutor(THREADS) as pool:
@@ -63,10 +82,11 @@ def where(
         limit = float(np.quantile(surrogates.maxima, 1.0 - rate))
         shares.append([s.explained / max(evidence.energy, 1e-300) for s in scores])
         significant.append([surrogates.statistic(s) > limit for s in scores])
-    return tuple(
+    channels = tuple(
         Channel(place.name, shares[0][k], shares[1][k], significant[0][k], significant[1][k], place.samples)
         for k, place in enumerate(found)
     )
+    return Lives(channels[: len(axes)], channels[len(axes) :])
 
 
 def _score(evidence: Evidence, place: Place) -> Score:

@@ -39,6 +39,8 @@ from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
 KIND = "diagnose"
 NORMAL_95 = 1.96
 SHOWN_RIVALS = 4
+SHOWN_PAIRS = 6
+PAIR = " x "  # in the name of a channel over two axes
 SHOWN_REJECTED = 15
 LISTING_WIDTH = 110
 DASH = Cell(text="–")
@@ -269,6 +271,9 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
 
 
 def _channels(diagnosis: Diagnosis) -> Table:
+    single = [channel for channel in diagnosis.channels if PAIR not in channel.name]
+    pairs = [channel for channel in diagnosis.channels if PAIR in channel.name]
+    pairs.sort(key=lambda channel: -max(channel.explained_before, channel.explained_after))
     columns = [
         Column(label="explained", unit="%", group="before"), Column(label="beyond chance", words=True, group="before"),
         Column(label="explained", unit="%", group="after"), Column(label="beyond chance", words=True, group="after"),
@@ -285,9 +290,11 @@ def _channels(diagnosis: Diagnosis) -> Table:
                 count(channel.samples),
             ],
         )
-        for channel in diagnosis.channels
+        for channel in [*single, *pairs[:SHOWN_PAIRS]]
     ]
     note = "What a free curve over one axis, or the mean after an event, explains of the squared residual."
+    if pairs:
+        note += f" Of {len(pairs)} pairs of axes, beyond their curves, the strongest; report.json has all."
     return Table(
         name="channels", title="Where the residual lives", note=note, corner="Axis", columns=columns, rows=rows
     )

@@ -146,13 +146,31 @@ def test_a_residual_over_two_axes_and_one_after_rests_are_seen_where_they_are(of
     rows = data.rows
     corner = np.sign(rows.velocity_rps) * np.sign(rows.position_rev - np.median(rows.position_rev))
     both = fitted._replace(residual_nm=fitted.residual_nm + 0.002 * corner)
-    found = {c.name: c for c in where((evidence_of(data, matrix, both)[0], clean), scenes, 0.01)}
+    lives = where((evidence_of(data, matrix, both)[0], clean), scenes, FACTS, 0.01)
+    found = {c.name: c for c in lives.beyond}
     pair = found["output_angle x velocity"]
     assert pair.significant_before
     assert pair.explained_before > 0.3
     assert pair.explained_before == max(c.explained_before for c in found.values())
     assert not pair.significant_after
     assert {"break_away", "reversal", "jerk"} <= set(found)
+
+
+@pytest.mark.slow
+def test_a_residual_over_one_axis_is_seen_there_and_gone_with_it(offset_axis):
+    """As a share of the residual that it is of, before and after alike."""
+    data, base, matrix = offset_axis
+    fitted = refit(data, matrix, base.physical, [effect("torque_offset", {"torque_nm": -OFFSET_NM})])
+    clean, scenes = evidence_of(data, matrix, fitted)
+    bumps = 0.002 * np.cos(2.0 * np.pi * data.rows.position_rev / (0.5 * np.ptp(data.rows.position_rev)))
+    bumpy = evidence_of(data, matrix, fitted._replace(residual_nm=fitted.residual_nm + bumps))[0]
+    found = {c.name: c for c in where((bumpy, clean), scenes, FACTS, 0.01).axes}
+    angle = found["output_angle"]
+    assert angle.explained_before > 0.6
+    assert angle.explained_before == max(c.explained_before for c in found.values())
+    assert angle.significant_before
+    assert not angle.significant_after
+    assert angle.explained_after < 0.05
 
 
 @pytest.mark.slow

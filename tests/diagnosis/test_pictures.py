@@ -7,11 +7,10 @@ import pytest
 from identification.synthetic import TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import NAMES
-from fffo_drive.diagnosis.candidates import Columns, Effect
+from fffo_drive.diagnosis.candidates import Effect
 from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
-from fffo_drive.diagnosis.pictures import _edges, _interval, ceiling, channels, picture, run_figures
-from fffo_drive.diagnosis.screening import Trial
+from fffo_drive.diagnosis.pictures import _edges, _interval, ceiling, picture, run_figures
 from fffo_drive.identification.dataset import Record
 
 PERIOD_S = 0.0005
@@ -98,17 +97,3 @@ def test_the_residual_over_time_keeps_its_extremes():
     assert figure.before_high_nm.max() == 0.5
     assert figure.after_high_nm.max() == pytest.approx(0.05)
     assert figure.role == "held_out"
-
-
-def test_channels_put_before_and_after_of_an_axis_beside_each_other():
-    def trial(word, explained):
-        columns = Columns(("y00",), (-1,), np.zeros((500, 1)))
-        return Trial(f"unknown:{word}", {}, explained, 1, Effect("lookup", {}, {}), np.zeros(1), columns)
-
-    found = channels(
-        [trial("velocity", 60.0), trial("time", 5.0)], [trial("velocity", 2.0)], (100.0, 40.0), (10.0, 10.0)
-    )
-    assert [c.name for c in found] == ["velocity", "time"]
-    assert (found[0].explained_before, found[0].explained_after) == (0.6, 0.05)
-    assert (found[0].significant_before, found[0].significant_after) == (True, False)
-    assert (found[1].explained_after, found[1].significant_before) == (0.0, False)
