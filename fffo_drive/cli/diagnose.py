@@ -146,9 +146,7 @@ def curve_words(finding: Finding) -> str:
     if values["kind"] == WOUND:
         strongest = max((n for n in values if n.startswith("y")), key=lambda name: abs(values[name]))
         reach_rev = values["x" + strongest.removeprefix("y")]
-        return (
-            f"{size}, after {places[0]:.4g} to {places[-1]:.4g} rev of travel; the strongest after {reach_rev:.3g} rev"
-        )
+        return f"{size}, after {places[0]:.4g} to {places[-1]:.4g} rev; the strongest after {reach_rev:.3g} rev"
     return f"a curve of {len(places)} knots over {places[0]:.4g} to {places[-1]:.4g}: {size}"
 
 
