@@ -34,7 +34,7 @@ class Axis(NamedTuple):
     """One axis of the search."""
 
     word: str
-    kind: float  # of the lookup: a torque, friction with its sign, or a viscous coefficient
+    kind: float  # of the lookup
     scale: float  # period of an angle in rev, or time constant of a memory in s
     of_current: float = 0.0  # a memory of the squared current, not of the speed
 
@@ -83,7 +83,7 @@ def factor(scene: Scene, kind: float) -> Floats:
 def grip(scene: Scene) -> Floats:
     """How far presliding is crossed, and which way: -1 to 1, as the laws see it. (l,)"""
     friction = scene.axis.friction
-    contact = scene.motion[:, 6] - friction.viscous_nm_per_rps * scene.motion[:, 1]
+    contact = scene.motion[:, slots.FRICTION_NM] - friction.viscous_nm_per_rps * scene.motion[:, slots.VELOCITY_RPS]
     return np.asarray(np.clip(contact / friction.coulomb_nm, -1.0, 1.0))
 
 

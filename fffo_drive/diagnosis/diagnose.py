@@ -134,7 +134,7 @@ def assemble(
     findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
     left = evidence_of(data, selected.sensitivities, fitted)[0]
     evidence, scenes = evidence_of(data, selected.sensitivities, base)
-    lives = where((evidence, left), scenes, facts, settings.false_alarm_rate)
+    lives = where((evidence, left), scenes, settings.false_alarm_rate)
     verdict, headline = _verdict(findings, selected, lives.beyond, settings)
     accepted = [f for f in findings if f.accepted]
     energies = tuple(float(s.trials[0].explained) if s.trials else 0.0 for s in selected.screenings)

@@ -1,4 +1,4 @@
-"""What is in no list: free curves over every axis, as torque, as friction or as viscous friction, and over memory.
+"""What is in no list: free curves over every axis, as torque, friction, drag or viscous friction, and over memory.
 
 Each curve is a table of the library's `lookup` law, so that what is found here is a law that can be refitted, written
 to a model file and, over an axis that a feed-forward knows, compensated. Knots lie where the data are.
@@ -6,13 +6,13 @@ to a model file and, over an axis that a feed-forward knows, compensated. Knots 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND
@@ -27,7 +27,6 @@ KNOTS = 12
 FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of several turns
 MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
 SCALELESS = ("dwell", "travel_since_reversal")
-FAR = 1e6
 FREQUENCY = UNKNOWN + "frequency"
 RESPONSE_KNOTS = 7
 LOWEST_HZ = 0.5
@@ -35,8 +34,8 @@ LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is nea
 HIGHEST_SHARE = 0.4  # of the rate of the rows
 
 
-def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
-    """All axes that the data and the facts allow."""
+def axes_of(turns: float) -> list[Axis]:
+    """All axes that a motion over so many turns allows."""
     found = [
         Axis("time", FRICTION, 0.0), Axis("velocity", PLAIN, 0.0), Axis("acceleration", PLAIN, 0.0),
         Axis("current", PLAIN, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
@@ -53,21 +52,16 @@ def axes_of(facts: DriveFacts, turns: float) -> list[Axis]:
     return found
 
 
-def free_trials(
-    evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts, told: Callable[[float], None] | None = None
-) -> list[Trial]:
+def free_trials(evidence: Evidence, scenes: Sequence[Scene]) -> list[Trial]:
     """The best curve of every axis word, what explains most first."""
     turns = float(np.ptp(evidence.rows.position_rev))
-    axes = axes_of(facts, turns)
     with ThreadPoolExecutor(THREADS) as pool:
-        found = list(pool.map(lambda axis: _trial(evidence, scenes, axis), axes))
+        found = list(pool.map(partial(_trial, evidence, scenes), axes_of(turns)))
     found += [response_trial(evidence, scenes), wound_trial(evidence, scenes)]
     best: dict[str, Trial] = {}
     for trial in found:
         if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
             best[trial.name] = trial
-    if told is not None:
-        told(1.0)
     return sorted(best.values(), key=lambda t: -t.explained)
 
 

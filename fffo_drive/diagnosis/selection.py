@@ -140,7 +140,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
         if number == MOST_EFFECTS or not screening.trials:
             break
         search.told(begin + 0.6 * span, "refit")
-        free = free_trials(evidence, scenes, search.facts)
+        free = free_trials(evidence, scenes)
         curves.append(tuple(free))
         contest, best = contend(data, matrix, fitted, evidence, screening, free)
         if best is None or not worth_it(data, matrix, fitted, best, contest):

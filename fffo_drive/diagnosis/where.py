@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.laws.lookup import UNKNOWN
@@ -51,11 +50,11 @@ class Lives(NamedTuple):
     beyond: tuple[Channel, ...]  # what no axis shows by itself: at events, and over pairs beyond their axes
 
 
-def over_axes(evidence: Evidence, scenes: Sequence[Scene], facts: DriveFacts) -> list[Place]:
+def over_axes(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     """Over each axis the curve that explains most of this residual."""
     return [
         Place(trial.name.removeprefix(UNKNOWN), trial.columns.values, None, int(evidence.rows.kept.sum()))
-        for trial in free_trials(evidence, scenes, facts)
+        for trial in free_trials(evidence, scenes)
     ]
 
 
@@ -66,11 +65,9 @@ def beyond_axes(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     return [*_events(evidence, scenes), *pairs]
 
 
-def where(
-    evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], facts: DriveFacts, rate: float, seed: int = 5
-) -> Lives:
+def where(evidences: tuple[Evidence, Evidence], scenes: Sequence[Scene], rate: float, seed: int = 5) -> Lives:
     """Channels of a residual before and after; significant against the largest of as many surrogates of each."""
-    axes = over_axes(evidences[0], scenes, facts)
+    axes = over_axes(evidences[0], scenes)
     found = axes + beyond_axes(evidences[0], scenes)
     shares, significant = [], []
     for evidence in evidences:

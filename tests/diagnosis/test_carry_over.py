@@ -97,7 +97,7 @@ def test_a_curve_that_stands_against_the_base_does_not_spoil_the_fit(offset_axis
     """Strengths with the base projected out may be any size along what the base can do by itself."""
     data, base, matrix = offset_axis
     evidence, scenes = evidence_of(data, matrix, base)
-    curve = next(t for t in free_trials(evidence, scenes, FACTS) if t.name == "unknown:velocity")
+    curve = next(t for t in free_trials(evidence, scenes) if t.name == "unknown:velocity")
     viscous = {name: curve.shapes["x" + name[1:]] for name in curve.effect.strengths}
     far = replace(curve.effect, strengths={name: v + 0.1 * viscous[name] for name, v in curve.effect.strengths.items()})
     assert evaluate(data, base.physical, [far])[0].loss > 10.0 * base.loss
@@ -146,7 +146,7 @@ def test_a_residual_over_two_axes_and_one_after_rests_are_seen_where_they_are(of
     rows = data.rows
     corner = np.sign(rows.velocity_rps) * np.sign(rows.position_rev - np.median(rows.position_rev))
     both = fitted._replace(residual_nm=fitted.residual_nm + 0.002 * corner)
-    lives = where((evidence_of(data, matrix, both)[0], clean), scenes, FACTS, 0.01)
+    lives = where((evidence_of(data, matrix, both)[0], clean), scenes, 0.01)
     found = {c.name: c for c in lives.beyond}
     pair = found["output_angle x velocity"]
     assert pair.significant_before
@@ -164,7 +164,7 @@ def test_a_residual_over_one_axis_is_seen_there_and_gone_with_it(offset_axis):
     clean, scenes = evidence_of(data, matrix, fitted)
     bumps = 0.002 * np.cos(2.0 * np.pi * data.rows.position_rev / (0.5 * np.ptp(data.rows.position_rev)))
     bumpy = evidence_of(data, matrix, fitted._replace(residual_nm=fitted.residual_nm + bumps))[0]
-    found = {c.name: c for c in where((bumpy, clean), scenes, FACTS, 0.01).axes}
+    found = {c.name: c for c in where((bumpy, clean), scenes, 0.01).axes}
     angle = found["output_angle"]
     assert angle.explained_before > 0.6
     assert angle.explained_before == max(c.explained_before for c in found.values())

@@ -22,7 +22,7 @@ def found_in(*effects):
     """(data, base, sensitivities, evidence, free curves) of an axis."""
     data, base, matrix = axis_with(*effects)
     evidence, scenes = evidence_of(data, matrix, base)
-    return data, base, matrix, evidence, free_trials(evidence, scenes, FACTS)
+    return data, base, matrix, evidence, free_trials(evidence, scenes)
 
 
 @pytest.fixture(scope="module")
