@@ -61,14 +61,14 @@ def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_:
         units = (load_along(scene, name, {**shapes, f"y{k:02d}": 1.0}) for k in range(values_of(shapes)))
         return np.stack([filter_.rows(unit) for unit in units], axis=1)
     weight = factor(scene, shapes["kind"])
-    first, *second = (_hats(abscissa([scene], axis)[0], knots) for axis, knots in axes_of_curve(name, shapes))
+    first, *second = (hats(abscissa([scene], axis)[0], knots).T for axis, knots in axes_of_curve(name, shapes))
     levels = [weight] if not second else [hat * weight for hat in second[0]]
     return np.stack([filter_.rows(hat * level) for level in levels for hat in first], axis=1)
 
 
-def _hats(places: Floats, knots: Floats) -> list[Floats]:
-    """Straight lines between knots, one for each; the ends hold beyond them. [(n,), ...]"""
-    return [np.interp(places, knots, unit) for unit in np.eye(knots.size)]
+def hats(places: Floats, knots: Floats, beyond: float | None = None) -> Floats:
+    """Straight lines between knots, one column a knot; beyond the last its end holds, or `beyond` stands. (n, k)"""
+    return np.stack([np.interp(places, knots, unit, right=beyond) for unit in np.eye(knots.size)], axis=1)
 
 
 def factor(scene: Scene, kind: float) -> Floats:

@@ -320,7 +320,7 @@ def _tried(selected: Selection) -> list[dict[str, Any]]:
     if not selected.screenings:
         return []
     energy = selected.base.loss * selected.base.white.size
-    first = [*selected.screenings[0].trials, *(selected.curves[0] if selected.curves else ())]
+    first = [*selected.screenings[0].trials, *selected.curves]
     return [
         {"name": t.name, "shape": {k: v for k, v in t.shapes.items() if not t.name.startswith(UNKNOWN)},
          "explained_fraction": t.explained / max(energy, 1e-300), "rank": t.rank}

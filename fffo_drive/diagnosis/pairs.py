@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ..model.effects.laws.lookup import BRAKE, FRICTION, KNOTS, PLAIN, UNKNOWN, across_word, code_of
 from .candidates import Scene
-from .curves import Axis, abscissa, factor
+from .curves import Axis, abscissa, factor, hats
 from .evidence import Evidence, Score, orthonormal, score, whiten
 from .free_curves import curve_trial, knots_of
 from .paths import Rows
@@ -102,17 +102,6 @@ def coarse_tables(rows: Rows, scenes: Sequence[Scene]) -> list[Coarse]:
     return found
 
 
-def hats(places: Floats, knots: Floats) -> Floats:
-    """Straight lines between knots, one column a knot; nothing beyond the last. (m, k)"""
-    found = np.empty((places.size, knots.size))
-    for k in range(knots.size):
-        unit = np.zeros(knots.size)
-        unit[k] = 1.0
-        found[:, k] = np.interp(places, knots, unit, right=0.0)
-    found[places > knots[-1]] = 0.0
-    return found
-
-
 def score_beyond(evidence: Evidence, columns: Floats, beside: Floats) -> Score:
     """What columns explain beyond others that are fitted anyway."""
     white = whiten(evidence.rows, evidence.whitening, beside)
@@ -156,7 +145,7 @@ def bent_knots(evidence: Evidence, scenes: Sequence[Scene], places: Sequence[Flo
     if not high > low:
         return np.zeros(0)
     fine = np.linspace(low, high, FINE)
-    columns = hats(at, fine)
+    columns = hats(at, fine, 0.0)
     weights = [np.concatenate([factor(s, kind)[::step] for s in scenes])[:, None] for kind in (PLAIN, FRICTION, BRAKE)]
     best = max((score(evidence, columns * weight) for weight in weights), key=lambda found: found.explained)
     bend = np.abs(np.diff(best.strengths, 2, prepend=best.strengths[0], append=best.strengths[-1]))

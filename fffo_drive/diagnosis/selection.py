@@ -88,7 +88,7 @@ class Selection(NamedTuple):
     contests: tuple[Contest, ...]  # one an effect, in the order of `fitted.effects`
     probabilities: tuple[float, ...]  # false alarm, over the whole search
     screenings: tuple[Screening, ...]
-    curves: tuple[tuple[Trial, ...], ...]  # free curves of each round
+    curves: tuple[Trial, ...]  # free curves of the first round, beside the base alone
     left: tuple[str, float, float] | None  # significant and material, but refused: name, share, probability
 
 
@@ -121,7 +121,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
     contests: list[Contest] = []
     probabilities: list[float] = []
     screenings: list[Screening] = []
-    curves: list[tuple[Trial, ...]] = []
+    curves: tuple[Trial, ...] = ()
     left: tuple[str, float, float] | None = None
     pending: tuple[float, int] | None = None
     span = 0.9 / (MOST_EFFECTS + 1)
@@ -141,7 +141,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
             break
         search.told(begin + 0.6 * span, "refit")
         free = free_trials(evidence, scenes)
-        curves.append(tuple(free))
+        curves = curves or tuple(free)
         contest, best = contend(data, matrix, fitted, evidence, screening, free)
         if best is None or not worth_it(data, matrix, fitted, best, contest):
             if best is not None:
@@ -158,9 +158,7 @@ def select(data: Data, base: Fitted, matrix: Floats, search: Search) -> Selectio
             fitted, contests = exchange(data, matrix, fitted, contests)
     fitted, stay = backward(data, matrix, fitted, probabilities, search.false_alarm_rate)
     contests, probabilities = [contests[k] for k in stay], [probabilities[k] for k in stay]
-    return Selection(
-        data, base, fitted, matrix, tuple(contests), tuple(probabilities), tuple(screenings), tuple(curves), left
-    )
+    return Selection(data, base, fitted, matrix, tuple(contests), tuple(probabilities), tuple(screenings), curves, left)
 
 
 def _part_told(search: Search, begin: float, span: float, share: float) -> None:

@@ -95,7 +95,7 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     evidence, scenes = evidence_of(data, matrix, without)
     trials = _promising(evidence, scenes, tables, replaced_gain / margin, rate)
     if mixed and not others:
-        trials += [t for t in selected.curves[0][:REFITTED] if t.name != FREQUENCY]
+        trials += [t for t in selected.curves[:REFITTED] if t.name != FREQUENCY]
     response = response_trial(evidence, scenes) if adding and not OVER_FREQUENCY & {e.name for e in others} else None
     if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
         trials.append(response)

@@ -19,10 +19,10 @@ from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.laws.lookup import UNKNOWN
 from .candidates import Scene
-from .curves import grip
+from .curves import grip, hats
 from .evidence import Evidence, Score, score
 from .free_curves import free_trials
-from .pairs import coarse_tables, hats, score_beyond
+from .pairs import coarse_tables, score_beyond
 from .results import Channel
 from .screening import Surrogates
 
@@ -103,9 +103,9 @@ def _events(evidence: Evidence, scenes: Sequence[Scene]) -> list[Place]:
     lag, sign = (np.concatenate([jerk[k][::step] for jerk in jerks]) for k in (0, 1))
     lengths = size * np.array(TRAVELS)
     shapes = (
-        ("break_away", hats(since, lengths) * grips[:, None], since < lengths[-1]),
-        ("reversal", hats(np.where(since < 1e3, np.inf, travel), lengths) * grips[:, None], travel < lengths[-1]),
-        ("jerk", hats(lag, np.array(LAGS_S)) * sign[:, None], lag < LAGS_S[-1]),
+        ("break_away", hats(since, lengths, 0.0) * grips[:, None], since < lengths[-1]),
+        ("reversal", hats(np.where(since < 1e3, np.inf, travel), lengths, 0.0) * grips[:, None], travel < lengths[-1]),
+        ("jerk", hats(lag, np.array(LAGS_S), 0.0) * sign[:, None], lag < LAGS_S[-1]),
     )
     return [Place(name, columns, None, int((inside & rows.kept).sum())) for name, columns, inside in shapes]
 

@@ -148,7 +148,7 @@ def lookup(signals: Floats, parameters: Floats, memory: Floats) -> None:
         signals[s.LOAD_NM] += response(signals, parameters, memory, min(count, BANDS))
         return
     if parameters[1] == WOUND:
-        signals[s.LOAD_NM] += wound(signals, parameters, memory, min(count, KNOTS))
+        signals[s.LOAD_NM] += wound(signals, parameters, memory, count)
         return
     x = abscissa(signals, parameters[0], parameters[2], parameters[4], memory)
     knot, share = between(x, parameters, FIRST_X, count)
