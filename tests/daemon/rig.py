@@ -150,7 +150,7 @@ class Rig:
         self._opened.set()
         while not self._stop.is_set() and self.supervisor.fatal is None:
             self.supervisor.turn()
-            self.server.turn(time.monotonic())
+            self.server.turn()
             await asyncio.sleep(TURN_S)
         await self.supervisor.close()
         await living
