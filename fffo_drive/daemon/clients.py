@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import select
 import selectors
 import socket
 import struct
@@ -316,6 +317,8 @@ class Clients:
         if not data:
             client.ended = True
             self._await(client)
+            if _hung_up(client.sock):
+                self._drop(client)
             self._drop_when_done(client)
             return
         client.heard_s = time.monotonic()
@@ -490,14 +493,23 @@ class Clients:
         """Cut off who has been silent for too long."""
         for client in list(self._clients.values()):
             silent_s = now_s - client.heard_s
-            if client.calls:
+            if client.ended and _hung_up(client.sock):
+                self._drop(client)
+            elif client.calls:
                 continue
-            if not client.has_place and now_s - client.joined_s > STOP_PLACE_S:
+            elif not client.has_place and now_s - client.joined_s > STOP_PLACE_S:
                 self.cut_off(client, self._only_a_stop())
             elif client.partial and silent_s > PARTIAL_S:
                 self.cut_off(client, f"a line that was not ended within {PARTIAL_S:g} s")
             elif silent_s > IDLE_S and not client.listens and not self._handler.holds(client):
                 self.cut_off(client, f"silent for {IDLE_S:g} s")
+
+
+def _hung_up(sock: socket.socket) -> bool:
+    """It does not only say no more, it does not listen any more either."""
+    poller = select.poll()
+    poller.register(sock, 0)
+    return bool(poller.poll(0))
 
 
 def _farewell(sock: socket.socket, text: str) -> None:

@@ -73,8 +73,9 @@ class Api:
     def __init__(self, supervisor: Supervisor) -> None:
         self.supervisor = supervisor
         self.holder: Caller | None = None
-        self.latest: dict[str, Any] = {}  # the newest status, for any thread
+        self._latest: dict[str, Any] = {}
         self.work = Worker("fffo-work")
+        supervisor.changed = self.publish
         self._changing = asyncio.Lock()  # plans are checked on another thread: one change at a time
 
     # what only looks
@@ -87,10 +88,15 @@ class Api:
         """The status of this moment, or of the last turn."""
         return self.latest
 
+    @property
+    def latest(self) -> dict[str, Any]:
+        """The newest status, for any thread; its epoch is that of this moment."""
+        return {**self._latest, "epoch": self.supervisor.machine.epoch.value}
+
     def publish(self) -> None:
         """Take the status of this moment, with who is in charge."""
         holder = None if self.holder is None else self.holder.name
-        self.latest = {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
+        self._latest = {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
 
     def events(self, wanted: p.Events, caller: Caller) -> Any:
         """The last events."""

@@ -31,7 +31,6 @@ def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
     return {
         "state": supervisor.state.value,
         "state_s": round(now_s - supervisor.since_s, 3),
-        "epoch": supervisor.machine.epoch.value,
         "obstacles": [] if ready else supervisor.obstacles,
         "fault": None if fault is None else fault._asdict(),
         "toggle": toggle_name(supervisor.toggle),

@@ -60,6 +60,7 @@ class Supervisor:
         self.effects = EffectsWatch(plan, self.log)
         self.log.listeners.append(self.recorder.tell)
         self.machine = Machine()
+        self.changed: Callable[[], None] = lambda: None  # called after each step of the state machine
         self.bus_work = Worker("fffo-bus")
         self.since_s = clock()
         self.fault: Latched | None = None
@@ -106,6 +107,7 @@ class Supervisor:
             self._act(action, now_s)
         if row.to is not before:
             self._tell_state(before, event)
+        self.changed()
         return True
 
     def _act(self, action: Action, now_s: float) -> None:
@@ -144,6 +146,7 @@ class Supervisor:
         """To standstill under control; where there is no torque yet there is nothing to brake."""
         if self._torque_seen:
             motion.brake()
+            motion.brake_when_settled(self.plan)
             self._quick = False
             if self.state is State.STOPPING:
                 longest_s = MAX_SPEED_FACTOR * self.plan.axis.envelope.speed_limit_rps / self.plan.axis.daemon.stop_rps2
