@@ -41,6 +41,7 @@ BACKLOG = 128
 ACCEPTS_PER_ROUND = 64
 PAUSE_S = 0.05  # of a listening socket that too many want to watch through, or without descriptors left
 ROUND_S = 0.25  # the longest time between two looks at what has been forgotten
+ANSWER_S = 0.002  # to answer lines before what has arrived is read again: a stop waits no longer
 BUDGET_WAIT_S = 0.01
 
 ENDING = ("stop", "disable", "quick_stop")  # methods
@@ -71,7 +72,7 @@ class Handler(Protocol):
     """What becomes of lines and clients; called on the thread of the clients."""
 
     def stop_line(self, client: Client, line: Line) -> bool:
-        """A line that asks for a stop. False when it does not after all: it waits like any other."""
+        """A line that looks like a stop. False when it is none that can be carried out: it waits like any other."""
         ...
 
     def line(self, client: Client, line: Line) -> None:
@@ -218,7 +219,7 @@ class Clients:
             while not self._ending:
                 self._read_all(self._patience_s())
                 self._run_posts()
-                self._answer_one()
+                self._answer()
                 self._look_after(time.monotonic())
         except BaseException as error:
             self.failure = error
@@ -368,9 +369,14 @@ class Clients:
 
     # whose turn it is
 
-    def _answer_one(self) -> None:
-        """One line of the first client that can pay for it."""
-        now_s = time.monotonic()
+    def _answer(self) -> None:
+        """Lines, for a moment; then whatever has arrived meanwhile is read."""
+        begun_s = now_s = time.monotonic()
+        while now_s - begun_s < ANSWER_S and self._answer_one(now_s):
+            now_s = time.monotonic()
+
+    def _answer_one(self, now_s: float) -> bool:
+        """One line of the first client that can pay for it. False when there is none."""
         self._too_poor = True
         for _ in range(len(self._turn)):
             client = self._turn.popleft()
@@ -388,7 +394,8 @@ class Clients:
             self._too_poor = False
             self._handler.line(client, line)
             self._drop_when_done(client)
-            return
+            return True
+        return False
 
     # what goes out
 

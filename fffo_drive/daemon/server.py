@@ -129,13 +129,16 @@ class Server:
     # -- on the clients' thread ------------------------------------------------------------------------------------
 
     def stop_line(self, client: Client, line: Line) -> bool:
-        """A line that asks for a stop, on arrival. False when it is a batch, or something else after all."""
+        """A line that looks like a stop, on arrival. False when it is a batch, or none that can be carried out."""
         document = rpc.read_line(line.content)
         (item,) = document.items[:1]
         if document.batch or not isinstance(item, Call) or item.method not in ENDING:
             return False
-        self._begin(client, document, line.epoch)
-        return True
+        with contextlib.suppress(RpcError):
+            _checked(METHODS[item.method].parameters, item.params)
+            self._begin(client, document, line.epoch)
+            return True
+        return False
 
     def line(self, client: Client, line: Line) -> None:
         """Any other line."""
@@ -186,9 +189,9 @@ class Server:
                 epoch = self.clients.end_epoch()
                 for result in reply.acknowledged:
                     result["epoch"] = epoch
-            reply.send()
             for _ in range(reply.stops):
                 self._epoch.stop_answered()
+            reply.send()
 
         return fill
 

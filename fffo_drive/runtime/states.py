@@ -306,14 +306,17 @@ class Machine:
         return row
 
     def _require_epoch(self, event: Event, asked_in: int | None) -> None:
+        what = Event.ENABLE if event is Event.ENABLE else Event.START
         if self.epoch.stopping:
-            raise RefusedError(f"{event.value}: a stop is being carried out", self.state, states_with(event))
-        if asked_in is not None and asked_in != self.epoch.value:
+            text = f"{what.value}: a stop is being carried out; ask again when it is acknowledged"
+        elif asked_in is not None and asked_in != self.epoch.value:
             text = (
-                f"{event.value} was asked for in epoch {asked_in}; epoch {self.epoch.value} has begun since by a stop, "
+                f"{what.value} was asked for in epoch {asked_in}; epoch {self.epoch.value} has begun since by a stop, "
                 "a fault, a reset or a change of who is in charge: look at the axis and ask again"
             )
-            raise RefusedError(text, self.state, states_with(event))
+        else:
+            return
+        raise RefusedError(text, self.state, states_with(what))
 
 
 def require_change(state: State, change: Change) -> None:
