@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from daemon.rig import Rig, edit
 
+from fffo_drive.daemon import supervisor as supervisors
 from fffo_drive.daemon.client import CallError
+from fffo_drive.daemon.connection import leave
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
@@ -274,3 +276,40 @@ def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):
         refused(lambda: client.call("reload"), "axis.yaml", code=BAD_DOCUMENT)
         assert client.call("status")["state"] == "enabled"
         assert client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.9
+
+
+def test_a_disk_that_hangs_does_not_hold_up_the_end_of_the_service(tmp_path, monkeypatch):
+    monkeypatch.setattr(supervisors, "CLOSE_S", 0.5)
+    hangs = threading.Event()
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("record", to="on")
+        stop = rig.supervisor.recorder._stop
+        monkeypatch.setattr(rig.supervisor.recorder, "_stop", lambda: (hangs.wait(60.0), stop())[1])
+    told = rig.journal.getvalue()
+    hangs.set()
+    assert "the disk does not answer" in told
+    assert rig.supervisor.state is State.OFFLINE
+    assert rig.supervisor.connection is None  # torque, SYNC and the loop have ended all the same
+    assert rig.node is not None
+    assert not any(rig.node.plant.torque_seen[-3:])
+
+
+def test_a_service_that_ends_while_it_brings_the_drive_up_leaves_the_drive_again(tmp_path, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    real, left = supervisors.bring_up, []
+
+    def slow(*arguments):
+        begun.set()
+        assert go_on.wait(60.0)
+        return real(*arguments)
+
+    monkeypatch.setattr(supervisors, "bring_up", slow)
+    monkeypatch.setattr(supervisors, "leave", lambda connection: left.append(connection) or leave(connection))
+    with Rig(tmp_path) as rig:
+        assert begun.wait(60.0)
+        rig.do(lambda: setattr(rig.supervisor, "_closing", True))
+        go_on.set()
+    assert len(left) == 1
+    assert not left[0].running
