@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..can.link import LinkError
-from ..config.axis import controller_config
+from ..config.axis import controller_config, model_note
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
 from ..config.plan import Plan
@@ -271,6 +271,8 @@ class Supervisor:
         before, self.plan = self.plan, plan
         self.model_hash = content_hash(plan.model)
         if self.connection is not None:
+            if plan.model is not before.model:
+                self.connection.session.set_model(model_note(plan.model))
             self.connection.session.set_controller(controller_config(plan.axis, plan.model))
             self.connection.session.set_effects(compensation_table(plan.axis, plan.model))
         if plan.model is not before.model or plan.axis.controller.effects != before.axis.controller.effects:
