@@ -60,10 +60,10 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
         if replayer is None:
             replayer = Replayer(None if other is None else _other_law(other, run))
         fallback = None
-        if session_id(run) is None and other is None:
+        if session_id(run.records) is None and other is None:
             fallback = _law_of(*recorded_files(run))
         try:
-            replayer.take(run, fallback)
+            replayer.take(run.rows, run.records, fallback)
         except ValueError as error:
             raise DocumentError(f"{file}: {error}; replay it with the version that wrote it") from None
     assert replayer is not None
@@ -166,7 +166,9 @@ def _outcome(report: ReplayReport, other: str | None) -> str:
             f"{report.rms_command_difference_a:.4g} A (rms) beside it{found}"
         )
     if report.all_identical == report.all_rows and report.rows:
-        return f"{report.rows} rows, every term and command reproduced bit for bit ({report.all_rows} with those at rest)"
+        return (
+            f"{report.rows} rows, every term and command reproduced bit for bit ({report.all_rows} with those at rest)"
+        )
     if not report.rows:
         return "no row in which the law acted could be replayed"
     return (

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,12 +23,11 @@ from ..control.envelope import (
 )
 from ..control.reference import MODE_VELOCITY
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from ..recording.reader import Run
 from ..recording.run_records import Kind, RunRecord
 from ..runtime.records import block_of, effects_of, envelope_of
 from ..runtime.tick import FLAG_BUS_OFF, FLAG_EMERGENCY, FLAG_LOOP_BEGAN, FLAG_NOT_OPERATIONAL, FLAG_REBOOT
 from ..signals import ROW
-from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Floats, InForce, Integers, Replay, Replayed, Rows, law_in_force
+from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Floats, Integers, Replay, Replayed, Rows, law_in_force
 
 FLAG_OF_TRIP = {
     TRIP_EMERGENCY: FLAG_EMERGENCY,
@@ -98,26 +98,25 @@ class Replayer:
         self._sessions: dict[str, _Session] = {}
         self._sum = _Sums()
 
-    def take(self, run: Run, fallback: Law | None = None) -> Replayed:
-        """Replay a recording. `fallback`: the law of one that does not name its blocks.
+    def take(self, recorded: Rows, records: Iterable[RunRecord], fallback: Law | None = None) -> Replayed:
+        """Replay the rows and records of a file. `fallback`: the law of one that does not name its blocks.
 
         Raises ValueError for a recording that needs one and has none, or whose blocks are of other parameters.
         """
-        compared = _compared(run.rows)
-        rows = as_current(run.rows)
-        if rows is run.rows and session_id(run) is not None:
-            session = self._sessions.setdefault(str(session_id(run)), _Session(str(session_id(run))))
-            session.learn(run.records)
+        rows, records = as_current(recorded), tuple(records)
+        name = session_id(records)
+        if name is not None and rows is recorded:
+            session = self._sessions.setdefault(name, _Session(name))
+            session.learn(records)
         else:
             law = self._instead or fallback
             if law is None:
-                raise ValueError(f"{run.path}: does not name its blocks, and no law is given for it")
+                raise ValueError("it does not name its blocks, and no law is given for it")
             session = _Session("", law)
             self._sum.names_blocks = False
         replayed = session.replay(rows, self._instead)
-        self._sum.add(rows, replayed, compared)
-        if rows is run.rows:
-            session.follow_profiles(rows, self._sum)
+        self._sum.add(rows, replayed, all_of_it=rows is recorded)
+        session.follow_profiles(rows, self._sum)
         self._sum.count_blocks(session, rows, replayed)
         return replayed
 
@@ -127,9 +126,9 @@ class Replayer:
         return self._sum.report()
 
 
-def session_id(run: Run) -> str | None:
-    """Which session a recording is of; None where it does not say."""
-    for record in run.records:
+def session_id(records: Iterable[RunRecord]) -> str | None:
+    """Which session records are of; None where they do not say."""
+    for record in records:
         if record.kind == Kind.SESSION:
             return str(record.data["session"])
     return None
@@ -159,11 +158,6 @@ def as_current(rows: Rows) -> Rows:
         for trip, flag in FLAG_OF_TRIP.items():
             made["flags"][made["trip"] == trip] |= flag
     return made
-
-
-def _compared(rows: Rows) -> bool:
-    """Whether the rows have everything that today's have: then commands and words are compared in every one."""
-    return set(ROW.names or ()) <= set(rows.dtype.names or ())
 
 
 class _Session:

@@ -1,4 +1,4 @@
-"""Messages of numbers, texts and lists of them in CDR (OMG DDSI-RTPS 10.2, plain, little-endian), from a list of fields.
+"""Messages of numbers, texts and lists of them in CDR (OMG DDSI-RTPS 10.2, plain, little-endian), from one field list.
 
 A row is a block of memory and needs none of this; events, records and what viewers get are made here.
 """

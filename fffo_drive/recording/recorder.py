@@ -62,7 +62,9 @@ class Recorder:
         self._stop = threading.Event()
         self._summary: Mapping[str, str] = {}
         try:
-            self._files = RunFiles(Path(path), header or RunHeader(), self._settings, self._hooks, self._report, in_force)
+            self._files = RunFiles(
+                Path(path), header or RunHeader(), self._settings, self._hooks, self._report, in_force
+            )
         except BaseException:
             self._leave()
             raise

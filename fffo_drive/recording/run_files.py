@@ -10,8 +10,8 @@ from typing import Any
 
 from ..units import NS_PER_S
 from .events import Event, Level
-from .run_records import RunRecord, still_in_force
 from .rotation import enforce_quota, is_taken, segment_path
+from .run_records import RunRecord, still_in_force
 from .settings import RecorderHooks, RecorderSettings, Rows, RunHeader
 from .writer import RunWriter
 

@@ -20,9 +20,9 @@ RECORD_TOPIC = "/fffo_drive/records"
 RECORD_TYPE = "fffo_drive_msgs/msg/Record"
 RECORD_FIELDS = (
     Field("uint64", "time_ns", "ns", "wall clock when it was made, Unix epoch"),
-    Field("uint32", "sequence", "-", "place among all records of the session; a row's request_number is one of these"),
-    Field("uint32", "number", "-", "as rows and other records name it: of parameters, effects, profile, model or reset"),
-    Field("string", "kind", "-", "session, model, parameters, effects, profile, request, or the word that was written"),
+    Field("uint32", "sequence", "-", "place among all records of the session; a row's request_number is one"),
+    Field("uint32", "number", "-", "as rows name it: of parameters, effects or profile; also of model and reset"),
+    Field("string", "kind", "-", "session, model, parameters, effects, profile, request, or a word of the loop"),
     Field("string[]", "names", "-", "of the values; units as suffixes"),
     Field("float64[]", "values", "-", "bit for bit as the loop has them"),
     Field("string", "data", "-", "JSON object for programs: names, texts, hashes, who asked for what"),

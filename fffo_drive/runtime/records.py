@@ -133,8 +133,10 @@ def effects_of(record: RunRecord) -> Floats:
         raise ValueError(f"effects {record.number}: no effect is called {error} here") from None
 
 
-def _as_declared(kind: Any, value: float) -> float | int | bool:
-    return {"int": int, "bool": bool}.get(str(kind), float)(value)
+def _as_declared(kind: str, value: float) -> float | int | bool:
+    if kind == "bool":
+        return bool(value)
+    return int(value) if kind == "int" else value
 
 
 def _floats(values: Any) -> tuple[float, ...]:

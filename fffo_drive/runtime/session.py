@@ -23,7 +23,7 @@ from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
 from ..jit.linear_algebra import leave_out as leave_out_linear_algebra
-from ..recording.run_records import Kind, RecordBook, RunRecord
+from ..recording.run_records import RecordBook, RunRecord
 from . import blocks as b
 from . import records
 from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile, require_room
@@ -143,9 +143,11 @@ class Session:
     def set_controller(self, controller: ControllerConfig) -> None:
         """New gains and model, taken at a tick boundary."""
         block = pack_controller(controller)
-        with self._asking:
-            with self._recorded(records.of_parameters(self._next(b.PARAMETER_NUMBER), block, self._model)):
-                publish_controller(self.blocks, controller)
+        with (
+            self._asking,
+            self._recorded(records.of_parameters(self._next(b.PARAMETER_NUMBER), block, self._model)),
+        ):
+            publish_controller(self.blocks, controller)
 
     def set_effects(self, table: Floats) -> None:
         """Other effects to compensate, taken at a tick boundary; they come in on a ramp. The same again: nothing."""

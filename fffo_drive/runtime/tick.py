@@ -16,7 +16,6 @@ from . import blocks as b
 from .blocks import Blocks, Words
 from .ring import HEAD, Ring
 
-
 # bits of the row's flags: what else the envelope saw, and where memory began
 FLAG_LOOP_BEGAN = 1  # the first tick of a loop: all memory at rest
 FLAG_EMERGENCY = 2  # the drive sent an EMCY since the loop began or a fault was reset
