@@ -306,6 +306,9 @@ class Server:
                 text = f"{call.method} is not for this socket, which only watches; use {CONTROL}"
                 raise RpcError(rpc.READ_ONLY, text)
             wanted = _checked(method.parameters, call.params)
+            connection = self.api.supervisor.connection
+            if connection is not None and not method.watching:
+                connection.session.note_request(client.name, call.method, wanted.model_dump(mode="json"))
             result = getattr(self.api, call.method)(wanted, client)
         except Exception as error:
             return self._failed(call, error)

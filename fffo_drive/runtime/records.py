@@ -27,6 +27,7 @@ WORD_KINDS = {  # control words whose changes are records of their own
     b.EFFECTS: Kind.IN_SERVICE,
 }
 REACTION = "envelope.reactions."
+LONGEST_TEXT = 1000  # characters of a value in a request
 
 
 class ModelNote(NamedTuple):
@@ -95,9 +96,16 @@ def of_word(kind: Kind, value: int) -> Unnumbered:
 
 
 def of_request(who: str, what: str, values: Mapping[str, Any], epoch: int | None) -> Unnumbered:
-    """Who asked for what."""
+    """Who asked for what. Long texts (a model has its own record) are told by their digest."""
     told = {} if epoch is None else {"epoch": epoch}
-    return Unnumbered(0, Kind.REQUEST, (), (), {"who": who, "what": what, "values": dict(values), **told})
+    short = {name: _shortened(value) for name, value in values.items()}
+    return Unnumbered(0, Kind.REQUEST, (), (), {"who": who, "what": what, "values": short, **told})
+
+
+def _shortened(value: Any) -> Any:
+    if isinstance(value, str) and len(value) > LONGEST_TEXT:
+        return f"sha256:{hashlib.sha256(value.encode()).hexdigest()}"
+    return value
 
 
 # ---- and back

@@ -142,9 +142,13 @@ def test_a_row_that_says_something_else_is_found(story, name):
     rows = run.rows.copy()
     where = np.flatnonzero((rows["mode"] == 1) & (rows["effects_nm"] != 0) & (np.abs(rows["reference_rps"]) > 0.5))[20]
     before = rows[where].copy()
-    rows[name][where] = {
-        "position_rev": before["position_rev"] + 0.1, "flags": FLAG_EMERGENCY, "goal": GOAL_DISABLED, "toggle": (before["toggle"] + 1) % 3,
-    }.get(name, (rows[name].max() + rows[name].min()) - before[name])  # fmt: skip
+    other = {
+        "position_rev": before["position_rev"] + 0.1,
+        "flags": FLAG_EMERGENCY,
+        "goal": GOAL_DISABLED,
+        "toggle": (before["toggle"] + 1) % 3,
+    }
+    rows[name][where] = other.get(name, rows[name].max() + rows[name].min() - before[name])
     assert rows[where] != before
     assert not replayed((rows, run.records)).exact
 
