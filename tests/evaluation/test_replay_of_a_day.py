@@ -22,6 +22,7 @@ from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import Kind, decode_record, encode_record
 from fffo_drive.runtime import records as made
 from fffo_drive.runtime.tick import FLAG_EMERGENCY, LoopConfig
+from fffo_drive.signals import ROW
 
 SMALL_FILES = 20_000  # bytes: a file holds some hundred rows
 
@@ -223,3 +224,36 @@ def made_loop(session):
     """The times of the loop in a record."""
     values = session.by_name
     return LoopConfig(**{name: int(values[f"loop.{name}"]) for name in LoopConfig._fields})
+
+
+SINCE_RECORDS = {  # fields that rows have since blocks are recorded
+    "heartbeat_age_ns", "i2t_a2s", "row_number", "request_number", "parameters_number", "effects_number",
+    "profile_number", "flags", "goal", "resetting",
+}  # fmt: skip
+
+
+def test_rows_of_an_older_version_replay_with_the_law_that_is_given_for_them(tmp_path):
+    """Toggles and effects in service stood in its rows; what was set live did not, and shows as a difference."""
+    calm = [("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("in_service", 0.0, 90), ("toggle", 1.0, 90)]
+    law = Law(
+        pack_controller(controller_config(AXIS, models()[1])), compensation_table(AXIS, models()[1]),
+        envelope_config(AXIS),
+    )  # fmt: skip
+    reports = []
+    for name, story in (("calm", calm), ("set", [*calm, ("gains", 0.9, 50)])):
+        (tmp_path / name).mkdir()
+        (file,) = tell(tmp_path / name, [*story, ("disable", 1.0, 80), ("enable", 0.0, 60), ("fault", 0.0, 40)])
+        rows = read_run(file).rows
+        old = np.zeros(rows.size, [(name, rows.dtype[name]) for name in ROW.names if name not in SINCE_RECORDS])
+        for field in old.dtype.names:
+            old[field] = rows[field]
+        replayer = Replayer()
+        with pytest.raises(ValueError, match="does not name its blocks"):
+            replayer.take(old, ())
+        replayer.take(old, (), law)
+        reports.append(replayer.report)
+        assert reports[-1].rows == (rows["mode"] == 1).sum() > 300
+        assert not reports[-1].names_blocks
+    assert reports[0].exact
+    assert not reports[1].exact
+    assert reports[1].identical > 300
