@@ -25,7 +25,7 @@ from ..control.controller import pack_controller
 from ..documents import DocumentError
 from ..evaluation.replay_runs import Law, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
-from ..recording.reader import Run, read_run
+from ..recording.reader import Run, read_metadata, read_run
 
 EXIT_DIFFERENT = 1
 MODEL_FORMAT = "fffo_drive/model/"
@@ -64,6 +64,8 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
             fallback = _law_of(*recorded_files(run))
         try:
             replayer.take(run.rows, run.records, fallback)
+        except KeyError as error:
+            raise DocumentError(f"{file}: a record in it has no {error}: it cannot be replayed here") from None
         except ValueError as error:
             raise DocumentError(f"{file}: {error}; replay it with the version that wrote it") from None
     assert replayer is not None
@@ -84,7 +86,7 @@ def _continuations(file: Path) -> Iterator[Path]:
     """NAME_002.mcap, NAME_003.mcap ... that say that they continue this file, also one that is being written."""
     stem = file.name.removesuffix(".part").removesuffix(".mcap")
     for other in sorted((*file.parent.glob(f"{stem}_[0-9]*.mcap"), *file.parent.glob(f"{stem}_[0-9]*.mcap.part"))):
-        if other != file and read_run(other).metadata.get("continues") == f"{stem}.mcap":
+        if other != file and read_metadata(other).get("continues") == f"{stem}.mcap":
             yield other
 
 

@@ -345,6 +345,8 @@ class Supervisor:
         self.motion = Motion(connection)
         self._watcher = Watcher(connection, silent_ticks(plan), plan.axis.daemon.supervisor_timeout_s, now_s)
         connection.session.request(b.TOGGLE, self.toggle)
+        if self.plan.model is not plan.model:  # changed while the drive was brought up
+            connection.session.set_model(model_note(self.plan.model))
         connection.session.set_controller(controller_config(self.plan.axis, self.plan.model))
         connection.session.set_effects(compensation_table(self.plan.axis, self.plan.model))
         self.effects.attach(connection)

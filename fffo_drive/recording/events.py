@@ -92,7 +92,10 @@ def json_text(data: Mapping[str, Any]) -> str:
 
 def json_object(text: str) -> dict[str, Any]:
     """The inverse of `json_text`; raises ValueError for anything but an object."""
-    data = json.loads(text)
+    try:
+        data = json.loads(text)
+    except RecursionError:
+        raise ValueError("data that is nested too deeply") from None
     if not isinstance(data, dict):
         raise ValueError("data that is no JSON object")
     return data

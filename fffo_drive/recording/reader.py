@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -132,6 +133,22 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
                 scanner.damage(record, str(damage))
                 break
     return collector.run(scanner.tear)
+
+
+def read_metadata(path: Path | str) -> dict[str, str]:
+    """What a recording says of itself at its beginning, without reading its rows; {} where it says nothing.
+
+    Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
+    """
+    with Path(path).open("rb") as file, contextlib.suppress(DamagedRecordError):
+        for record in Scanner(file, str(path)):
+            if record.opcode == Opcode.METADATA:
+                metadata = parse(Metadata.read, record.body)
+                if metadata.name == METADATA_NAME:
+                    return dict(metadata.metadata)
+            elif record.opcode == Opcode.CHUNK:
+                break
+    return {}
 
 
 @dataclass
