@@ -30,9 +30,10 @@ from ..identification.excitation import (
     identification_sequence,
     separating_recipe,
 )
-from ..model.parameters import ModelFile, read_model
+from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
+from ..runtime.records import ModelNote
 from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S, counts_per_rev
@@ -268,7 +269,13 @@ def session_config(
         longest_profile,
         ring_rows or round(RING_S * axis.loop.rate_hz),
         compensation_table(axis, model),
+        model_note(model),
     )
+
+
+def model_note(model: ModelFile) -> ModelNote:
+    """The model as a record of a run holds it."""
+    return ModelNote(model.name, content_hash(model), model_text(model))
 
 
 def recorder_settings(axis: AxisFile) -> RecorderSettings:

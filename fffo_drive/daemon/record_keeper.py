@@ -88,8 +88,9 @@ class RecordKeeper:
         metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile, facts)
         header = RunHeader(metadata, (sources.axis, sources.model, *sources.extra), wall_clock_offset_ns())
         recorder = Recorder(
-            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True
-        )
+            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True,
+            records=connection.session.records,
+        )  # fmt: skip
         recorder.start()
         self._recorder, self._bad = recorder, ""
         return path

@@ -262,6 +262,7 @@ class Server:
     async def _answer(self, asked: _Asked) -> None:
         answer: dict[str, Any] = {}
         try:
+            self._note(asked)
             result = getattr(self.api, asked.call.method)(asked.wanted, asked.client)
             answer = rpc.result_of(asked.call, await result if inspect.isawaitable(result) else result)
         except asyncio.CancelledError:
@@ -273,6 +274,14 @@ class Server:
             self.api.publish()
             done = self._stop_answered if asked.call.method in ENDING else _answered
             self.clients.post(lambda: done(asked, answer))
+
+    def _note(self, asked: _Asked) -> None:
+        """The recording holds every request, before what it causes."""
+        connection = self.api.supervisor.connection
+        if connection is not None:
+            values = asked.wanted.model_dump(mode="json")
+            epoch = values.pop("epoch", None)
+            connection.session.note_request(asked.client.name, asked.call.method, values, epoch)
 
     def _client_left(self, client: Client) -> None:
         """What it asked for is not carried on, but for its stops."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..can.link import LinkError
-from ..config.axis import controller_config
+from ..config.axis import controller_config, model_note
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
 from ..config.plan import Plan
@@ -301,6 +301,8 @@ class Supervisor:
         before, self.plan = self.plan, plan
         self.model_hash = content_hash(plan.model)
         if self.connection is not None:
+            if plan.model is not before.model:
+                self.connection.session.set_model(model_note(plan.model))
             self.connection.session.set_controller(controller_config(plan.axis, plan.model))
             self.connection.session.set_effects(compensation_table(plan.axis, plan.model))
         if plan.model is not before.model or plan.axis.controller.effects != before.axis.controller.effects:
@@ -378,6 +380,8 @@ class Supervisor:
         self.motion = Motion(connection)
         self._watcher = Watcher(connection, silent_ticks(plan), plan.axis.daemon.supervisor_timeout_s, now_s)
         connection.session.request(b.TOGGLE, self.toggle)
+        if self.plan.model is not plan.model:  # changed while the drive was brought up
+            connection.session.set_model(model_note(self.plan.model))
         connection.session.set_controller(controller_config(self.plan.axis, self.plan.model))
         connection.session.set_effects(compensation_table(self.plan.axis, self.plan.model))
         self.effects.attach(connection)
