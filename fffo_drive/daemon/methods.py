@@ -12,8 +12,9 @@ status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, 
             friction_nm, mode, age}; null where there is none
 enable, disable, start, stop, quick_stop, reset_fault
             {"state": ..., "reached": true, "epoch": ...}; error -32004 when it does not come about within wait_s. A
-            stop succeeds in every state and says what is: in a fault the axis may coast. Once it is acknowledged, no start or enable that was sent before is carried
-            out: each is bound to the epoch in which it arrived, or which its parameter `epoch` names
+            stop succeeds in every state and says what is: in a fault the axis may coast. Once it is acknowledged, no
+            start or enable that was sent before is carried out: each is bound to the epoch in which it arrived, or
+            which its parameter `epoch` names
 toggle, model, set, reload
             what is in use now
 record      {"on": ..., "file": ..., "files": [...]}
