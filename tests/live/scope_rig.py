@@ -14,6 +14,7 @@ from live.viewer import CLIENT
 from websockets.sync.client import ClientConnection, connect
 
 from fffo_drive.config.address import Address
+from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.daemon.places import CONTROL
 from fffo_drive.live import frames
 from fffo_drive.live.feed import Source
@@ -30,7 +31,7 @@ class ScopeRig:
         self.source: Source | None = Source(1, self.ring, 2000.0, 0.148)
         free = Address("127.0.0.1", 0)
         wanted = Wanted(free, free if viewers else None)
-        self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, "bench")
+        self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, METHODS, "bench")
         self._pages = contextlib.ExitStack()
 
     def __enter__(self) -> ScopeRig:
@@ -52,11 +53,14 @@ class ScopeRig:
     def origin(self) -> str:
         return self.server.url.rstrip("/")
 
-    def open(self, **options: Any) -> ClientConnection:
-        """A page, after its greeting."""
+    def open(self, key: bool = False, **options: Any) -> ClientConnection:
+        """A page, after its greeting; with the key, or to look."""
         address = self.origin.replace("http", "ws") + "/live"
         page = self._pages.enter_context(connect(address, **CLIENT | {"origin": self.origin} | options))
         assert hear(page, "hello")["info"]["axis"]
+        if key:
+            say(page, do="token", token=self.server.key)
+            assert hear(page, "rights")["command"]
         return page
 
     def leave(self) -> None:
