@@ -79,8 +79,9 @@ class Services:
         method = self._methods[name]
         request: dict[str, Any] = {**self._schemas[name], "description": method.summary}
         if self.kind(name) is not Kind.LOOKS:
-            request["properties"] = {"key": KEY, **request.get("properties", {})}
-            request["required"] = ["key", *request.get("required", [])]
+            key_name = self._key_name(name)
+            request["properties"] = {key_name: KEY, **request.get("properties", {})}
+            request["required"] = [key_name, *request.get("required", [])]
         return Service(number, PREFIX + name, f"fffo_drive/{name}", request, {"type": "object"})
 
     def checked(self, number: int, payload: bytes) -> Request:
@@ -89,8 +90,9 @@ class Services:
         if name is None:
             raise RefusedCallError("no such service")
         given = _given(payload)
-        if not is_key(given.pop("key", ""), self._key) and self.kind(name) is not Kind.LOOKS:
-            raise RefusedCallError(f"{name} needs the key: put what `fffo-drive scope --viewers` says into the request")
+        if not is_key(given.pop(self._key_name(name), ""), self._key) and self.kind(name) is not Kind.LOOKS:
+            text = f"{name} needs the key: give what `fffo-drive scope --viewers` says as `{self._key_name(name)}`"
+            raise RefusedCallError(text)
         try:
             self._methods[name].parameters.model_validate_json(json.dumps(given), strict=True)
         except ValidationError as error:
@@ -98,6 +100,10 @@ class Services:
             known = ", ".join(self._schemas[name].get("properties", ())) or "none"
             raise RefusedCallError(f"{name}: {wrong} (parameters: {known})") from None
         return Request(name, given, self.kind(name))
+
+    def _key_name(self, name: str) -> str:
+        """What the key is called in a request: `set` has a parameter `key` of its own."""
+        return "access_key" if "key" in self._schemas[name].get("properties", {}) else "key"
 
     def kind(self, name: str) -> Kind:
         """What it is for."""
