@@ -1,7 +1,8 @@
 """Listens for WebSockets of strangers: so many places, none for who does not come in, and so much for each to ask.
 
 Who has not made its request yet (half-open, or one byte a second) is the first to go when more come than may wait at
-the door; who is in already is touched by none of them. Frames are counted as they arrive, before they are looked at, so
+the door; who is in already is touched by none of them. Where all places are taken, somebody who shows the key (`?key=`
+in the address) takes that of the first who did not. Frames are counted as they arrive, before they are looked at, so
 that one read of one stranger never holds up the others for long.
 """
 
@@ -14,6 +15,7 @@ from collections.abc import Awaitable, Callable
 from functools import partial
 from http import HTTPStatus
 from typing import Any, cast
+from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -22,6 +24,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from ..config.address import Address
+from .peer import is_key
 
 AT_THE_DOOR = 64  # connections without a request; one more, and the oldest goes
 OPEN_S = 5.0  # for the request
@@ -39,17 +42,17 @@ class Listener:
 
     def __init__(
         self, address: Address, handler: Callable[[ServerConnection], Awaitable[None]], judge: Judge, places: int,
-        message_bytes: int, subprotocol: str | None = None,
+        key: str, message_bytes: int, subprotocol: str | None = None,
     ) -> None:  # fmt: skip
         """`judge` answers a request, or lets it in with None; at most `places` are in. `address`: port 0 is any."""
         self.address = address
-        self.places = places
+        self._places, self._key = places, key
         self._handler, self._judge = handler, judge
         self._options: dict[str, Any] = {"max_size": message_bytes}
         if subprotocol is not None:
             self._options["subprotocols"] = [subprotocol]
         self._door: dict[ServerConnection, None] = {}  # in the order in which they came
-        self._inside: set[ServerConnection] = set()
+        self._inside: dict[ServerConnection, bool] = {}  # in the order in which they came, and whether with the key
         self._server: Server | None = None
 
     async def start(self) -> Address:
@@ -70,12 +73,24 @@ class Listener:
 
     def _process(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._judge(request)
-        if response is None and len(self._inside) >= self.places:
-            response = answer(HTTPStatus.SERVICE_UNAVAILABLE, f"{self.places} are connected already\n")
+        with_key = is_key(next(iter(parse_qs(urlsplit(request.path).query).get("key", ())), ""), self._key)
+        if response is None and not self._has_place(with_key):
+            response = answer(HTTPStatus.SERVICE_UNAVAILABLE, f"{self._places} are connected already\n")
         if response is None:
             self._door.pop(connection, None)
-            self._inside.add(connection)
+            self._inside[connection] = with_key
         return response
+
+    def _has_place(self, with_key: bool) -> bool:
+        """There is a place, or one is made."""
+        if len(self._inside) < self._places:
+            return True
+        without = [one for one, has_key in self._inside.items() if not has_key]
+        if not with_key or not without:
+            return False
+        del self._inside[without[0]]
+        without[0].transport.abort()
+        return True
 
     def came(self, connection: ServerConnection) -> None:
         """A connection was made."""
@@ -88,7 +103,7 @@ class Listener:
     def went(self, connection: ServerConnection) -> None:
         """A connection is gone."""
         self._door.pop(connection, None)
-        self._inside.discard(connection)
+        self._inside.pop(connection, None)
 
 
 class _Connection(ServerConnection):

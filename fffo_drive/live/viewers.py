@@ -89,7 +89,9 @@ class Viewers:
         self, address: Address, name: str, key: str, control_path: Path, methods: Mapping[str, Method]
     ) -> None:
         """`methods`: those of the control API, by name."""
-        self._listener = Listener(address, self._serve, lambda _: None, VIEWERS, REQUEST_BYTES, protocol.SUBPROTOCOL)
+        self._listener = Listener(
+            address, self._serve, lambda _: None, VIEWERS, key, REQUEST_BYTES, protocol.SUBPROTOCOL
+        )
         self.services = Services(methods, key)
         self.channels = [
             protocol.Channel(number, topic, MESSAGE_ENCODING, kind, text, SCHEMA_ENCODING)

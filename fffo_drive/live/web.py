@@ -7,6 +7,7 @@ ask for beyond that is the key's affair.
 from __future__ import annotations
 
 from http import HTTPStatus
+from urllib.parse import urlsplit
 
 from websockets.http11 import Request, Response
 
@@ -24,7 +25,7 @@ class Web:
     """Listens from `start` to `close`, on the live server's thread."""
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        self._listener = Listener(address, hub.serve, self._judge, PAGES, MESSAGE_BYTES)
+        self._listener = Listener(address, hub.serve, self._judge, PAGES, hub.key, MESSAGE_BYTES)
 
     async def start(self) -> Address:
         """Listen. Returns where. Raises OSError when the address cannot be had."""
@@ -39,9 +40,10 @@ class Web:
         names = self._listener.address.names
         if request.headers.get_all("Host") not in [[name] for name in names]:
             return answer(HTTPStatus.MISDIRECTED_REQUEST, f"this is http://{names[0]}/\n")
-        if request.path == "/":
+        path = urlsplit(request.path).path
+        if path == "/":
             return answer(HTTPStatus.OK, page(), headers())
-        if request.path != PATH:
+        if path != PATH:
             return answer(HTTPStatus.NOT_FOUND, "not here\n")
         if request.headers.get_all("Origin") not in [[f"http://{name}"] for name in names]:
             return answer(HTTPStatus.FORBIDDEN, "not from this page\n")

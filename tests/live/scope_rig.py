@@ -59,7 +59,7 @@ class ScopeRig:
 
     def open(self, key: bool = False, **options: Any) -> ClientConnection:
         """A page, after its greeting; with the key, or to look."""
-        address = self.origin.replace("http", "ws") + "/live"
+        address = self.origin.replace("http", "ws") + (f"/live?key={self.server.key}" if key else "/live")
         page = self._pages.enter_context(connect(address, **CLIENT | {"origin": self.origin} | options))
         assert hear(page, "hello")["info"]["axis"]
         if key:

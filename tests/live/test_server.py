@@ -207,6 +207,21 @@ def test_there_are_so_many_places_and_no_more(scope):
     scope.open()
 
 
+def test_who_shows_the_key_takes_the_place_of_one_who_did_not(scope):
+    with_key = scope.open(key=True)
+    looking = [scope.open() for _ in range(PAGES - 1)]
+    another = scope.open(key=True)
+    with pytest.raises(ConnectionClosed):
+        hear(looking[0], "never")
+    for staying in (with_key, *looking[1:], another):
+        assert hear(staying, "status")
+    for _ in range(PAGES - 2):
+        scope.open(key=True)
+    with pytest.raises(InvalidStatus) as refused:
+        scope.open(key=True)  # all have it
+    assert refused.value.response.status_code == 503
+
+
 def test_the_ring_is_left_alone_when_the_last_page_goes(scope):
     scope.open().close()
     scope.until(lambda: not scope.server.hub.clients and scope.server.hub.feed._reader is None)

@@ -18,7 +18,7 @@ class Wire {
 
   connect() {
     clearTimeout(this.timer);
-    const socket = this.socket = new WebSocket(`ws://${location.host}/live`);
+    const socket = this.socket = new WebSocket(`ws://${location.host}/live${this.token ? `?key=${encodeURIComponent(this.token)}` : ""}`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       if (this.token) socket.send(JSON.stringify({ do: "token", token: this.token }));
