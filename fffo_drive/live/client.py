@@ -60,7 +60,7 @@ class Client(Peer):
         elif not self._may_command:
             self._refuse(wanted, NO_KEY)
         elif what == "stop":
-            self._hub.keep(self._answer(wanted, self._hub.stop))
+            self.answer_later(self._answer(wanted, self._hub.stop), to_the_end=True)
         else:
             self._call(wanted)
 

@@ -167,9 +167,11 @@ def _id(content: Any, name: str) -> int:
     return found
 
 
-def _call(message: bytes) -> ServiceCall:
-    if len(message) < _CALL.size or message[0] != SERVICE_CALL_REQUEST:
-        raise ProtocolError("a binary message that is no whole request to a service")
+def _call(message: bytes) -> ServiceCall | Unserved:
+    if message[:1] != bytes([SERVICE_CALL_REQUEST]):
+        return Unserved(f"opcode {message[0]}" if message else "an empty message")
+    if len(message) < _CALL.size:
+        raise ProtocolError("a request to a service that ends too early")
     _, service, number, length = _CALL.unpack_from(message)
     end = _CALL.size + length
     if end > len(message):

@@ -6,7 +6,7 @@ Runs on the live server's thread. Each status and each batch of rows is made int
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -60,7 +60,6 @@ class Hub:
         self.stops = ControlLink(control_path)  # open all the time, and nothing else goes this way
         self._greeted: asyncio.Task[str | None] | None = None
         self._somebody = asyncio.Event()
-        self._kept: set[asyncio.Task[None]] = set()
         self._status_hz = -1.0
         self._state = ""
         self._loop: int | None = -1
@@ -174,12 +173,6 @@ class Hub:
         result = await self.stops.call(method, {"wait_s": 0.0})
         self._state = result["state"]
         return {"method": method, **result}
-
-    def keep(self, asked: Coroutine[Any, Any, None]) -> None:
-        """Do it to the end, even when who asked is gone by then: a stop."""
-        task = asyncio.create_task(asked)
-        self._kept.add(task)
-        task.add_done_callback(self._kept.discard)
 
     def close(self) -> None:
         """Drop everybody."""

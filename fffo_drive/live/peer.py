@@ -12,7 +12,7 @@ import hmac
 import time
 from collections import deque
 from collections.abc import Coroutine
-from typing import Any
+from typing import Any, ClassVar
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -28,6 +28,8 @@ class DroppedError(Exception):
 
 class Peer:
     """A WebSocket that was accepted."""
+
+    _kept: ClassVar[set[asyncio.Task[None]]] = set()  # what is done to the end, whoever goes meanwhile
 
     def __init__(self, connection: ServerConnection) -> None:
         self._connection = connection
@@ -103,11 +105,12 @@ class Peer:
         """As many of its calls wait as may."""
         return len(self._calls) >= CALLS
 
-    def answer_later(self, answering: Coroutine[Any, Any, None]) -> None:
-        """What waits holds up nothing."""
+    def answer_later(self, answering: Coroutine[Any, Any, None], to_the_end: bool = False) -> None:
+        """What waits holds up nothing. `to_the_end`: also when who asked is gone by then; a stop."""
+        held = self._kept if to_the_end else self._calls
         task = asyncio.create_task(answering)
-        self._calls.add(task)
-        task.add_done_callback(self._calls.discard)
+        held.add(task)
+        task.add_done_callback(held.discard)
 
 
 def is_key(given: object, key: str) -> bool:

@@ -210,12 +210,13 @@ class Viewer(Peer):
             if call.encoding != protocol.ENCODING:
                 raise RefusedCallError(f"requests are {protocol.ENCODING}")
             request = self._all.services.checked(call.service, call.payload)
-            if self.busy and request.kind is not Kind.ENDS:
+            ends = request.kind is Kind.ENDS
+            if self.busy and not ends:
                 raise RefusedCallError("too many of your calls wait already")
         except RefusedCallError as error:
             self.offer(protocol.service_failure(call, str(error)))
         else:
-            self.answer_later(self._answer(call, request))
+            self.answer_later(self._answer(call, request), to_the_end=ends)
 
     async def _answer(self, call: protocol.ServiceCall, request: Request) -> None:
         try:

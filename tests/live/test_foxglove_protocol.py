@@ -105,6 +105,8 @@ def test_subscriptions_are_read(pairs, ids):
     assert protocol.parse(json.dumps({"op": "subscribe", "subscriptions": wanted})) == protocol.Subscribe(pairs)
     assert protocol.parse(json.dumps({"op": "unsubscribe", "subscriptionIds": ids})) == protocol.Unsubscribe(ids)
     assert protocol.parse('{"op": "getParameters"}') == protocol.Unserved("getParameters")
+    assert protocol.parse(b"\x01" + bytes(20)) == protocol.Unserved("opcode 1")
+    assert protocol.parse(b"") == protocol.Unserved("an empty message")
 
 
 OPERATION = st.fixed_dictionaries(
@@ -126,7 +128,7 @@ def test_anything_else_is_refused_as_none_of_the_protocol(message):
 @pytest.mark.parametrize(
     "message",
     [
-        b"", b"\x02", b"\x02" + bytes(11), b"\x02" + bytes(8) + b"\xff\xff\xff\xff", b"\x01" + bytes(20), "[",
+        b"\x02", b"\x02" + bytes(11), b"\x02" + bytes(8) + b"\xff\xff\xff\xff", "[",
         "[" * 100_000, "{}", '{"op": 1}', '{"op": "subscribe"}',
         '{"op": "subscribe", "subscriptions": [{"id": true, "channelId": 1}]}',
         '{"op": "unsubscribe", "subscriptionIds": [4294967296]}',

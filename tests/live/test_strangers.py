@@ -247,6 +247,13 @@ def test_a_start_of_an_epoch_that_is_over_is_refused_plainly(scope, asked, plain
     assert "the daemon's words" in error
 
 
+def test_a_stop_is_carried_out_though_its_viewer_is_gone(scope):
+    viewer = viewer_of(scope)
+    viewer.socket.send(request(viewer, "disable", 1, b'{"key": "%s"}' % scope.server.key.encode()))
+    viewer.socket.socket.close()
+    scope.until(lambda: scope.rig.asked("disable"))
+
+
 def test_a_broken_way_for_stops_is_opened_again_before_it_is_needed(scope):
     def ways():
         return len({line.connection for line in scope.rig.asked("subscribe")})

@@ -12,9 +12,7 @@
     sessionStorage.setItem("scope-token", token);
     history.replaceState(null, "", location.pathname);
   }
-  rights(Boolean(token));
-  $("commands").disabled = true; // until the daemon has seen the key
-  scope.mayCommand = false;
+  mayStop(Boolean(token));
   const wire = new Wire(token, hear, see, connection);
   window.fffoScope = scope; // for tests
 
@@ -23,14 +21,21 @@
   function connection(open) {
     $("connection").textContent = open ? "connected" : "no connection to the daemon: what is shown is old";
     document.body.classList.toggle("cut", !open);
-    if (!open) $("commands").disabled = true; // Stop stays: it makes a connection
+    if (!open) mayCommand(false); // Stop stays as it is: it makes a connection
   }
 
-  // only who has the key may stop; a key that is not the daemon's (it was started anew) is none
-  function rights(may) {
+  function rights(may) { // a key that is not the daemon's (it was started anew) gives none
+    mayCommand(may);
+    mayStop(may);
+  }
+
+  function mayCommand(may) {
     scope.mayCommand = may;
     $("commands").disabled = !may;
     $("rights").hidden = may;
+  }
+
+  function mayStop(may) {
     $("stop").disabled = !may;
     $("may-stop").hidden = !may;
     $("may-look").hidden = may;
