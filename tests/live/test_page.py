@@ -252,7 +252,7 @@ def test_what_gives_torque_or_motion_carries_the_epoch_that_was_shown(served, ch
 
 def test_a_stop_that_nobody_confirms_says_so(served, chromium):
     page = Page(chromium, served)
-    page.tab.route_web_socket("**/live", lambda socket: None)  # a daemon that hears and does not answer
+    page.tab.route_web_socket("**/live?key=*", lambda socket: None)  # a daemon that hears and does not answer
     page.tab.goto(page.address)
     page.until("document.querySelector('#connection').textContent === 'connected'")
     page.tab.click("#stop")
