@@ -108,6 +108,7 @@ def replay_into(
             0,
             False,
             False,
+            0,
             -1,
             wanted,
             is_operation_enabled(row["statusword"]),

@@ -63,12 +63,19 @@ class Baseline(NamedTuple):
     boots: int
     bus_losses: int
     nmt_exits: int
+    foreign_syncs: int
 
 
 @njit
 def baseline_of(feedback: Any) -> Baseline:
     """The counters now."""
-    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"], feedback["nmt_exits"])
+    return Baseline(
+        feedback["emergency_count"],
+        feedback["boot_count"],
+        feedback["bus_losses"],
+        feedback["nmt_exits"],
+        feedback["foreign_syncs"],
+    )
 
 
 @njit
@@ -171,6 +178,7 @@ def look(
         or feedback["nmt_exits"] != baseline.nmt_exits,
         # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
+        feedback["foreign_syncs"] - baseline.foreign_syncs,
         heartbeat_age_ns,
         wanted,
         enabled,
