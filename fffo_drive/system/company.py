@@ -33,12 +33,12 @@ class Company:
             self._listening.close()
         except LinkError as error:
             return [failure(SUBJECT, str(error), "see what is said of its interface")]
-        nodes = ", ".join(str(node) for node in sorted(heard.nodes)) or "none"
+        nodes = f"heartbeats of nodes: {', '.join(map(str, sorted(heard.nodes))) or 'none'}"
         holder = bus_holder(bus)
         if holder is not None:
-            text = f"{holder} on this machine commands on {bus}; heartbeats of nodes: {nodes}"
+            text = f"{holder} on this machine commands on {bus}; {nodes}"
             return [warning(SUBJECT, text, f"fffo-drive ctl status, if it is a service. {ONE_MASTER}")]
         obstacles = heard.obstacles()
         if obstacles:
             return [failure(SUBJECT, f"{bus}: {obstacle.text}", obstacle.remedy) for obstacle in obstacles]
-        return [ok(SUBJECT, f"{bus}: nobody else was heard to command in {self._listen_s:g} s; heartbeats: {nodes}")]
+        return [ok(SUBJECT, f"{bus}: nobody else was heard to command in {self._listen_s:g} s; {nodes}")]
