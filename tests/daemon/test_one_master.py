@@ -7,7 +7,7 @@ import itertools
 import pytest
 from buses import BusLog
 from daemon.rig import Rig
-from daemon.test_faults import goes_on, running
+from daemon.test_faults import running
 
 from fffo_drive.can import lease
 from fffo_drive.can.frame import NMT, SDO_REQUEST, SYNC, pack_frame, unpack_frame
@@ -34,13 +34,13 @@ class Wire:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._log = BusLog(rig.bus)
 
     def _ticks(self) -> int:
         return self._rig.do(lambda: self._rig.supervisor.connection.head)
 
     def __enter__(self) -> None:
         self._before = self._ticks()
+        self._log = BusLog(self._rig.bus)
         self._log.__enter__()
 
     def __exit__(self, *_: object) -> None:
@@ -70,8 +70,8 @@ def test_a_second_service_refuses_and_leaves_the_first_alone(tmp_path, another_m
             told = "somebody else commands here: SYNC (0x080)" if another_machine else "on this machine commands there"
             assert told in status["obstacles"][0]
             for _ in range(3):  # it tries again and again
-                if moving:
-                    goes_on(first, client)
+                rows = client.call("status")["loop"]["rows"]
+                first.until_status(lambda s, rows=rows: s["loop"]["rows"] > rows + 100, client)
                 assert second.client().call("status")["state"] == "offline"
         status = client.call("status")
         assert status["fault"] is None
