@@ -47,7 +47,14 @@ from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
 from ..runtime.loop import goal_after_trip
-from ..runtime.tick import FLAG_BUS_OFF, FLAG_EMERGENCY, FLAG_LOOP_BEGAN, FLAG_NOT_OPERATIONAL, FLAG_REBOOT
+from ..runtime.tick import (
+    FLAG_BUS_OFF,
+    FLAG_EMERGENCY,
+    FLAG_FOREIGN_SYNC,
+    FLAG_LOOP_BEGAN,
+    FLAG_NOT_OPERATIONAL,
+    FLAG_REBOOT,
+)
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 Floats = np.ndarray[Any, np.dtype[np.float64]]
@@ -138,6 +145,7 @@ def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> 
         1 if flags & FLAG_REBOOT else 0,
         flags & FLAG_NOT_OPERATIONAL != 0,
         flags & FLAG_BUS_OFF != 0,
+        1 if flags & FLAG_FOREIGN_SYNC else 0,
         _int64(row["heartbeat_age_ns"]),
         wanted,
         is_operation_enabled(statusword),

@@ -16,6 +16,7 @@ import numpy as np
 from ..control.envelope import (
     TRIP_BUS_OFF,
     TRIP_EMERGENCY,
+    TRIP_FOREIGN_SYNC,
     TRIP_NOT_OPERATIONAL,
     TRIP_REBOOT,
     TRIP_TEXTS,
@@ -25,7 +26,14 @@ from ..control.reference import MODE_VELOCITY
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..recording.run_records import Kind, RunRecord
 from ..runtime.records import block_of, effects_of, envelope_of
-from ..runtime.tick import FLAG_BUS_OFF, FLAG_EMERGENCY, FLAG_LOOP_BEGAN, FLAG_NOT_OPERATIONAL, FLAG_REBOOT
+from ..runtime.tick import (
+    FLAG_BUS_OFF,
+    FLAG_EMERGENCY,
+    FLAG_FOREIGN_SYNC,
+    FLAG_LOOP_BEGAN,
+    FLAG_NOT_OPERATIONAL,
+    FLAG_REBOOT,
+)
 from ..signals import ROW
 from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Floats, Integers, Replay, Replayed, Rows, law_in_force
 
@@ -34,6 +42,7 @@ FLAG_OF_TRIP = {
     TRIP_REBOOT: FLAG_REBOOT,
     TRIP_NOT_OPERATIONAL: FLAG_NOT_OPERATIONAL,
     TRIP_BUS_OFF: FLAG_BUS_OFF,
+    TRIP_FOREIGN_SYNC: FLAG_FOREIGN_SYNC,
 }
 LIMITED = COMMANDS.index("limited_a")
 TRIP = WORDS.index("trip")

@@ -96,7 +96,9 @@ EVENTS = {
     Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
     Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
     Event.DRIVE_LOST: Happening(
-        False, "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational",
+        False,
+        "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, or another "
+        "master's SYNC",
         raises=True,
     ),
     Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them", raises=True),

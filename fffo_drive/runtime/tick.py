@@ -22,6 +22,7 @@ FLAG_EMERGENCY = 2  # the drive sent an EMCY since the loop began or a fault was
 FLAG_REBOOT = 4  # ... a boot-up message
 FLAG_NOT_OPERATIONAL = 8  # ... a heartbeat that says that it is not in NMT state OPERATIONAL
 FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface gone
+FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
 
 
 class LoopConfig(NamedTuple):
@@ -70,12 +71,19 @@ class Baseline(NamedTuple):
     boots: int
     bus_losses: int
     nmt_exits: int
+    foreign_syncs: int
 
 
 @njit
 def baseline_of(feedback: Any) -> Baseline:
     """The counters now."""
-    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"], feedback["nmt_exits"])
+    return Baseline(
+        feedback["emergency_count"],
+        feedback["boot_count"],
+        feedback["bus_losses"],
+        feedback["nmt_exits"],
+        feedback["foreign_syncs"],
+    )
 
 
 @njit
@@ -179,6 +187,7 @@ def look(
         or feedback["nmt_exits"] != baseline.nmt_exits,
         # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
+        feedback["foreign_syncs"] - baseline.foreign_syncs,
         heartbeat_age_ns,
         wanted,
         enabled,
@@ -194,7 +203,8 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool) -> int:
     flags |= FLAG_EMERGENCY if seen.emergencies > 0 else 0
     flags |= FLAG_REBOOT if seen.reboots > 0 else 0
     flags |= FLAG_NOT_OPERATIONAL if seen.not_operational else 0
-    return flags | (FLAG_BUS_OFF if seen.bus_off else 0)
+    flags |= FLAG_BUS_OFF if seen.bus_off else 0
+    return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
 
 
 @njit

@@ -175,6 +175,7 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .not_operational = (feedback->nmt_state >= 0 && feedback->nmt_state != NMT_OPERATIONAL) ||
                            feedback->nmt_exits != baseline->nmt_exits,
         .bus_off = feedback->bus_off != 0 || feedback->bus_losses != baseline->bus_losses,
+        .foreign_syncs = feedback->foreign_syncs - baseline->foreign_syncs,
         .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
         .wanted = wanted,
         .enabled = enabled,
@@ -189,7 +190,8 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began)
     flags |= seen->emergencies > 0 ? FLAG_EMERGENCY : 0;
     flags |= seen->reboots > 0 ? FLAG_REBOOT : 0;
     flags |= seen->not_operational ? FLAG_NOT_OPERATIONAL : 0;
-    return flags | (seen->bus_off ? FLAG_BUS_OFF : 0);
+    flags |= seen->bus_off ? FLAG_BUS_OFF : 0;
+    return flags | (seen->foreign_syncs > 0 ? FLAG_FOREIGN_SYNC : 0);
 }
 
 static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
@@ -251,7 +253,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
     struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits};
+                                feedback->nmt_exits, feedback->foreign_syncs};
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
@@ -290,7 +292,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             trip = TRIP_NONE;
             envelope = (struct envelope_state){.i2t_a2s = envelope.i2t_a2s};
             baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits};
+                                feedback->nmt_exits, feedback->foreign_syncs};
         }
         int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
         if (stopping_ticks > 0)
