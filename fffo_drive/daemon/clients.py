@@ -1,7 +1,8 @@
 """The thread that owns the sockets: it accepts, reads, splits lines, and sees a stop on arrival.
 
-Whatever clients send is read at once, up to a bound, and the lines wait here. A line that asks for a stop goes to the
-supervisor before anything else is parsed, costs no budget, and finds a place beyond the limit of clients. All other
+Whatever the control socket's clients send is read at once, up to a bound, and the lines wait here. A line that asks for
+a stop goes to the supervisor before anything else is parsed, costs no budget, and finds a place beyond the limit of
+clients. Those who only watch are read a moment at a time, after that, and can delay nobody else. All other
 lines are answered one at a time, clients in turn, from a budget of bytes a second that all clients of a socket share.
 
 Each line carries the epoch in which it arrived. Before a stop is acknowledged, everything that lies in the sockets is
@@ -28,6 +29,7 @@ from . import rpc
 from .rpc import RpcError
 
 READ_BYTES = 256 * 1024  # more than the kernel keeps for a Unix socket: one read empties it
+WATCH_READ_BYTES = 8 * 1024
 SEND_LIMIT = 256 * 1024  # bytes that wait for a client before it is cut off
 WAITING_LINES = 1000  # of one client, before it is cut off
 WAITING_CALLS = 16  # of one client, that the supervisor has not answered
@@ -39,9 +41,10 @@ STOP_PLACES = 64  # connections to the control socket beyond the limit, for stop
 STOP_PLACE_S = 2.0
 BACKLOG = 128
 ACCEPTS_PER_ROUND = 64
+WATCH_ACCEPTS_PER_ROUND = 4
 PAUSE_S = 0.05  # of a listening socket that too many want to watch through, or without descriptors left
 ROUND_S = 0.25  # the longest time between two looks at what has been forgotten
-ANSWER_S = 0.002  # to answer lines before what has arrived is read again: a stop waits no longer
+SHARE_S = 0.002  # of those who watch, and of answers, before the control socket is read again: a stop waits no longer
 BUDGET_WAIT_S = 0.01
 
 ENDING = ("stop", "disable", "quick_stop")  # methods
@@ -133,6 +136,7 @@ class Client:
         self.ended = False  # it will say no more
         self.closed = False
         self.awaited = 0  # selectors.EVENT_*
+        self.no_stop = False  # a line of it only looked like a stop: until all are answered none is tried on arrival
         self.status_period_s = 0.0
         self.status_due_s = 0.0
         self.wants_events = False
@@ -158,7 +162,9 @@ class Clients:
     def __init__(self, sockets: tuple[socket.socket, socket.socket], handler: Handler, epoch: Epoch, most: int) -> None:
         """`sockets`: listening, for control and for watching; `most`: clients of each, at a time."""
         self._listeners, self._handler, self._epoch, self._most = sockets, handler, epoch, most
-        self._selector = selectors.DefaultSelector()
+        self._control, self._watch = selectors.DefaultSelector(), selectors.EpollSelector()
+        self._first = 0  # whose turn it is among those who watch
+        self._buffer = memoryview(bytearray(READ_BYTES))
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._waking = threading.Lock()  # so that nobody writes to a number that is another file by now
         self._posts: deque[Callable[[], None]] = deque()
@@ -181,8 +187,9 @@ class Clients:
         for listener, watching in zip(self._listeners, (False, True), strict=True):
             listener.setblocking(False)
             listener.listen(BACKLOG)
-            self._selector.register(listener, selectors.EVENT_READ, watching)
-        self._selector.register(self._wake, selectors.EVENT_READ, None)
+            self._selector(watching).register(listener, selectors.EVENT_READ, watching)
+        self._control.register(self._wake, selectors.EVENT_READ, self._wake)
+        self._control.register(self._watch, selectors.EVENT_READ, self._watch)
         self._thread.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
@@ -217,7 +224,8 @@ class Clients:
     def _run(self) -> None:
         try:
             while not self._ending:
-                self._read_all(self._patience_s())
+                if self._read_control(self._patience_s()):
+                    self._read_watch()
                 self._run_posts()
                 self._answer()
                 self._look_after(time.monotonic())
@@ -227,7 +235,8 @@ class Clients:
             for client in list(self._clients.values()):
                 self._flush(client)
                 self._drop(client)
-            self._selector.close()
+            self._watch.close()
+            self._control.close()
             for listener in self._listeners:
                 listener.close()
 
@@ -238,22 +247,41 @@ class Clients:
             return BUDGET_WAIT_S if self._too_poor else 0.0
         return ROUND_S
 
-    def _read_all(self, patience_s: float) -> None:
-        """Whatever has arrived, once from everybody: connections first, so that what they brought is read too."""
-        ready = self._selector.select(patience_s)
-        for key, _ in ready:
-            if isinstance(key.data, bool):
-                self._accept(key.fileobj, key.data)  # type: ignore[arg-type]
-            elif key.data is None:
+    def _selector(self, watching: bool) -> selectors.BaseSelector:
+        return self._watch if watching else self._control
+
+    def _read_control(self, patience_s: float) -> bool:
+        """Whatever has arrived on the control socket, from everybody. Returns whether something waits on the other."""
+        watched = False
+        for key, events in self._control.select(patience_s):
+            if key.data is self._watch:
+                watched = True
+            elif key.data is self._wake:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._wake)
-        for key, events in ready:
-            client = key.data
-            if isinstance(client, Client) and not client.closed:
-                if events & selectors.EVENT_READ:
-                    self._read(client)
-                if events & selectors.EVENT_WRITE:
-                    self._flush(client)
+            else:
+                self._serve(key, events)
+        return watched
+
+    def _read_watch(self) -> None:
+        """Of those who watch and have something, some, in turn."""
+        begun_s = time.monotonic()
+        ready = self._watch.select(0)
+        for _ in ready:
+            if time.monotonic() - begun_s > SHARE_S:
+                return
+            self._first += 1
+            self._serve(*ready[self._first % len(ready)])
+
+    def _serve(self, key: selectors.SelectorKey, events: int) -> None:
+        if isinstance(key.data, bool):
+            self._accept(key.fileobj, key.data)  # type: ignore[arg-type]
+            return
+        client = key.data
+        if events & selectors.EVENT_READ and not client.closed:
+            self._read(client)
+        if events & selectors.EVENT_WRITE:
+            self._flush(client)
 
     def _run_posts(self) -> None:
         for _ in range(len(self._posts)):
@@ -262,7 +290,7 @@ class Clients:
     # connections
 
     def _accept(self, listener: socket.socket, watching: bool) -> None:
-        for _ in range(ACCEPTS_PER_ROUND):
+        for _ in range(WATCH_ACCEPTS_PER_ROUND if watching else ACCEPTS_PER_ROUND):
             try:
                 sock, _ = listener.accept()
             except BlockingIOError:
@@ -303,19 +331,19 @@ class Clients:
         """Leave newcomers in the kernel's queue for a moment."""
         if watching not in self._paused:
             self._paused[watching] = time.monotonic() + PAUSE_S
-            self._selector.unregister(self._listeners[watching])
+            self._selector(watching).unregister(self._listeners[watching])
 
     # what comes in
 
     def _read(self, client: Client) -> None:
         try:
-            data = client.sock.recv(READ_BYTES)
+            count = client.sock.recv_into(self._buffer, WATCH_READ_BYTES if client.watching else READ_BYTES)
         except BlockingIOError:
             return
         except OSError:
             self._drop(client)
             return
-        if not data:
+        if not count:
             client.ended = True
             self._await(client)
             if _hung_up(client.sock):
@@ -324,7 +352,7 @@ class Clients:
             return
         client.heard_s = time.monotonic()
         epoch = self._epoch.value if self._stamp is None else self._stamp
-        *whole, rest = data.split(b"\n")
+        *whole, rest = bytes(self._buffer[:count]).split(b"\n")
         if whole:
             whole[0] = bytes(client.partial) + whole[0]
             client.partial = bytearray(rest)
@@ -340,9 +368,11 @@ class Clients:
 
     def _arrived(self, client: Client, line: Line) -> None:
         size = len(line.content)
-        express = not client.watching and size <= STOP_LINE_BYTES and _STOP.search(line.content)
-        if express and self._handler.stop_line(client, line):
-            return
+        express = not (client.watching or client.no_stop) and size <= STOP_LINE_BYTES and _STOP.search(line.content)
+        if express:
+            if self._handler.stop_line(client, line):
+                return
+            client.no_stop = True
         if not client.has_place:
             self.send(client, rpc.encode(rpc.error_of(None, RpcError(rpc.LIMIT, self._only_a_stop()))))
         elif size > client.limits.line_bytes:
@@ -363,7 +393,7 @@ class Clients:
     def end_epoch(self) -> int:
         """Read whatever lies in the sockets as of the present epoch, then begin a new one. Returns the new one."""
         self._stamp = self._epoch.value
-        self._read_all(0.0)
+        self._read_control(0.0)
         self._stamp = None
         return self._epoch.advance()
 
@@ -372,7 +402,7 @@ class Clients:
     def _answer(self) -> None:
         """Lines, for a moment; then whatever has arrived meanwhile is read."""
         begun_s = now_s = time.monotonic()
-        while now_s - begun_s < ANSWER_S and self._answer_one(now_s):
+        while now_s - begun_s < SHARE_S and self._answer_one(now_s):
             now_s = time.monotonic()
 
     def _answer_one(self, now_s: float) -> bool:
@@ -391,6 +421,8 @@ class Clients:
             client.waiting_bytes -= len(line.content)
             if client.lines:
                 self._turn.append(client)
+            else:
+                client.no_stop = False
             self._too_poor = False
             self._handler.line(client, line)
             self._drop_when_done(client)
@@ -445,12 +477,13 @@ class Clients:
         wanted = (0 if client.ended else selectors.EVENT_READ) | (selectors.EVENT_WRITE if client.out else 0)
         if wanted == client.awaited:
             return
+        selector = self._selector(client.watching)
         if not client.awaited:
-            self._selector.register(client.sock, wanted, client)
+            selector.register(client.sock, wanted, client)
         elif not wanted:
-            self._selector.unregister(client.sock)
+            selector.unregister(client.sock)
         else:
-            self._selector.modify(client.sock, wanted, client)
+            selector.modify(client.sock, wanted, client)
         client.awaited = wanted
 
     # the end of a connection
@@ -481,7 +514,7 @@ class Clients:
         client.closed = True
         del self._clients[client.sock.fileno()]
         if client.awaited:
-            self._selector.unregister(client.sock)
+            self._selector(client.watching).unregister(client.sock)
         client.sock.close()
         client.lines.clear()
         self._handler.left(client)
@@ -491,7 +524,7 @@ class Clients:
         for watching, until_s in list(self._paused.items()):
             if now_s >= until_s:
                 del self._paused[watching]
-                self._selector.register(self._listeners[watching], selectors.EVENT_READ, watching)
+                self._selector(watching).register(self._listeners[watching], selectors.EVENT_READ, watching)
         if now_s - self._looked_s >= ROUND_S:
             self._looked_s = now_s
             self.tidy(now_s)

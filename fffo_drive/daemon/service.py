@@ -31,6 +31,7 @@ from .worker import Worker
 
 FEEDS_PER_WATCHDOG = 4.0
 STATUS_S = 0.5
+SWITCH_S = 0.0005  # between two threads that both compute: what a stop waits for the clients' and the live thread
 DETACH_S = 0.5  # for what runs beside the daemon to end
 
 
@@ -66,6 +67,7 @@ def serve(options: Options) -> None:
     require_served(plan)
     if plan.axis.realtime.required:
         require_realtime(realtime_request(plan.axis))  # before the service counts as started
+    sys.setswitchinterval(SWITCH_S)
     service = _Service(plan, options)
     asyncio.run(service.run())
     if service.work_in_progress:  # a compiler or a disk that nobody waits for: the interpreter's own end would

@@ -7,6 +7,7 @@ import contextlib
 import json
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -62,8 +63,14 @@ def loop_s(pid: int) -> tuple[float, float]:
     return user, kernel
 
 
+def nice_of_unit() -> int:
+    """Nice value that the service's unit gives it, where this user may have it; 0 where not."""
+    unit = (ROOT / "systemd" / "fffo-drive@.service").read_text()
+    return int(re.search(r"^Nice=(-?\d+)$", unit, re.MULTILINE)[1]) if os.geteuid() == 0 else 0  # type: ignore[index]
+
+
 class Daemon:
-    """`fffo-drive serve` on a bus; recordings go to a directory of its own."""
+    """`fffo-drive serve` on a bus, nice as its unit has it; recordings go to a directory of its own."""
 
     def __init__(self, directory: Path, bus: str) -> None:
         self.sockets = directory / "sockets"
@@ -79,7 +86,9 @@ class Daemon:
             environment = {**os.environ, "STATE_DIRECTORY": str(self._directory)}
             environment.pop("NUMBA_CACHE_DIR", None)  # the program's own cache, as a user has it
             self._log = (self._directory / "log").open("a")
-            self.process = subprocess.Popen(self._command, stderr=self._log, env=environment)
+            self.process = subprocess.Popen(
+                ["nice", "-n", str(nice_of_unit()), *self._command], stderr=self._log, env=environment
+            )
             while time.monotonic() - begin_s < PATIENCE_S:
                 raw = witness.receive(1.0)
                 if raw is not None and unpack_frame(raw).can_id == SYNC:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from common import Report, finish, main, parser, shown
-from daemon import DRIVE, PATIENCE_S, Daemon, until
+from daemon import DRIVE, PATIENCE_S, Daemon, nice_of_unit, until
 from hostile_clients import COUNT, VIEWERS, ViewerCalls, described, hostile
 from live import Streaming
 
@@ -354,7 +354,8 @@ class Unconnected(Daemon):
 
         self._log = (self._directory / "log").open("a")
         environment = {**os.environ, "STATE_DIRECTORY": str(self._directory), **self._more}
-        self.process = subprocess.Popen(self._command, stderr=self._log, env=environment)
+        command = ["nice", "-n", str(nice_of_unit()), *self._command]
+        self.process = subprocess.Popen(command, stderr=self._log, env=environment)
         deadline_s = time.monotonic() + PATIENCE_S
         while not (self.sockets / "control.sock").exists() and time.monotonic() < deadline_s:
             time.sleep(0.02)
