@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from .. import formats
 from ..control import envelope as env
 from ..control.controller import ControllerConfig
 from ..control.feedforward import FeedforwardConfig
@@ -132,7 +133,7 @@ class CanopenDriveSection(Record):
 class AxisFile(Record):
     """An axis: one drive, one model, one loop."""
 
-    format: Literal["fffo_drive/axis/1"] = "fffo_drive/axis/1"
+    format: Annotated[str, formats.AXIS.key] = formats.AXIS.word
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     drive: Annotated[SimulatedDriveSection | CanopenDriveSection, Field(discriminator="kind")]
     model: Annotated[str, Field(description="model file, relative to this file")]

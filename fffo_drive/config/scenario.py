@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, create_model, field_validator, model_validator
 
+from .. import formats
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError, Record, check, parse, read_text, refuse
@@ -92,7 +93,7 @@ class MismatchSection(Record):
 class ScenarioFile(Record):
     """A comparison."""
 
-    format: Literal["fffo_drive/scenario/1"] = "fffo_drive/scenario/1"
+    format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10

@@ -6,13 +6,14 @@ import itertools
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, Strict, field_validator, model_validator
 
 from ..documents import Record
 from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
 Amperes = Annotated[float, Field(gt=0, le=1000)]
+Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
 Reaction = Literal["coast", "quick_stop"]
 
 
@@ -82,9 +83,9 @@ class EnvelopeSection(Record):
     continuous_current_a: Amperes
     i2t_time_s: Annotated[float, Field(gt=0, le=600)] = 2.0
     i2t_action: Literal["trip", "limit"] = "trip"
-    position_window_rev: Annotated[
-        tuple[float, float] | None, Field(description="[low, high]; null: the axis may turn for ever")
-    ] = None
+    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
+        None
+    )
     following_error_rps: Rps
     following_error_s: Annotated[float, Field(gt=0, le=60)] = 0.2
     feedback_missing_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10
@@ -186,7 +187,7 @@ class PointsProfile(Record):
 
     kind: Literal["points"]
     mode: Literal["velocity", "current"] = "velocity"
-    points: Annotated[list[tuple[float, float]], Field(min_length=2, description="[time_s, rps or A] each")]
+    points: Annotated[list[Pair], Field(min_length=2, description="[time_s, rps or A] each")]
 
     @model_validator(mode="after")
     def _rising(self) -> PointsProfile:

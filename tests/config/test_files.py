@@ -70,7 +70,7 @@ def test_an_unknown_key_names_its_line_and_the_nearest_one(tmp_path):
 
 def test_a_value_out_of_range_names_the_range(tmp_path):
     text = errors_of(write(tmp_path, AXIS.replace("proportional_a_per_rps: 0.975", "proportional_a_per_rps: -1")))
-    assert "controller.proportional_a_per_rps: Input should be greater than 0 (got -1)" in text
+    assert "controller.proportional_a_per_rps: a number above 0 and up to 10000 is needed (got -1)" in text
 
 
 def test_a_wrong_type_is_told(tmp_path):
@@ -92,7 +92,7 @@ def test_a_missing_file_and_broken_yaml_are_one_sentence(tmp_path):
 
 def test_the_drive_is_checked_by_its_kind(tmp_path):
     text = errors_of(write(tmp_path, BUS.replace("node_id: 1", "node_id: 200")))
-    assert "drive.node_id: Input should be less than or equal to 127 (got 200)" in text
+    assert "drive.node_id: a number from 1 to 127 is needed (got 200)" in text
     text = errors_of(write(tmp_path, BUS.replace("bus: loopback:29500", "bus: can0")))
     assert "drive.bus" in text
 
