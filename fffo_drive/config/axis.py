@@ -23,7 +23,7 @@ from ..control.reference import (
     piecewise_linear,
     sine,
 )
-from ..documents import Record, load
+from ..documents import Record, load, refuse
 from ..drive.canopen.config import CanopenDriveConfig
 from ..identification.excitation import (
     deciding_motion,
@@ -53,6 +53,7 @@ from .sections import (
     RecipeProfile,
     RecordingSection,
     SineProfile,
+    length_problems,
 )
 
 STOP_S = 2.0  # how long a drive may take to let go of its torque
@@ -159,7 +160,11 @@ class AxisFile(Record):
 
 def read_axis(path: str | Path) -> AxisFile:
     """Read and check an axis file. Raises DocumentError with every error in it."""
-    return load(path, AxisFile)
+    axis = load(path, AxisFile)
+    sections = {"profile": axis.profile, **{f"daemon.profiles.{name}": s for name, s in axis.daemon.profiles.items()}}
+    found = [(key, text) for key, section in sections.items() for text in length_problems(section, axis.loop)]
+    refuse(path, [(key, text.removeprefix("profile: ")) for key, text in found])
+    return axis
 
 
 def beside(path: str | Path, name: str) -> Path:
@@ -284,7 +289,7 @@ def recorder_settings(axis: AxisFile) -> RecorderSettings:
 
 
 def build_profile(section: ProfileSection, period_s: float) -> Profile:
-    """Sample the profile of a file."""
+    """Sample the profile of a file. `length_problems` is asked first: a day at 2 kHz takes gigabytes."""
     if isinstance(section, PaperProfile):
         return paper_reference(
             section.duration_s, period_s, section.low_rps, section.high_rps, section.lowest_hz, section.highest_hz,

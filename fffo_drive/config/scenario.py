@@ -37,7 +37,7 @@ from .axis import (
 )
 from .checks import law_problems, profile_problems
 from .mirror import dataclass_of, record_of
-from .sections import FeedforwardSection, PaperProfile, ProfileSection
+from .sections import FeedforwardSection, PaperProfile, ProfileSection, length_problems
 from .simulated import read_simulated
 
 FRICTION_KEYS = (
@@ -155,7 +155,8 @@ def read_scenario(path: str | Path) -> Scenario:
     elif file.plant:
         refuse(path, [("plant", "the axis is on a bus: its plant cannot be changed")])
     scenario = Scenario(path, file, axis_path, axis, model, plant, device)
-    problems = profile_problems(axis, reference_of(scenario, file.first_seed))
+    problems = length_problems(file.reference or axis.profile, axis.loop)
+    problems = problems or profile_problems(axis, reference_of(scenario, file.first_seed))
     refuse(path, [("reference", problem.removeprefix("profile: ")) for problem in problems])
     return scenario
 
