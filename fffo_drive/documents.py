@@ -228,8 +228,7 @@ def _sentence(
         known = _known_keys(data, location, record)
         close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.55)
         message += f"; did you mean '{close[0]}'?" if close else f"; known here: {', '.join(known)}"
-    key = ".".join(map(str, location)) or "(file)"
-    return line, f"{name}:{line}: {key}: {message}"
+    return line, f"{name}:{line}: {key_of(error, data)}: {message}"
 
 
 NEEDED = {  # by the type of pydantic's error
@@ -267,6 +266,11 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
         text = NEEDED.get(kind, "a value of another kind is needed").format(**context)
     told = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)
     return text if told else f"{text} (got {_shown(value)})"
+
+
+def key_of(error: ErrorDetails, data: Any) -> str:
+    """The dotted key in `data` that an error of pydantic's is about."""
+    return ".".join(map(str, _keys_only(error["loc"], data))) or "(file)"
 
 
 def _limits(record: type[BaseModel], data: Any, location: Location) -> dict[str, float]:

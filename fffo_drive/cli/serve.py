@@ -9,12 +9,13 @@ Foxglove, Lichtblick and PlotJuggler, on this machine alone unless an address is
 from __future__ import annotations
 
 import argparse
+import errno
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..config.address import Address, address_of
+from ..config.address import Address, address_of, sandbox_problem
 from ..daemon.places import CONTROL
 from ..daemon.service import Attachment, Options, serve
 from ..daemon.supervisor import Supervisor
@@ -73,5 +74,11 @@ def _attach(
         return Source(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
 
     server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, supervisor.plan.axis.name)
-    server.start()
+    try:
+        server.start()
+    except OSError as error:
+        closed = [text for address in (scope, foxglove) if address and (text := sandbox_problem(address))]
+        if error.errno == errno.EAFNOSUPPORT and closed:  # the sandbox refuses the address's whole family
+            raise DocumentError("; ".join(closed)) from error
+        raise
     return server
