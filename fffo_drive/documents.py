@@ -262,6 +262,8 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
     if kind in NUMBERS:
         limits = {**_limits(record, data, _keys_only(error["loc"], data)), **context}
         text = f"a {'whole ' if kind in WHOLE else ''}number{_range(limits)} is needed"
+        if kind in WHOLE and isinstance(value, float) and value.is_integer():
+            return f"{text}: write {value:.0f} (got {_shown(value)})"
     else:
         text = NEEDED.get(kind, "a value of another kind is needed").format(**context)
     told = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)

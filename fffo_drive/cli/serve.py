@@ -77,7 +77,7 @@ def _attach(
     try:
         server.start()
     except OSError as error:
-        closed = [text for address in (scope, foxglove) if address and (text := sandbox_problem(address))]
+        closed = [problem for address in (scope, foxglove) if address and (problem := sandbox_problem(address))]
         if error.errno == errno.EAFNOSUPPORT and closed:  # the sandbox refuses the address's whole family
             raise DocumentError("; ".join(closed)) from error
         raise
