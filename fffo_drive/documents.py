@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -221,7 +221,7 @@ def _sentence(
     record: type[BaseModel], data: Any, error: ErrorDetails, name: str, lines: dict[Location, int]
 ) -> tuple[int, str]:
     """(line, text) for one error of pydantic's."""
-    location = _keys_only(error["loc"], data)
+    location = _keys_only(error, data)
     line = _line_of(lines, location)
     message = what_is_wrong(error, record, data)
     if error["type"] == "extra_forbidden":
@@ -260,7 +260,7 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
     """What a value must be and what it is, of an error that pydantic found in `data`; of a number its range too."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     if kind in NUMBERS:
-        limits = {**_limits(record, data, _keys_only(error["loc"], data)), **context}
+        limits = {**_limits(record, data, _keys_only(error, data)), **context}
         text = f"a {'whole ' if kind in WHOLE else ''}number{_range(limits)} is needed"
         if kind in WHOLE and isinstance(value, float) and value.is_integer():
             return f"{text}: write {value:.0f} (got {_shown(value)})"
@@ -272,7 +272,7 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
 
 def key_of(error: ErrorDetails, data: Any) -> str:
     """The dotted key in `data` that an error of pydantic's is about."""
-    return ".".join(map(str, _keys_only(error["loc"], data))) or "(file)"
+    return ".".join(map(str, _keys_only(error, data))) or "(file)"
 
 
 def _limits(record: type[BaseModel], data: Any, location: Location) -> dict[str, float]:
@@ -295,11 +295,11 @@ def _metadata(annotation: Any, own: Iterable[Any]) -> list[Any]:
 
 def _range(limits: Mapping[str, float]) -> str:
     """The range of a number in words, with a blank in front; nothing where it has none."""
-    low = f" from {limits['ge']:g}" if "ge" in limits else f" above {limits['gt']:g}" if "gt" in limits else ""
+    low = f" from {limits['ge']:.10g}" if "ge" in limits else f" above {limits['gt']:.10g}" if "gt" in limits else ""
     if "le" in limits:
-        return f"{low}{' to' if 'ge' in limits else ' and up to' if low else ' up to'} {limits['le']:g}"
+        return f"{low}{' to' if 'ge' in limits else ' and up to' if low else ' up to'} {limits['le']:.10g}"
     if "lt" in limits:
-        return f"{low}{' and' if low else ''} below {limits['lt']:g}"
+        return f"{low}{' and' if low else ''} below {limits['lt']:.10g}"
     return f"{low} up" if "ge" in limits else low
 
 
@@ -317,15 +317,15 @@ def _kind_of(value: Any) -> str:
     return next((name for kind, name in names if isinstance(value, kind)), "something else")
 
 
-def _keys_only(location: Sequence[str | int], data: Any) -> Location:
-    """The location without the tags that pydantic adds for unions: only what is in the data, and a last missing key."""
+def _keys_only(error: ErrorDetails, data: Any) -> Location:
+    """Where an error is, without the tags that pydantic adds for unions: what is in the data, and a missing key."""
     path: list[str | int] = []
-    for position, part in enumerate(location):
+    for position, part in enumerate(error["loc"], 1):
         inside = isinstance(data, dict) and isinstance(part, Hashable) and part in data
         if inside or (isinstance(data, list) and isinstance(part, int) and part < len(data)):
             data = data[part]
             path.append(part)
-        elif position == len(location) - 1:
+        elif position == len(error["loc"]) and error["type"] == "missing":
             path.append(part)
     return tuple(path)
 

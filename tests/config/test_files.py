@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fffo_drive.cli import main
 from fffo_drive.config.axis import (
     AxisFile,
     build_profile,
@@ -167,6 +168,33 @@ def test_schemas_are_json_and_describe_their_keys(record):
     schema = json.loads(json.dumps(record.model_json_schema()))
     assert schema["type"] == "object"
     assert schema["additionalProperties"] is False
+
+
+@pytest.mark.parametrize(
+    ("listen", "needed"),
+    [
+        ("8700", []),
+        ("127.0.0.1:8700", []),
+        ("127.0.0.5:8700", []),
+        ("'[::1]:8700'", ["AF_INET6"]),
+        ("192.0.2.7:8700", ["IPAddressAllow="]),
+        ("bench.lab:8700", ["IPAddressAllow="]),
+        ("'[2001:db8::1]:8700'", ["IPAddressAllow=", "AF_INET6"]),
+    ],
+)
+def test_an_address_that_the_units_sandbox_closes_is_told(tmp_path, capsys, listen, needed):
+    unit = (CONFIGS.parent / "systemd" / "fffo-drive@.service").read_text()
+    assert "\nIPAddressDeny=any\nIPAddressAllow=localhost\n" in unit
+    assert "\nRestrictAddressFamilies=AF_CAN AF_UNIX AF_INET\n" in unit
+    axis = AXIS.replace("file: simulated_drive.yaml", f"file: {CONFIGS / 'simulated_drive.yaml'}")
+    for key in ("scope", "foxglove"):
+        path = write(tmp_path, f"{axis}daemon: {{{key}: {listen}}}\n")
+        assert main(["config", "check", str(path)]) == 0
+        warnings = [line for line in capsys.readouterr().out.splitlines() if "closed by the sandbox" in line]
+        assert len(warnings) == bool(needed)
+        for line in warnings:
+            assert f"warning: daemon.{key}: " in line
+            assert [word for word in ("IPAddressAllow=", "AF_INET6") if word in line] == needed
 
 
 def test_numbers_are_yaml_1_2():

@@ -21,6 +21,7 @@ from fffo_drive.model.parameters import ModelFile
 from fffo_drive.report.document import ReportFile
 
 PACKAGE = Path(formats.__file__).parent
+TABLE = PACKAGE.parent / "tools" / "tables" / "versions.md"
 RECORDS = {
     formats.AXIS: AxisFile, formats.MODEL: ModelFile, formats.SIMULATED: SimulatedDriveRecord,
     formats.SCENARIO: ScenarioFile, formats.FACTS: DriveFacts, formats.COMMISSIONING: CommissioningRecord,
@@ -142,6 +143,10 @@ def test_every_record_says_what_the_list_says():
         assert FORMATS[one.kind] is one
         assert field.default == one.word
         assert record.model_json_schema()["properties"]["format"]["const"] == one.word
+
+
+def test_the_page_is_current():
+    assert TABLE.read_text(encoding="utf-8") == formats.markdown(), "run tools/versions"
 
 
 def test_the_list_is_complete():
