@@ -23,6 +23,7 @@ Location = tuple[str | int, ...]
 
 LARGEST_BYTES = 256 * 1024  # of a file, as of a line of the daemon's API: thousands of points fit
 MOST_ENTRIES = 30_000  # values of a file; reading so many takes a second
+MOST_DIGITS = 40  # of a whole number
 LARGEST_JSON_BYTES = 16 * 1024 * 1024  # of a report with its curves
 LONGEST_SHOWN = 80  # characters of a value in a message
 DEEPEST = 32  # of mappings and lists in each other
@@ -80,11 +81,10 @@ class _Loader(yaml.SafeLoader):
     def construct_number(self, node: yaml.ScalarNode) -> int:
         """A whole number; a leading zero does not make it octal."""
         text = node.value.replace("_", "")
-        try:
-            return int(text, 16 if "x" in text else 10)
-        except ValueError:
+        if len(text) > MOST_DIGITS:
             problem = f"a number of {len(text)} digits is not allowed"
-            raise _NotAllowedError(problem=problem, problem_mark=node.start_mark) from None
+            raise _NotAllowedError(problem=problem, problem_mark=node.start_mark)
+        return int(text, 16 if "x" in text else 10)
 
 
 # of YAML 1.1 null is left: its other booleans, base 60, dates, octal numbers and merged keys are text in 1.2

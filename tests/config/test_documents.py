@@ -57,6 +57,7 @@ def test_scalars_are_those_of_yaml_1_2():
         ("a: " + "{b: " * 5000, 1, f"not allowed deeper than {DEEPEST}"),
         ("a: [" + "1," * MOST_ENTRIES + "]", 1, f"more than {MOST_ENTRIES} values"),
         ("a: 1\nb: " + "9" * 5000, 2, "a number of 5000 digits is not allowed"),
+        ("a: 0x" + "f" * 5000, 1, "digits is not allowed"),
         ("a: 1\nb: \x07\n", 2, "the character '\\x07'"),
     ],
 )
