@@ -26,6 +26,7 @@ SUFFIXES = {
     "nm_per_s": "newton metre per second",
     "a": "ampere",
     "a_per_s": "ampere per second",
+    "a2s": "ampere squared second",
     "a_per_rps": "ampere per revolution per second",
     "a_per_rev": "ampere per revolution",
     "v": "volt",

@@ -108,7 +108,7 @@ class Link:
                 self._tx.send(frame)
             except OSError as error:
                 self._sent -= 1
-                raise LinkError(f"{self.spec}: cannot send: {_advice_on_send(error, self.spec)}") from error
+                raise LinkError(f"{self.spec}: cannot send: {_advice_on_use(error, self.spec)}") from error
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next frame (16 bytes), or None when none came within `timeout_s` (0: what is there already).
@@ -124,7 +124,7 @@ class Link:
                         return None
                     timeout_s = 0.0
         except OSError as error:
-            raise LinkError(f"{self.spec}: cannot receive: {error.strerror}") from error
+            raise LinkError(f"{self.spec}: cannot receive: {_advice_on_use(error, self.spec)}") from error
 
     def receive_stamped(self, timeout_s: float) -> StampedFrame | None:
         """As `receive`, with the kernel's CLOCK_REALTIME of the arrival and whether the frame is our own."""
@@ -141,7 +141,7 @@ class Link:
                         return None
                     timeout_s = 0.0
         except OSError as error:
-            raise LinkError(f"{self.spec}: cannot receive: {error.strerror}") from error
+            raise LinkError(f"{self.spec}: cannot receive: {_advice_on_use(error, self.spec)}") from error
         stamp_s = time.time()  # for frames that were in the queue before stamps were asked for
         for level, kind, data in control:
             if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(data) == _TIMESPEC.size:
@@ -297,7 +297,7 @@ def _advice_on_interface(error: OSError, interface: str) -> str:
     return f"cannot use interface {interface}: {error.strerror}"
 
 
-def _advice_on_send(error: OSError, spec: str) -> str:
+def _advice_on_use(error: OSError, spec: str) -> str:
     if error.errno in (errno.ENOBUFS, errno.EAGAIN):
         return "the send queue is full, nobody acknowledges: check wiring, termination, bit rate and the drive's power"
     if error.errno in (errno.ENETDOWN, errno.ENXIO, errno.ENODEV):

@@ -1,6 +1,6 @@
 """Check files and print what they may hold.
 
-fffo-drive config check AXIS        every error at once; margins, the sum for the bus
+fffo-drive config check AXIS...     every error at once; margins, the sum for the bus; two axes on one bus
 fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model, scenario
 fffo-drive config signals           the table of recorded signals
 fffo-drive config effects           the table of effects that the simulated drive can be given
@@ -15,7 +15,7 @@ from typing import Any
 from ..can.load import Step
 from ..config.address import address_of, sandbox_problem
 from ..config.axis import AxisFile, CanopenDriveSection
-from ..config.checks import bus_sum, law_margins
+from ..config.checks import bus_sum, law_margins, shared_buses
 from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
@@ -34,8 +34,8 @@ SCHEMAS: dict[str, Any] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    check = actions.add_parser("check", help="check an axis file and all that it names")
-    check.add_argument("config", metavar="AXIS", help="axis file (YAML)")
+    check = actions.add_parser("check", help="check axis files and all that they name")
+    check.add_argument("config", metavar="AXIS", nargs="+", help="axis file (YAML)")
     schema = actions.add_parser("schema", help="JSON schema of a file")
     schema.add_argument("kind", choices=list(SCHEMAS))
     actions.add_parser("signals", help="table of recorded signals (Markdown)")
@@ -45,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     if options.action == "check":
-        _check(make_plan(options.config))
+        plans = [make_plan(path) for path in options.config]
+        for plan in plans:
+            _check(plan)
+        for text in shared_buses([(str(plan.path), plan.axis) for plan in plans]):
+            print(f"warning: {text}")
     elif options.action == "schema":
         print(json.dumps(SCHEMAS[options.kind].model_json_schema(), indent=2))
     elif options.action == "signals":

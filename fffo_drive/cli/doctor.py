@@ -5,7 +5,8 @@ fffo-drive doctor AXIS            for one axis: its rate, priority, CPU, bus and
 fffo-drive doctor --record DIR    also write what was read to DIR; `--root DIR` looks at it again, on any machine
 
 Each line is ok, a warning or a failure, and says what to type. Changes nothing by itself. It measures for a few seconds
-how late a thread with the loop's properties wakes: under the load of the day, let it measure for longer.
+how late a thread with the loop's properties wakes: under the load of the day, let it measure for longer. Meanwhile it
+listens to the axis's bus, on which it sends nothing: who else commands there, and which nodes are there.
 
 exit codes: 0 no failure, 1 at least one, 74 no such record, 78 bad axis file
 """
@@ -15,10 +16,14 @@ from __future__ import annotations
 import argparse
 import errno
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..system.doctor import as_json, as_text, counts, examine
 from ..system.findings import Finding, Level, Wanted
 from ..system.host import Host
+
+if TYPE_CHECKING:
+    from ..system.company import Company
 
 EXIT_FAILURES = 1
 
@@ -45,7 +50,9 @@ def execute(options: argparse.Namespace) -> int:
     host = Host(options.root)
     findings = examine(host, wanted)
     if host.live:
+        company = company_of(options.axis, options.bus, options.seconds)  # hears while lateness is measured
         findings += _of_this_process(wanted, options.seconds)
+        findings += company.findings() if company is not None else []
     if options.record:
         host.write_record(Path(options.record))
     print(as_json(findings) if options.json else as_text(findings))
@@ -70,6 +77,22 @@ def wanted_of(path: str | None, bus: str | None) -> Wanted:
         drive.bitrate_hz if drive else Wanted().bitrate_hz,
         loop_config(axis).late_ns / loop_config(axis).period_ns,
     )
+
+
+def company_of(path: str | None, bus: str | None, seconds: float) -> Company | None:
+    """Begin to listen to the bus of an axis file; None where it has none. Raises DocumentError, MappingError."""
+    if path is None:
+        return None
+    from ..config.axis import CanopenDriveSection, read_axis
+    from ..system.company import Company
+    from ..units import NS_PER_S
+
+    axis = read_axis(path)
+    if not isinstance(axis.drive, CanopenDriveSection):
+        return None
+    no_scale = 1.0  # who is who takes identifiers alone
+    config = axis.drive.drive_config(no_scale, NS_PER_S // axis.loop.rate_hz, bus)
+    return Company(config, max(seconds, config.listen_s))
 
 
 def _of_this_process(wanted: Wanted, seconds: float) -> list[Finding]:

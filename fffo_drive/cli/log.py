@@ -53,6 +53,9 @@ def _print(entry: dict[str, Any]) -> None:
         print(f"  attachment {name}: {attachment['bytes']} bytes")
     for event in entry["events"]:
         print(f"  event {event}")
+    for record in entry["records"]:
+        number = f" {record['number']}" if record["number"] else ""
+        print(f"  record {record['sequence']}: {record['kind']}{number}")
     columns = ", ".join(name if unit == "-" else f"{name} [{unit}]" for name, unit in entry["columns"].items())
     print(f"  columns: {columns}")
 

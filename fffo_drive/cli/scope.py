@@ -1,6 +1,6 @@
 """Say where the scope page of a daemon is (fffo-drive serve --scope PORT), with the key that lets it command.
 
-Whoever may use the daemon's control socket reads the key; others get the page to look at, where Stop works too.
+Whoever may use the daemon's control socket reads the key; others get the page to look at, and nothing else: no Stop.
 --viewers says what Foxglove, Lichtblick and PlotJuggler connect to (serve --foxglove PORT), and the key for services.
 Through ssh: ssh -L PORT:127.0.0.1:PORT HOST, with one and the same PORT.
 """
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--axis", metavar="NAME", help="which daemon: name of its directory (vcan0, bench)")
     parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
     parser.add_argument("--open", action="store_true", help="open it in the browser of this machine")
-    parser.add_argument("--watch", action="store_true", help="without the key: to look, and to stop")
+    parser.add_argument("--watch", action="store_true", help="without the key: to look, and nothing else")
     parser.add_argument("--viewers", action="store_true", help="the WebSocket for Foxglove and the like, and the key")
 
 
@@ -37,7 +37,7 @@ def execute(options: argparse.Namespace) -> int:
         return EXIT_UNAVAILABLE
     if options.viewers:
         print(url)
-        print(f"key for services: {key}" if key else "without the key: stop, disable and quick_stop alone")
+        print(f"key for services: {key}" if key else "without the key: to look, and nothing else")
         return 0
     url = f"{url}#{key}" if key else url
     print(url)
@@ -63,5 +63,5 @@ def _key(directory: Path) -> str:
     try:
         return (directory / TOKEN_FILE).read_text(encoding="utf-8").strip()
     except OSError as error:
-        print(f"without the key, to look and to stop: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
+        print(f"without the key, to look and nothing else: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
         return ""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config.address import Address, address_of, sandbox_problem
+from ..daemon.parameters import METHODS
 from ..daemon.places import CONTROL
 from ..daemon.service import Attachment, Options, serve
 from ..daemon.supervisor import Supervisor
@@ -59,10 +60,8 @@ def _attach(
         foxglove = address_of(section.foxglove)
     if scope is None and foxglove is None:
         return None
-    for package in ("websockets", "foxglove"):
-        if find_spec(package) is None:
-            text = f"the scope and Foxglove need the extra `live` ({package}): pip install 'fffo-drive[live]'"
-            raise DocumentError(text)
+    if find_spec("websockets") is None:
+        raise DocumentError("the scope and Foxglove need the extra `live` (websockets): pip install 'fffo-drive[live]'")
     from ..live.feed import Source
     from ..live.server import LiveServer, Wanted
 
@@ -73,7 +72,8 @@ def _attach(
         constant = plan.model.torque_constant_nm_per_a
         return Source(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
 
-    server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, supervisor.plan.axis.name)
+    name = supervisor.plan.axis.name
+    server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, METHODS, name)
     try:
         server.start()
     except OSError as error:

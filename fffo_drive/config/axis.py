@@ -24,16 +24,17 @@ from ..control.reference import (
     sine,
 )
 from ..documents import Record, load, refuse
-from ..drive.canopen.config import CanopenDriveConfig
+from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
     identification_sequence,
     separating_recipe,
 )
-from ..model.parameters import ModelFile, read_model
+from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
+from ..runtime.records import ModelNote
 from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S, counts_per_rev
@@ -99,6 +100,7 @@ class CanopenDriveSection(Record):
     command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
     abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
     eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
+    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
     answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
     start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
     turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
@@ -125,6 +127,7 @@ class CanopenDriveSection(Record):
             drive_heartbeat_ms=self.drive_heartbeat_ms,
             command_timeout_ms=self.command_timeout_ms,
             abort_connection_option=self.abort_connection_option,
+            listen_s=self.listen_s,
             answer_timeout_s=self.answer_timeout_s,
             start_timeout_s=self.start_timeout_s,
             eds=self.eds,
@@ -274,7 +277,13 @@ def session_config(
         longest_profile,
         ring_rows or round(RING_S * axis.loop.rate_hz),
         compensation_table(axis, model),
+        model_note(model),
     )
+
+
+def model_note(model: ModelFile) -> ModelNote:
+    """The model as a record of a run holds it."""
+    return ModelNote(model.name, content_hash(model), model_text(model))
 
 
 def recorder_settings(axis: AxisFile) -> RecorderSettings:

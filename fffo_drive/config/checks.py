@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..can.load import Chain, Load
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
 from ..documents import refuse
-from ..drive.canopen.config import chain_of, load_of
+from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
 from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
@@ -116,6 +117,19 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
             f"{chain.period_s * 1e6:.0f} us: lower the rate; `fffo-drive config check` prints the sum"
         )
     return problems
+
+
+def shared_buses(axes: Sequence[tuple[str, AxisFile]]) -> list[str]:
+    """Of files and their axes: which have different nodes on one bus. One of them at a time can be commanded."""
+    on_bus: dict[str, dict[int, str]] = {}
+    for path, axis in axes:
+        if isinstance(axis.drive, CanopenDriveSection):
+            on_bus.setdefault(axis.drive.bus, {})[axis.drive.node_id] = path
+    return [
+        f"{bus} is the bus of {' and '.join(nodes.values())}: {ONE_MASTER}"
+        for bus, nodes in on_bus.items()
+        if len(nodes) > 1
+    ]
 
 
 def motion_problems(axis: AxisFile, profile: Profile, model: ModelFile) -> list[str]:

@@ -25,10 +25,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..jit import njit
-from ..jit.by_address import call_on_vectors
+from ..jit.by_address import call_on_vectors, vector_kernel_at, vectors_address
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
-from ..model.effects.registry import law_of
+from ..model.effects.registry import law_of, law_of_kernel
 from ..model.effects.table import Term, derive_signals, effect_table
 from ..model.friction import FrictionConfig, FrictionState, friction_step
 from .feedforward import Reference
@@ -96,10 +96,50 @@ def pack_compensation(
     packed[FRICTION : FRICTION + 8] = axis.friction
     packed[SIGNALS : SIGNALS + s.N_SLOTS] = source.signals
     for k in range(len(terms)):
-        part = packed[FIRST_EFFECT + k * EFFECT_SIZE :][:EFFECT_SIZE]
+        part = _part(packed, k)
         part[ADDRESS], part[LIMIT_NM] = source.addresses[k], limits.each_nm
         part[PARAMETERS:] = source.parameters[k]
     return packed
+
+
+def effect_names(table: Floats) -> list[str]:
+    """Laws of the effects in a table, in the order of their bits."""
+    return [law_of_kernel(vector_kernel_at(int(_part(table, k)[ADDRESS]))) for k in range(int(table[COUNT]))]
+
+
+def table_numbers(table: Floats) -> tuple[list[str], Floats]:
+    """(names, numbers): what of a table means the same in every process, without addresses and unused parameters."""
+    names = ["count", "total_limit_nm", "lead_s", *(f"friction.{name}" for name in FrictionConfig._fields)]
+    names += [f"signal.{name}" for name in s.SIGNAL_NAMES]
+    parts = [table[:FIRST_EFFECT]]
+    for k, law in enumerate(effect_names(table)):
+        own = [parameter.name for parameter in law_of(law).parameters]
+        names += [f"effect_{k}.{name}" for name in ("limit_nm", *own)]
+        parts.append(_part(table, k)[LIMIT_NM : PARAMETERS + len(own)])
+    return names, np.concatenate(parts)
+
+
+def table_of(numbers: Sequence[float], laws: Sequence[str]) -> Floats:
+    """A table for this process: the inverse of `table_numbers`, with `effect_names`.
+
+    Raises ValueError for numbers that are no table of these laws, KeyError for a law that is not known.
+    """
+    sizes = [1 + len(law_of(name).parameters) for name in laws]
+    if len(numbers) != FIRST_EFFECT + sum(sizes) or numbers[COUNT] != len(laws) or len(laws) > MOST_EFFECTS:
+        raise ValueError(f"{len(numbers)} numbers are no table of {len(laws)} effects")
+    table = no_compensation()
+    table[:FIRST_EFFECT] = numbers[:FIRST_EFFECT]
+    begin = FIRST_EFFECT
+    for k, (name, size) in enumerate(zip(laws, sizes, strict=True)):
+        part, law = _part(table, k), law_of(name)
+        part[ADDRESS] = vectors_address(law.feedforward or law.kernel)
+        part[LIMIT_NM : LIMIT_NM + size] = numbers[begin : begin + size]
+        begin += size
+    return table
+
+
+def _part(table: Floats, effect: int) -> Floats:
+    return table[FIRST_EFFECT + effect * EFFECT_SIZE :][:EFFECT_SIZE]
 
 
 @njit

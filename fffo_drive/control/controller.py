@@ -170,6 +170,15 @@ def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm
     return ControllerState(integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited)
 
 
+CONTROLLER_NAMES = (  # of the numbers of a packed record, in their order
+    *(f"pi.{name}" for name in PiConfig._fields),
+    *(f"observer.friction.{name}" for name in FrictionConfig._fields),
+    *(f"observer.{name}" for name in ObserverConfig._fields[1:]),
+    *(f"feedforward.{name}" for name in FeedforwardConfig._fields),
+    *ControllerConfig._fields[3:],
+)
+
+
 def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The record as a flat array, for the block that the loop reads; `unpack_controller` is its inverse."""
     parts = (*config.pi, *config.observer.friction, *config.observer[1:], *config.feedforward, *config[3:])

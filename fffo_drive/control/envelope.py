@@ -34,7 +34,8 @@ TRIP_HEARTBEAT = 11
 TRIP_REBOOT = 12
 TRIP_DRIVE_LEFT = 13
 TRIP_NOT_OPERATIONAL = 14
-TRIP_COUNT = 15
+TRIP_FOREIGN_SYNC = 15
+TRIP_COUNT = 16
 
 TRIP_TEXTS = {
     TRIP_NONE: "no fault",
@@ -52,6 +53,7 @@ TRIP_TEXTS = {
     TRIP_REBOOT: "the drive rebooted while in use",
     TRIP_DRIVE_LEFT: "the drive left Operation Enabled by itself",
     TRIP_NOT_OPERATIONAL: "the drive left NMT state operational, as its heartbeat says",
+    TRIP_FOREIGN_SYNC: "a SYNC that is not ours: another master is on the bus",
 }
 
 REACTION_COAST = 0
@@ -104,6 +106,7 @@ class EnvelopeInputs(NamedTuple):
     reboots: int  # boot-up messages since the loop began
     not_operational: bool  # a heartbeat says that the drive is not in NMT state OPERATIONAL, or was not for a while
     bus_off: bool
+    foreign_syncs: int  # SYNC frames of another producer since the loop began
     heartbeat_age_ns: int  # -1: none has come yet
     wanted: bool  # torque is wanted in this tick
     enabled: bool  # the drive is in Operation Enabled
@@ -128,6 +131,8 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
     """The first reason to stop, in the order of what is most certain; TRIP_NONE when there is none."""
     if seen.bus_off:
         return TRIP_BUS_OFF
+    if seen.foreign_syncs > 0:  # before what another master makes of the drive: the cause is to be named
+        return TRIP_FOREIGN_SYNC
     if seen.reboots > 0:
         return TRIP_REBOOT
     if seen.emergencies > 0:

@@ -89,10 +89,11 @@ def require_served(plan: Plan) -> None:
 def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
     """Connect, compile, start the loop. Raises DriveError, LinkError, RealtimeRefusedError; the bus is left then."""
     drive = open_drive(plan, bus)
-    if isinstance(drive, CanopenDrive):
-        Session.rehearse(OnPaper(drive.rehearsal_port()), plan_session(plan))
-    identity = drive.connect()
     try:
+        if isinstance(drive, CanopenDrive):
+            drive.listen()  # goes on while the loop is compiled
+            Session.rehearse(OnPaper(drive.rehearsal_port()), plan_session(plan))
+        identity = drive.connect()
         config = plan_session(plan)
         rate_hz = plan.axis.loop.rate_hz
         loop = config.loop._replace(supervisor_ticks=round(plan.axis.daemon.supervisor_timeout_s * rate_hz))

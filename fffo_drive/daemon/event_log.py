@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import heapq
+import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,18 +13,30 @@ from ..recording.events import Level, utc_text
 from ..runtime.journal import Journal
 
 KEPT = 1000
+PER_SECOND = 20  # events of a kind that clients can cause; more are counted
+# kinds that clients can cause as often as they like; they are kept apart, so that they displace nothing else
+CAUSED_BY_CLIENTS = frozenset({"client", "command", "parameters"})
 
 Listener = Callable[[dict[str, Any]], None]
 
 
 class EventLog:
-    """The last events, numbered from 1. `context` adds fields (state, fault) to what goes to the journal."""
+    """The last events, numbered from 1, for any thread. `context` adds fields (state, fault) for the journal."""
 
-    def __init__(self, journal: Journal, context: Callable[[], Mapping[str, Any]] = dict) -> None:
+    def __init__(
+        self, journal: Journal, context: Callable[[], Mapping[str, Any]] = dict,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         self._journal = journal
         self._context = context
+        self._clock = clock
+        self._lock = threading.RLock()  # a listener may have something to say, too
         self._events: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._caused: deque[dict[str, Any]] = deque(maxlen=KEPT)  # by clients
         self._number = 0
+        self._second_s = clock()
+        self._told: Counter[str] = Counter()  # in this second, by kind
+        self._untold: dict[str, str] = {}  # kinds with more, and the last of these
         self.listeners: list[Listener] = []
 
     @property
@@ -30,10 +44,33 @@ class EventLog:
         """Number of the newest event; 0 before the first."""
         return self._number
 
-    def add(
-        self, kind: str, text: str, level: Level = Level.INFO, data: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """Add an event and tell everybody. `kind` is a key of journal.MESSAGE_IDS."""
+    def add(self, kind: str, text: str, level: Level = Level.INFO, data: Mapping[str, Any] | None = None) -> None:
+        """Add an event and tell everybody. `kind` is a key of journal.MESSAGE_IDS.
+
+        What clients cause too often is counted, and told in one event when the second is over.
+        """
+        with self._lock:
+            self.turn()
+            if kind in CAUSED_BY_CLIENTS:
+                self._told[kind] += 1
+                if self._told[kind] > PER_SECOND:
+                    self._untold[kind] = text
+                    return
+            self._add(kind, text, level, data)
+
+    def turn(self) -> None:
+        """Tell what was counted, once its second is over. To be called from time to time."""
+        with self._lock:
+            now_s = self._clock()
+            if now_s - self._second_s < 1.0:
+                return
+            told, untold = self._told, self._untold
+            self._second_s, self._told, self._untold = now_s, Counter(), {}
+            for kind, last in untold.items():
+                count = told[kind] - PER_SECOND
+                self._add(kind, f"{count} more in a second, the last: {last}", Level.WARNING, {"count": count})
+
+    def _add(self, kind: str, text: str, level: Level, data: Mapping[str, Any] | None) -> None:
         self._number += 1
         event = {
             "number": self._number,
@@ -43,13 +80,14 @@ class EventLog:
             "text": text,
             "data": dict(data or {}),
         }
-        self._events.append(event)
+        (self._caused if kind in CAUSED_BY_CLIENTS else self._events).append(event)
         self._journal.write(kind, level, text, {**self._context(), **(data or {})})
         for listener in list(self.listeners):
             listener(event)
-        return event
 
     def since(self, number: int, limit: int) -> list[dict[str, Any]]:
         """The newest `limit` events after `number`, oldest first."""
-        newer = [event for event in self._events if event["number"] > number]
+        with self._lock:
+            together = heapq.merge(self._events, self._caused, key=lambda event: int(event["number"]))
+            newer = [event for event in together if event["number"] > number]
         return newer[-limit:]

@@ -4,14 +4,17 @@ Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) 
 `watch.sock`. Parameters are objects with names (`parameters.py`). What a method answers:
 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
-status      state, state_s, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor, list of
-            {name, in_service, reason}}, profile {name, sample, samples, duration_s}, recording {on, wanted, file,
-            finished, rows_*, write_errors, trouble}, last_event, loop {connection, running, tick, rows, late, skipped,
-            missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code, nmt_state},
-            motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps, friction_nm,
-            mode, age}; null where there is none
+status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
+            list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, recording {on, wanted,
+            file, finished, rows_*, write_errors, trouble}, last_event, loop {connection, running, tick, rows, late,
+            skipped, missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code,
+            nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
+            friction_nm, mode, age}; null where there is none
 enable, disable, start, stop, quick_stop, reset_fault
-            {"state": ..., "reached": true}; error -32004 when it does not come about within wait_s
+            {"state": ..., "reached": true, "epoch": ...}; error -32004 when it does not come about within wait_s. A
+            stop succeeds in every state and says what is: in a fault the axis may coast. Once it is acknowledged, no
+            start or enable that was sent before is carried out: each is bound to the epoch in which it arrived, or
+            which its parameter `epoch` names
 toggle, model, set, reload
             what is in use now
 record      {"on": ..., "file": ..., "files": [...]}
@@ -34,13 +37,14 @@ from .. import __version__
 from ..config.axis import TOGGLES
 from ..config.plan import YAML_TYPE, Plan, toggle_name
 from ..recording.events import Level
-from ..runtime.states import AT_REST, Change, Event, RefusedError, State, require_change, step
+from ..runtime.states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
 from . import parameters as p
 from . import settings
 from .profiles import chosen_profile
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
 from .status import info_of, status_of
 from .supervisor import Supervisor
+from .worker import Worker
 
 
 class Caller(Protocol):
@@ -70,6 +74,9 @@ class Api:
     def __init__(self, supervisor: Supervisor) -> None:
         self.supervisor = supervisor
         self.holder: Caller | None = None
+        self._latest: dict[str, Any] = {}
+        self.work = Worker("fffo-work")
+        supervisor.changed = self.publish
         self._changing = asyncio.Lock()  # plans are checked on another thread: one change at a time
 
     # what only looks
@@ -79,13 +86,18 @@ class Api:
         return info_of(self.supervisor, __version__, wanted.protocol)
 
     def status(self, _: p.Nothing, caller: Caller) -> Any:
-        """The status of this moment."""
-        return self.full_status()
+        """The status of this moment, or of the last turn."""
+        return self.latest
 
-    def full_status(self) -> dict[str, Any]:
-        """Status with who is in charge."""
+    @property
+    def latest(self) -> dict[str, Any]:
+        """The newest status, for any thread; its epoch is that of this moment."""
+        return {**self._latest, "epoch": self.supervisor.machine.epoch.value}
+
+    def publish(self) -> None:
+        """Take the status of this moment, with who is in charge."""
         holder = None if self.holder is None else self.holder.name
-        return {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
+        self._latest = {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
 
     def events(self, wanted: p.Events, caller: Caller) -> Any:
         """The last events."""
@@ -115,14 +127,15 @@ class Api:
         if supervisor.state is State.CONNECTED and supervisor.obstacles:
             reasons = "; ".join(supervisor.obstacles)
             raise RefusedError(f"the axis may not be enabled: {reasons}", supervisor.state, (State.READY,))
-        supervisor.apply(Event.ENABLE)
-        if wanted.hold:
+        supervisor.apply(Event.ENABLE, wanted.epoch)
+        if wanted.hold and self.holder is not caller:
             self.holder = caller
+            supervisor.machine.epoch.advance()
         self._command(caller, "enable")
-        asked = (State.ENABLED, State.RUNNING)
         return await self._reached(
-            lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled", lambda: supervisor.state not in asked
-        )
+            lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled",
+            lambda: supervisor.state not in WANTING_TORQUE,
+        )  # fmt: skip
 
     async def disable(self, wanted: p.Ending, caller: Caller) -> Any:
         """Brake to standstill if a profile runs, then no torque."""
@@ -146,10 +159,13 @@ class Api:
     async def start(self, wanted: p.Start, caller: Caller) -> Any:
         """Run a profile."""
         supervisor = self.supervisor
-        if supervisor.state is not State.ENABLED:
-            step(supervisor.state, Event.START)  # refused before anything is computed
-        profile = await asyncio.to_thread(chosen_profile, supervisor.plan, wanted.profile)
-        supervisor.start(profile)
+        epoch = supervisor.begin_start(wanted.epoch)
+        try:
+            profile = await self.work.run(chosen_profile, supervisor.plan, wanted.profile)
+            supervisor.start(profile, epoch)
+        except BaseException:
+            supervisor.start_failed(epoch)
+            raise
         self._command(caller, f"start {profile.name}")
         if wanted.wait_s == 0:
             return self._now(True)
@@ -162,7 +178,7 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             toggle = TOGGLES[wanted.to]
-            await asyncio.to_thread(settings.require_toggle, supervisor.plan, toggle)
+            await self.work.run(settings.require_toggle, supervisor.plan, toggle)
             require_change(supervisor.state, Change.TOGGLE)
             supervisor.set_toggle(toggle)
         self._parameters(caller, f"friction {wanted.to}")
@@ -175,7 +191,7 @@ class Api:
             change = settings.change_of(wanted.key)
             require_change(supervisor.state, change)
             args = (supervisor.plan, supervisor.toggle, wanted.key, wanted.value)
-            plan = await asyncio.to_thread(settings.with_value, *args)
+            plan = await self.work.run(settings.with_value, *args)
             require_change(supervisor.state, change)
             supervisor.set_plan(plan)
         self._parameters(caller, f"{wanted.key} = {wanted.value:g}")
@@ -186,13 +202,13 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             require_change(supervisor.state, Change.MODEL)
-            plan = await asyncio.to_thread(self._with_model, wanted)
+            plan = await self.work.run(self._with_model, wanted)
             require_change(supervisor.state, Change.MODEL)
             supervisor.set_plan(plan)
             supervisor.sources.model = (wanted.name, YAML_TYPE, wanted.text.encode())
             supervisor.check_permission()
         self._parameters(caller, f"model {plan.model.name}")
-        return status_of(supervisor, time.monotonic())["model"]
+        return {"name": plan.model.name, "hash": supervisor.model_hash}
 
     def _with_model(self, wanted: p.Model) -> Plan:
         plan, toggle = self.supervisor.plan, self.supervisor.toggle
@@ -215,9 +231,9 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             at_rest = supervisor.state in AT_REST
-            fresh = await asyncio.to_thread(settings.reload, supervisor.plan, supervisor.toggle, at_rest)
+            fresh = await self.work.run(settings.reload, supervisor.plan, supervisor.toggle, at_rest)
             if at_rest and supervisor.state not in AT_REST:  # enabled meanwhile
-                fresh = await asyncio.to_thread(settings.reload, supervisor.plan, supervisor.toggle, False)
+                fresh = await self.work.run(settings.reload, supervisor.plan, supervisor.toggle, False)
             before = supervisor.plan
             supervisor.set_plan(fresh.plan)
             if before.toggle != fresh.plan.toggle:
@@ -244,6 +260,7 @@ class Api:
     # what they share
 
     async def _end(self, event: Event, wanted: p.Ending, caller: Caller, there: frozenset[State]) -> Any:
+        """In every state: where nothing moves it succeeds and says what is."""
         supervisor = self.supervisor
         supervisor.apply(event)
         self._command(caller, event.value)
@@ -271,7 +288,8 @@ class Api:
         )  # fmt: skip
 
     def _now(self, reached: bool) -> dict[str, Any]:
-        return {"state": self.supervisor.state.value, "reached": reached}
+        supervisor = self.supervisor
+        return {"state": supervisor.state.value, "reached": reached, "epoch": supervisor.machine.epoch.value}
 
     def _command(self, caller: Caller, text: str) -> None:
         self.supervisor.log.add("command", f"{text} by {caller.name}", data=caller.credentials)
@@ -288,6 +306,7 @@ class Api:
         reaction = supervisor.plan.axis.daemon.client_loss
         if supervisor.state in AT_REST or reaction == "go_on":
             return
+        supervisor.machine.epoch.advance()
         text = f"{caller.name}, who held the axis, is gone: {reaction.replace('_', ' ')}"
         supervisor.log.add("client", text, Level.WARNING, caller.credentials)
         supervisor.apply(Event.QUICK_STOP if reaction == "quick_stop" else Event.DISABLE)

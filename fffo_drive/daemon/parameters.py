@@ -32,7 +32,15 @@ class Info(Record):
     ] = None
 
 
-class Enable(Record):
+class Bound(Record):
+    """Parameters of what asks for torque or motion."""
+
+    epoch: Annotated[
+        int | None, Field(ge=1, description="as a status told it: refused when another one has begun since")
+    ] = None
+
+
+class Enable(Bound):
     """Parameters of `enable`."""
 
     hold: Annotated[
@@ -47,7 +55,7 @@ class Ending(Record):
     wait_s: Annotated[Seconds, Field(description="how long to wait until it is done; 0: not")] = 10.0
 
 
-class Start(Record):
+class Start(Bound):
     """Parameters of `start`."""
 
     profile: Annotated[

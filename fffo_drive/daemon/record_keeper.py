@@ -18,6 +18,7 @@ from ..recording.writer import wall_clock_offset_ns
 from ..runtime.runs import run_metadata, timestamp_name
 from .connection import Connection
 from .event_log import EventLog
+from .worker import Worker
 
 DISK_TIMEOUT_S = 30.0
 LEVELS = {level.name.lower(): level for level in Level}
@@ -52,6 +53,7 @@ class RecordKeeper:
         self.wanted = False
         self._recorder: Recorder | None = None
         self._changing = asyncio.Lock()
+        self._disk = Worker("fffo-disk")
         self._bad = ""
         self.last_files: tuple[Path, ...] = ()
 
@@ -61,7 +63,7 @@ class RecordKeeper:
         async with self._changing:
             if connection is None or self.running:
                 return ""
-            path = str(await asyncio.to_thread(self._start, plan, connection, sources, toggle, note))
+            path = str(await self._disk.run(self._start, plan, connection, sources, toggle, note))
         self._log.add("recording", f"recording to {path}", data={"file": path})
         return path
 
@@ -70,7 +72,7 @@ class RecordKeeper:
         async with self._changing:
             if not self.running:
                 return []
-            files = [str(file) for file in await asyncio.to_thread(self._stop)]
+            files = [str(file) for file in await self._disk.run(self._stop)]
         self._log.add("recording", f"recorded {', '.join(files) or 'nothing'}", data={"files": files})
         return files
 
@@ -86,8 +88,9 @@ class RecordKeeper:
         metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile, facts)
         header = RunHeader(metadata, (sources.axis, sources.model, *sources.extra), wall_clock_offset_ns())
         recorder = Recorder(
-            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True
-        )
+            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True,
+            records=connection.session.records,
+        )  # fmt: skip
         recorder.start()
         self._recorder, self._bad = recorder, ""
         return path
@@ -102,6 +105,11 @@ class RecordKeeper:
             recorder.close()
         self.last_files = recorder.statistics.files
         return self.last_files
+
+    @property
+    def busy(self) -> bool:
+        """A file is being opened or closed."""
+        return self._disk.busy
 
     @property
     def running(self) -> bool:

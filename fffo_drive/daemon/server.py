@@ -1,22 +1,19 @@
-"""The two sockets: clients, lines, limits. One connection is one `Client`; nothing of it can hold up the supervisor.
+"""The API on its two sockets: lines become calls, calls reach the supervisor, answers go back.
 
-A client is cut off, with a message, when its line is too long, its answers pile up because it does not read, or it says
-nothing for long and listens to nothing. One that asks faster than `RATE_HZ` is read more slowly, so that what all of
-them cost is bounded.
+Lines are parsed and checked, and what only looks is answered, on the clients' thread (`clients.py`). What changes
+something is carried out on the supervisor's own loop, what ends a motion before all else. No client can hold that up:
+what reaches it is bounded by the clients' budget, and by one call of a kind at a time where a motion is ended.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import inspect
-import socket
-import struct
-import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
@@ -25,320 +22,294 @@ from ..drive.port import DriveError
 from ..recording.events import Level
 from ..runtime.states import RefusedError
 from . import rpc
+from .clients import ENDING, Client, Clients, Line
 from .methods import Api
-from .parameters import METHODS
+from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
 from .sockets import CONTROL_MODE, WATCH_MODE, bound, give_to
 
-LINE_LIMIT = 256 * 1024  # bytes; a model file fits
-SEND_LIMIT = 256 * 1024  # bytes that wait for a client before it is cut off
-RATE_HZ = 50.0  # requests of one client; more are read later
-BURST = 50.0
-WAITING_CALLS = 16  # of one client: enable, start and the like
-IDLE_S = 300.0
-PARTIAL_S = 10.0  # for the rest of a line
-FAREWELL_S = 2.0  # to read why it is cut off
+
+class _Asked(NamedTuple):
+    """A checked call for the supervisor."""
+
+    call: Call
+    wanted: BaseModel
+    client: Client
+    answer: Callable[[dict[str, Any]], None]  # on the clients' thread
 
 
-class Client(asyncio.Protocol):
-    """One connection."""
+class _Reply:
+    """The answer to one line, as far as it is there. On the clients' thread."""
 
-    def __init__(self, server: Server, watching: bool) -> None:
-        self._server, self._watching = server, watching
-        self._buffer = bytearray()
-        self._lines: deque[bytes] = deque()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._tokens, self._filled_s = BURST, time.monotonic()
-        self._working = False
-        self._paused = False
-        self.heard_s = time.monotonic()
-        self.closing = False
-        self.status_period_s = 0.0
-        self.status_due_s = 0.0
-        self.wants_events = False
-        self.credentials: dict[str, int] = {}
-        self.name = "?"
+    def __init__(self, clients: Clients, client: Client, document: rpc.Document) -> None:
+        self._clients, self._client, self._batch = clients, client, document.batch
+        self._answers: list[dict[str, Any] | None] = [None] * len(document.items)
+        self._missing = len(document.items)
+        self.stops = 0  # calls in it that end a motion
+        self.acknowledged: list[dict[str, Any]] = []  # results of those that came about
+        client.calls += 1
 
-    # connection
+    def put(self, place: int, answer: dict[str, Any] | None) -> bool:
+        """An answer, or None where nobody wants one. True with the last of them."""
+        self._answers[place] = answer
+        self._missing -= 1
+        return self._missing == 0
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Accepted."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        transport.set_write_buffer_limits(high=SEND_LIMIT)
-        raw = transport.get_extra_info("socket").getsockopt(
-            socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")
-        )
-        pid, uid, gid = struct.unpack("3i", raw)
-        self.credentials = {"client_pid": pid, "client_uid": uid, "client_gid": gid}
-        self.name = f"pid {pid} (uid {uid})"
-        self._server.joined(self)
-
-    def connection_lost(self, error: Exception | None) -> None:
-        """Gone, for whatever reason."""
-        self.closing = True
-        for task in self._tasks:
-            task.cancel()
-        self._server.left(self)
-
-    def eof_received(self) -> bool:
-        """It will say no more; what it asked is still answered."""
-        self._server.loop.call_soon(self._close_when_done)
-        return True
-
-    def _close_when_done(self) -> None:
-        if self.closing:
-            return
-        if self._lines or self._tasks or self._working:
-            self._server.loop.call_later(0.05, self._close_when_done)
-        else:
-            self.closing = True
-            self._transport.close()
-
-    # lines
-
-    def data_received(self, data: bytes) -> None:
-        """Bytes from the client."""
-        self.heard_s = time.monotonic()
-        self._buffer += data
-        *lines, rest = self._buffer.split(b"\n")
-        if len(rest) > LINE_LIMIT or any(len(line) > LINE_LIMIT for line in lines):
-            self.cut_off(f"a line is longer than {LINE_LIMIT} bytes")
-            return
-        self._buffer = bytearray(rest)
-        self._lines.extend(bytes(line) for line in lines if line.strip())
-        self._schedule()
-
-    def _schedule(self) -> None:
-        if self._lines and not self._working and not self.closing:
-            self._working = True
-            self._server.loop.call_soon(self._work)
-
-    def _work(self) -> None:
-        """One line, then others get their turn."""
-        self._working = False
-        if self.closing or not self._lines:
-            return
-        now_s = time.monotonic()
-        self._tokens = min(BURST, self._tokens + (now_s - self._filled_s) * RATE_HZ)
-        self._filled_s = now_s
-        if self._tokens < 1.0 or len(self._tasks) >= WAITING_CALLS:
-            self._pause(True)
-            self._working = True
-            self._server.loop.call_later(1.0 / RATE_HZ, self._work)
-            return
-        self._tokens -= 1.0
-        document = rpc.read_line(self._lines.popleft())
-        self._answer(document)
-        if self._lines:
-            self._schedule()
-        else:
-            self._pause(False)
-
-    def _pause(self, wanted: bool) -> None:
-        if wanted != self._paused and not self._transport.is_closing():
-            self._paused = wanted
-            (self._transport.pause_reading if wanted else self._transport.resume_reading)()
-
-    # calls
-
-    def _answer(self, document: rpc.Document) -> None:
-        answers: list[Any] = []
-        waiting: list[tuple[Call, Any]] = []
-        for item in document.items:
-            if not isinstance(item, Call):
-                answers.append(item)
-                continue
-            outcome = self._server.call(item, self, self._watching)
-            if inspect.isawaitable(outcome):
-                waiting.append((item, outcome))
-            elif item.id is not rpc.NOTIFICATION:
-                answers.append(outcome)
-        if waiting:
-            task = self._server.loop.create_task(self._answer_later(answers, waiting, document.batch))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-        else:
-            self._send_answers(answers, document.batch)
-
-    async def _answer_later(self, answers: list[Any], waiting: list[tuple[Call, Any]], batch: bool) -> None:
-        for call, outcome in waiting:
-            answer = await outcome
-            if call.id is not rpc.NOTIFICATION:
-                answers.append(answer)
-        self._send_answers(answers, batch)
-
-    def _send_answers(self, answers: list[Any], batch: bool) -> None:
-        if answers:
-            self.send(rpc.encode(answers if batch else answers[0]))
-
-    # what goes out
-
-    def send(self, line: bytes) -> None:
-        """One encoded line; a client that does not read is cut off."""
-        if self.closing:
-            return
-        if self._transport.get_write_buffer_size() + len(line) > SEND_LIMIT:
-            self.cut_off("too slow: what was sent is not read")
-            return
-        self._transport.write(line)
-
-    def cut_off(self, reason: str) -> None:
-        """Say why, then close."""
-        if self.closing:
-            return
-        self.closing = True
-        self._server.refused += 1
-        error = rpc.error_of(None, RpcError(rpc.LIMIT, f"cut off: {reason}"))
-        self._server.api.supervisor.log.add("client", f"{self.name} cut off: {reason}", Level.WARNING, self.credentials)
-        self._transport.write(rpc.encode(error))
-        self._transport.close()
-        self._server.loop.call_later(FAREWELL_S, self._transport.abort)
-
-    def subscribe(self, status_hz: float, events: bool) -> None:
-        """What it wants to hear from now on."""
-        self.status_period_s = 1.0 / status_hz if status_hz > 0 else 0.0
-        self.status_due_s = time.monotonic()
-        self.wants_events = events
-
-    def tidy(self, now_s: float) -> None:
-        """Cut off what has been forgotten."""
-        silent_s = now_s - self.heard_s
-        if self._buffer and silent_s > PARTIAL_S:
-            self.cut_off(f"a line that was not ended within {PARTIAL_S:g} s")
-        elif silent_s > IDLE_S and not (self.status_period_s or self.wants_events or self._tasks or self.holds):
-            self.cut_off(f"silent for {IDLE_S:g} s")
-
-    @property
-    def holds(self) -> bool:
-        """The axis hangs on this connection."""
-        return self._server.api.holder is self
+    def send(self) -> None:
+        """All of it, in the order of the line."""
+        found = [answer for answer in self._answers if answer is not None]
+        if found:
+            self._clients.send(self._client, rpc.encode(found if self._batch else found[0]))
+        self._clients.answered(self._client)
 
 
 class Server:
-    """Both sockets, and all clients."""
+    """Both sockets, for one supervisor. Handler of `Clients`."""
 
     def __init__(self, api: Api, directory: Path, clients: int) -> None:
         self.api = api
         self.directory = directory
         self.loop = asyncio.get_running_loop()
-        self.refused = 0
-        self._limit = clients
-        self._clients: set[Client] = set()
-        self._servers: list[asyncio.AbstractServer] = []
+        self.refused = 0  # connections and clients
+        self._most = clients
+        self._epoch = api.supervisor.machine.epoch
+        self._served: Clients | None = None
+        self._urgent: deque[_Asked] = deque()
+        self._ordinary: deque[_Asked] = deque()
+        self._stops: dict[tuple[Client, str, str], list[Callable[[dict[str, Any]], None]]] = {}
+        self._tasks: dict[asyncio.Task[None], _Asked] = {}
         self._paths: list[Path] = []
-        self._tidied_s = 0.0
-        api.supervisor.log.listeners.append(self._on_event)
 
     async def open(self, group: str | None) -> None:
         """Listen. Raises SocketTakenError, OSError; DocumentError for a group that does not exist."""
         self.directory.mkdir(parents=True, exist_ok=True)
-        for name, mode, watching in ((CONTROL, CONTROL_MODE, False), (WATCH, WATCH_MODE, True)):
+        sockets = []
+        for name, mode in ((CONTROL, CONTROL_MODE), (WATCH, WATCH_MODE)):
             path = self.directory / name
-            sock = bound(path, mode)
+            sockets.append(bound(path, mode))
             self._paths.append(path)
-            if group is not None and not watching:
-                give_to(path, group)
-            factory = functools.partial(Client, self, watching)
-            self._servers.append(await self.loop.create_unix_server(factory, sock=sock))
+        if group is not None:
+            give_to(self.directory / CONTROL, group)
+        self.api.publish()
+        self._served = Clients((sockets[0], sockets[1]), self, self._epoch, self._most)
+        self.api.supervisor.log.listeners.append(self._on_event)
+        self._served.start()
 
     async def close(self) -> None:
         """Stop listening, close every connection."""
-        for server in self._servers:
-            server.close()
-        for client in list(self._clients):
-            client.closing = True
-            client._transport.close()
+        if self._served is not None:
+            self.api.supervisor.log.listeners.remove(self._on_event)
+            self._served.close()
         for path in self._paths:
             with contextlib.suppress(OSError):
                 path.unlink()
+        for task in self._tasks:
+            task.cancel()
         await asyncio.sleep(0)
 
     @property
-    def client_count(self) -> int:
-        """Connections."""
-        return len(self._clients)
+    def clients(self) -> Clients:
+        """Everybody on the sockets, which are open."""
+        assert self._served is not None
+        return self._served
 
-    def joined(self, client: Client) -> None:
-        """A connection was made."""
-        same = sum(other._watching == client._watching for other in self._clients)
-        self._clients.add(client)
-        if same >= self._limit:
-            client.cut_off(f"{self._limit} clients are connected already (daemon.clients)")
-
-    def left(self, client: Client) -> None:
-        """A connection is gone."""
-        self._clients.discard(client)
-        self.api.client_left(client)
-
-    def turn(self, now_s: float) -> None:
-        """Statuses that are due, each made once; and what has been forgotten."""
-        line: bytes | None = None
-        for client in list(self._clients):
-            if client.status_period_s and now_s >= client.status_due_s:
-                if line is None:
-                    line = rpc.encode(rpc.notification("status", self.api.full_status()))
-                client.status_due_s = max(client.status_due_s + client.status_period_s, now_s)
-                client.send(line)
-        if now_s - self._tidied_s > 1.0:
-            self._tidied_s = now_s
-            for client in list(self._clients):
-                client.tidy(now_s)
+    def turn(self) -> None:
+        """The status of this moment, for those who look and those who listen. Raises what ended the clients' thread."""
+        self.api.publish()
+        if self.clients.failure is not None:
+            raise self.clients.failure
+        if self.clients.anybody_listens:
+            self.clients.post(self.clients.broadcast_status)
 
     def _on_event(self, event: dict[str, Any]) -> None:
-        listeners = [client for client in self._clients if client.wants_events]
-        if listeners:
-            line = rpc.encode(rpc.notification("event", event))
-            for client in listeners:
-                client.send(line)
+        line = rpc.encode(rpc.notification("event", event))
+        self.clients.post(lambda: self.clients.broadcast_event(line))
 
-    # calls
+    # -- on the clients' thread ------------------------------------------------------------------------------------
 
-    def call(self, call: Call, client: Client, watching: bool) -> Any:
-        """The answer, or an awaitable of it; every error is one."""
+    def stop_line(self, client: Client, line: Line) -> bool:
+        """A line that looks like a stop, on arrival. False when it is a batch, or none that can be carried out."""
+        document = rpc.read_line(line.content)
+        (item,) = document.items[:1]
+        if document.batch or not isinstance(item, Call) or item.method not in ENDING:
+            return False
+        with contextlib.suppress(RpcError):
+            _checked(METHODS[item.method].parameters, item.params)
+            self._begin(client, document, line.epoch)
+            return True
+        return False
+
+    def line(self, client: Client, line: Line) -> None:
+        """Any other line."""
+        self._begin(client, rpc.read_line(line.content), line.epoch)
+
+    def status_line(self) -> bytes:
+        """The newest status as a notification."""
+        return rpc.encode(rpc.notification("status", self.api.latest))
+
+    def cut_off(self, client: Client, reason: str) -> None:
+        """A client was cut off."""
+        self.refused += 1
+        self.api.supervisor.log.add("client", f"{client.name} cut off: {reason}", Level.WARNING, client.credentials)
+
+    def turned_away(self, watching: bool, reason: str) -> None:
+        """A connection was not let in."""
+        self.refused += 1
+        name = WATCH if watching else CONTROL
+        self.api.supervisor.log.add("client", f"{name}: a connection was not let in: {reason}", Level.WARNING)
+
+    def left(self, client: Client) -> None:
+        """A client is gone."""
+        self._on_the_loop(self._client_left, client)
+
+    def holds(self, client: Client) -> bool:
+        """The axis hangs on this connection."""
+        return self.api.holder is client
+
+    def _begin(self, client: Client, document: rpc.Document, epoch: int) -> None:
+        reply = _Reply(self.clients, client, document)
+        for place, item in enumerate(document.items):
+            if isinstance(item, Call):
+                self._call(client, item, epoch, reply, self._filler(reply, place, item))
+            elif reply.put(place, item):
+                reply.send()
+
+    def _filler(self, reply: _Reply, place: int, call: Call) -> Callable[[dict[str, Any]], None]:
+        """Where the answer to a call goes. That of a stop ends the epoch before it is sent."""
+
+        def fill(answer: dict[str, Any]) -> None:
+            own = {**answer, "id": None if call.id is rpc.NOTIFICATION else call.id}
+            if call.method in ENDING and "result" in own:
+                own["result"] = dict(own["result"])
+                reply.acknowledged.append(own["result"])
+            if not reply.put(place, None if call.id is rpc.NOTIFICATION else own):
+                return
+            if reply.acknowledged:
+                epoch = self.clients.end_epoch()
+                for result in reply.acknowledged:
+                    result["epoch"] = epoch
+            for _ in range(reply.stops):
+                self._epoch.stop_answered()
+            reply.send()
+
+        return fill
+
+    def _call(
+        self, client: Client, call: Call, epoch: int, reply: _Reply, answer: Callable[[dict[str, Any]], None]
+    ) -> None:
+        """Answer at once, or hand the call to the supervisor; every error is an answer."""
         try:
             method = METHODS.get(call.method)
             if method is None:
                 known = ", ".join(METHODS)
                 raise RpcError(rpc.METHOD_NOT_FOUND, f"no method '{call.method}'; known: {known}")
-            if watching and not method.watching:
+            if client.watching and not method.watching:
                 text = f"{call.method} is not for this socket, which only watches; use {CONTROL}"
                 raise RpcError(rpc.READ_ONLY, text)
             wanted = _checked(method.parameters, call.params)
-            result = getattr(self.api, call.method)(wanted, client)
+            if method.watching:
+                answer(rpc.result_of(call, getattr(self.api, call.method)(wanted, client)))
+                return
         except Exception as error:
-            return self._failed(call, error)
-        if inspect.isawaitable(result):
-            return self._finish(call, result)
-        return rpc.result_of(call, result)
+            answer(rpc.error_of(None, self._as_rpc(error)))
+            return
+        if isinstance(wanted, Bound) and wanted.epoch is None:
+            wanted = wanted.model_copy(update={"epoch": epoch})
+        asked = _Asked(call, wanted, client, answer)
+        if call.method not in ENDING:
+            self._ordinary.append(asked)
+        else:
+            reply.stops += 1
+            self._epoch.stop_arrived()
+            if self._joins(asked):
+                return
+            self._urgent.append(asked)
+        self._on_the_loop(self._take)
 
-    async def _finish(self, call: Call, waiting: Any) -> Any:
+    def _joins(self, asked: _Asked) -> bool:
+        """The same stop by the same client is under way: its answer will do for this one too."""
+        key = (asked.client, asked.call.method, asked.wanted.model_dump_json())
+        others = self._stops.get(key)
+        if others is not None:
+            others.append(asked.answer)
+            return True
+        self._stops[key] = [asked.answer]
+        return False
+
+    def _stop_answered(self, asked: _Asked, answer: dict[str, Any]) -> None:
+        for fill in self._stops.pop((asked.client, asked.call.method, asked.wanted.model_dump_json())):
+            fill(answer)
+
+    def _on_the_loop(self, what: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # closed: the service has ended
+            self.loop.call_soon_threadsafe(what, *arguments)
+
+    # -- on the supervisor's loop ----------------------------------------------------------------------------------
+
+    def _take(self) -> None:
+        """Everything that ends a motion, then one other call."""
+        while self._urgent:
+            self._carry_out(self._urgent.popleft())
+        if self._ordinary:
+            self._carry_out(self._ordinary.popleft())
+
+    def _carry_out(self, asked: _Asked) -> None:
+        task = self.loop.create_task(self._answer(asked))
+        self._tasks[task] = asked
+        task.add_done_callback(self._tasks.pop)
+
+    async def _answer(self, asked: _Asked) -> None:
+        answer: dict[str, Any] = {}
         try:
-            return rpc.result_of(call, await waiting)
+            self._note(asked)
+            result = getattr(self.api, asked.call.method)(asked.wanted, asked.client)
+            answer = rpc.result_of(asked.call, await result if inspect.isawaitable(result) else result)
+        except asyncio.CancelledError:
+            answer = rpc.error_of(None, RpcError(rpc.NOT_REACHED, "the service ends, or who asked has gone"))
+            raise
         except Exception as error:
-            return self._failed(call, error)
+            answer = rpc.error_of(None, self._as_rpc(error))
+        finally:
+            self.api.publish()
+            done = self._stop_answered if asked.call.method in ENDING else _answered
+            self.clients.post(lambda: done(asked, answer))
 
-    def _failed(self, call: Call, error: Exception) -> Any:
-        number = None if call.id is rpc.NOTIFICATION else call.id
-        return rpc.error_of(number, _as_rpc(error, self.api))
+    def _note(self, asked: _Asked) -> None:
+        """The recording holds every request, before what it causes."""
+        connection = self.api.supervisor.connection
+        if connection is not None:
+            values = asked.wanted.model_dump(mode="json")
+            epoch = values.pop("epoch", None)
+            connection.session.note_request(asked.client.name, asked.call.method, values, epoch)
+
+    def _client_left(self, client: Client) -> None:
+        """What it asked for is not carried on, but for its stops."""
+        for task, asked in list(self._tasks.items()):
+            if asked.client is client and asked.call.method not in ENDING:
+                task.cancel()
+        self.api.client_left(client)
+
+    def _as_rpc(self, error: Exception) -> RpcError:
+        """Every error that a method raises, as the client sees it."""
+        if isinstance(error, RpcError):
+            return error
+        if isinstance(error, RefusedError):
+            allowed = [state.value for state in error.allowed]
+            return RpcError(rpc.REFUSED, str(error), {"state": error.state.value, "allowed": allowed})
+        if isinstance(error, DocumentError | ValueError):
+            return RpcError(rpc.BAD_DOCUMENT, str(error))
+        if isinstance(error, DriveError):
+            return RpcError(rpc.DRIVE_ERROR, str(error))
+        if isinstance(error, OSError):
+            return RpcError(rpc.BAD_DOCUMENT, f"{error.filename or ''}: {error.strerror}".lstrip(": "))
+        text = f"internal error: {type(error).__name__}: {error}"
+        self.api.supervisor.log.add("command", text, Level.ERROR)
+        return RpcError(rpc.INTERNAL_ERROR, text)
 
 
-def _as_rpc(error: Exception, api: Api) -> RpcError:
-    """Every error that a method raises, as the client sees it."""
-    if isinstance(error, RpcError):
-        return error
-    if isinstance(error, RefusedError):
-        allowed = [state.value for state in error.allowed]
-        return RpcError(rpc.REFUSED, str(error), {"state": error.state.value, "allowed": allowed})
-    if isinstance(error, DocumentError | ValueError):
-        return RpcError(rpc.BAD_DOCUMENT, str(error))
-    if isinstance(error, DriveError):
-        return RpcError(rpc.DRIVE_ERROR, str(error))
-    if isinstance(error, OSError):
-        return RpcError(rpc.BAD_DOCUMENT, f"{error.filename or ''}: {error.strerror}".lstrip(": "))
-    api.supervisor.log.add("command", f"internal error: {type(error).__name__}: {error}", Level.ERROR)
-    return RpcError(rpc.INTERNAL_ERROR, f"internal error: {type(error).__name__}: {error}")
+def _answered(asked: _Asked, answer: dict[str, Any]) -> None:
+    asked.answer(answer)
 
 
 def _checked(parameters: type[BaseModel], given: dict[str, Any]) -> BaseModel:

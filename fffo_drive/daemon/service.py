@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,9 +27,11 @@ from .places import recordings_directory, socket_directory
 from .server import Server
 from .status import line_of
 from .supervisor import TURN_S, Supervisor
+from .worker import Worker
 
 FEEDS_PER_WATCHDOG = 4.0
 STATUS_S = 0.5
+DETACH_S = 0.5  # for what runs beside the daemon to end
 
 
 class Attachment(Protocol):
@@ -61,7 +66,12 @@ def serve(options: Options) -> None:
     require_served(plan)
     if plan.axis.realtime.required:
         require_realtime(realtime_request(plan.axis))  # before the service counts as started
-    asyncio.run(_Service(plan, options).run())
+    service = _Service(plan, options)
+    asyncio.run(service.run())
+    if service.work_in_progress:  # a compiler or a disk that nobody waits for: the interpreter's own end would
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 class _Service:
@@ -75,6 +85,13 @@ class _Service:
         self._stops = 0
         self._fed_s = 0.0
         self._told_s = 0.0
+        self._attaching = Worker("fffo-attach")
+
+    @property
+    def work_in_progress(self) -> bool:
+        """Something is still under way that the end of the service did not wait for."""
+        supervisor = self.supervisor
+        return supervisor.bus_work.busy or supervisor.recorder.busy or self.api.work.busy or self._attaching.busy
 
     async def run(self) -> None:
         """From the sockets to the last frame."""
@@ -91,7 +108,7 @@ class _Service:
         try:
             await self.server.open(self.plan.axis.daemon.control_group)
             if options.attach is not None:
-                attached = await asyncio.to_thread(options.attach, supervisor, directory)
+                attached = await self._attaching.run(options.attach, supervisor, directory)
             self._catch_signals()
             supervisor.log.add("started", f"fffo-drive {__version__} serves {options.file} on {directory}")
             if attached is not None:
@@ -112,7 +129,8 @@ class _Service:
             if supervisor.fatal is not None:
                 supervisor.log.add("stopping", f"it cannot go on: {supervisor.fatal}", Level.FATAL)
             if attached is not None:
-                await asyncio.to_thread(attached.close)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._attaching.run(attached.close), DETACH_S)
             await self.server.close()
             self.journal.close()
         if supervisor.fatal is not None:
@@ -123,9 +141,8 @@ class _Service:
     async def _turn_for_ever(self) -> None:
         while True:
             self.supervisor.turn()
-            now_s = time.monotonic()
-            self.server.turn(now_s)
-            self._feed(now_s)
+            self.server.turn()
+            self._feed(time.monotonic())
             await asyncio.sleep(TURN_S)
 
     def _feed(self, now_s: float) -> None:

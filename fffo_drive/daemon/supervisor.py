@@ -8,12 +8,13 @@ the loop through its blocks, and what it does is read from its status words and 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from ..can.link import LinkError
-from ..config.axis import controller_config
+from ..config.axis import controller_config, model_note
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
 from ..config.plan import Plan
@@ -25,17 +26,22 @@ from ..model.parameters import content_hash
 from ..recording.events import Level
 from ..runtime import blocks as b
 from ..runtime.journal import Journal
-from ..runtime.states import AT_REST, TORQUE_STATES, Action, Event, State, step
+from ..runtime.states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
 from .event_log import EventLog
 from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
+from .worker import Worker
 
 TURN_S = 0.04
 MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
 NEVER_S = float("inf")
+# the service's end, within five seconds in all
+ORDERLY_STOP_S = 2.0  # to brake in order; then it is a quick stop
+QUICK_STOP_S = 1.0
+CLOSE_S = 1.5  # for the drive to be left and the recording to be closed
 
 
 class Supervisor:
@@ -53,7 +59,9 @@ class Supervisor:
         self.recorder = RecordKeeper(self.log, recordings)
         self.effects = EffectsWatch(plan, self.log)
         self.log.listeners.append(self.recorder.tell)
-        self.state = State.OFFLINE
+        self.machine = Machine()
+        self.changed: Callable[[], None] = lambda: None  # called after each step of the state machine
+        self.bus_work = Worker("fffo-bus")
         self.since_s = clock()
         self.fault: Latched | None = None
         self.obstacles: list[str] = ["not connected yet"]
@@ -65,6 +73,8 @@ class Supervisor:
         self._watcher: Watcher | None = None
         self._to_leave: Connection | None = None
         self._wake = asyncio.Event()
+        self._lived = asyncio.Event()  # `run` has ended, or has not begun
+        self._lived.set()
         self._connections = 0
         self._closing = False
         self._next_profile: Profile | None = None
@@ -76,12 +86,20 @@ class Supervisor:
 
     # -- the state machine -----------------------------------------------------------------------------------------
 
-    def apply(self, event: Event) -> bool:
-        """Go where the table says. False where it says nothing. Raises RefusedError for what is not possible now."""
-        row = step(self.state, event)
+    @property
+    def state(self) -> State:
+        """Where the axis is."""
+        return self.machine.state
+
+    def apply(self, event: Event, asked_in: int | None = None) -> bool:
+        """Go where the table says. False where it says nothing. Raises RefusedError for what is not possible now.
+
+        `asked_in`: epoch in which it was asked for, where that counts.
+        """
+        before = self.state
+        row = self.machine.take(event, asked_in)
         if row is None:
             return False
-        before, self.state = self.state, row.to
         now_s = self._clock()
         if row.to is not before:
             self.since_s = now_s
@@ -89,6 +107,7 @@ class Supervisor:
             self._act(action, now_s)
         if row.to is not before:
             self._tell_state(before, event)
+        self.changed()
         return True
 
     def _act(self, action: Action, now_s: float) -> None:
@@ -127,6 +146,7 @@ class Supervisor:
         """To standstill under control; where there is no torque yet there is nothing to brake."""
         if self._torque_seen:
             motion.brake()
+            motion.brake_when_settled(self.plan)
             self._quick = False
             if self.state is State.STOPPING:
                 longest_s = MAX_SPEED_FACTOR * self.plan.axis.envelope.speed_limit_rps / self.plan.axis.daemon.stop_rps2
@@ -152,6 +172,7 @@ class Supervisor:
         self._watch_deadline(now_s)
         self._watch_recording()
         self.effects.look(now_s)
+        self.log.turn()
 
     def _meet(self, trouble: Trouble) -> None:
         """Something ended what the axis did."""
@@ -209,7 +230,7 @@ class Supervisor:
         if now_s < self._deadline_s:
             return
         self._deadline_s = NEVER_S
-        if self.state in (State.ENABLED, State.RUNNING):
+        if self.state in WANTING_TORQUE:
             self.log.add("state", "the drive did not reach Operation Enabled in time", Level.ERROR)
             self.apply(Event.ENABLE_TIMEOUT)
         elif self.state is State.STOPPING and not self._quick:
@@ -224,7 +245,7 @@ class Supervisor:
         if not news:
             return
         self.log.add("recording", f"recording: {news}", Level.ERROR)
-        if self.plan.axis.daemon.record_required and self.state in (State.ENABLED, State.RUNNING):
+        if self.plan.axis.daemon.record_required and self.state in WANTING_TORQUE:
             self.log.add("recording", "daemon.record_required: the axis is stopped", Level.ERROR)
             self.apply(Event.DISABLE)
 
@@ -248,13 +269,22 @@ class Supervisor:
         lost = self.fault is not None and self.fault.name in GONE
         self.apply(Event.RESET_AWAY if away or lost else Event.RESET)
 
-    def start(self, profile: Profile) -> None:
-        """Run a profile. Raises RefusedError, or ValueError for one that the loop cannot hold."""
+    def begin_start(self, asked_in: int | None) -> int:
+        """A profile is going to be prepared. Returns the epoch that the start is bound to. Raises RefusedError."""
+        self.apply(Event.START, asked_in)
+        return self.machine.epoch.value
+
+    def start(self, profile: Profile, epoch: int) -> None:
+        """Run a profile that was prepared. Raises RefusedError, or ValueError for one that the loop cannot hold."""
         if self.connection is not None and profile.values.size > self.connection.session.config.longest_profile:
             raise ValueError(f"profile '{profile.name}' is longer than loop.longest_profile_s")
-        step(self.state, Event.START)
         self._next_profile = profile
-        self.apply(Event.START)
+        self.apply(Event.PREPARED, epoch)
+
+    def start_failed(self, epoch: int) -> None:
+        """A profile could not be prepared; where a stop or a fault has ended the start already, nothing is left."""
+        with contextlib.suppress(RefusedError):
+            self.apply(Event.NOT_PREPARED, epoch)
 
     @property
     def profile(self) -> Profile | None:
@@ -264,13 +294,15 @@ class Supervisor:
     @property
     def has_torque(self) -> bool:
         """Torque was asked for and is there."""
-        return self.state in (State.ENABLED, State.RUNNING) and self._torque_seen
+        return self.state in WANTING_TORQUE and self._torque_seen
 
     def set_plan(self, plan: Plan) -> None:
         """Gains, model and what else changes without a new loop; the loop takes the law at a tick boundary."""
         before, self.plan = self.plan, plan
         self.model_hash = content_hash(plan.model)
         if self.connection is not None:
+            if plan.model is not before.model:
+                self.connection.session.set_model(model_note(plan.model))
             self.connection.session.set_controller(controller_config(plan.axis, plan.model))
             self.connection.session.set_effects(compensation_table(plan.axis, plan.model))
         if plan.model is not before.model or plan.axis.controller.effects != before.axis.controller.effects:
@@ -300,6 +332,7 @@ class Supervisor:
 
     async def run(self) -> None:
         """Keep the drive connected until `close`. What is no matter of the drive ends it: see `fatal`."""
+        self._lived.clear()
         try:
             while not self._closing and self.fatal is None:
                 await self._leave_old()
@@ -310,6 +343,8 @@ class Supervisor:
                     await self._sleep(timeout_s)
         except Exception as error:
             self.fatal = error
+        finally:
+            self._lived.set()
 
     async def _sleep(self, timeout_s: float | None) -> None:
         try:
@@ -322,19 +357,21 @@ class Supervisor:
         old, self._to_leave = self._to_leave, None
         if old is not None:
             await self.recorder.end()
-            self.fatal = await asyncio.to_thread(leave, old)
+            self.fatal = await self.bus_work.run(leave, old)
 
     async def _try_to_connect(self) -> None:
         plan = self.plan
         if not self._said:
             self.obstacles = ["connecting; the very first time compiles the loop"]
         try:
-            connection = await asyncio.to_thread(bring_up, plan, self._connections + 1, self._bus)
+            connection = await self.bus_work.run(self._bring_up, plan)
         except (DriveError, LinkError) as error:
             self.obstacles = [str(error)]
             if str(error) != self._said:  # once, not at each attempt
                 self._said = str(error)
                 self.log.add("drive", f"no drive: {error}", Level.WARNING)
+            return
+        if connection is None:
             return
         self._said = ""
         self._connections += 1
@@ -343,6 +380,8 @@ class Supervisor:
         self.motion = Motion(connection)
         self._watcher = Watcher(connection, silent_ticks(plan), plan.axis.daemon.supervisor_timeout_s, now_s)
         connection.session.request(b.TOGGLE, self.toggle)
+        if self.plan.model is not plan.model:  # changed while the drive was brought up
+            connection.session.set_model(model_note(self.plan.model))
         connection.session.set_controller(controller_config(self.plan.axis, self.plan.model))
         connection.session.set_effects(compensation_table(self.plan.axis, self.plan.model))
         self.effects.attach(connection)
@@ -358,22 +397,42 @@ class Supervisor:
             except OSError as error:
                 self.log.add("recording", f"no recording: {error}", Level.ERROR)
 
+    def _bring_up(self, plan: Plan) -> Connection | None:
+        """On the bus's thread. None when the service ended meanwhile: the drive is left again then."""
+        connection = bring_up(plan, self._connections + 1, self._bus)
+        if not self._closing:
+            return connection
+        leave(connection)
+        return None
+
     async def stop_in_order(self) -> None:
-        """Brake, disable, and wait until the power stage is off (or nothing can be done about it)."""
-        if self.state in (State.ENABLED, State.RUNNING):
-            self.apply(Event.DISABLE)
-        await self.reached(lambda: self.state in AT_REST, 60.0)
+        """Brake, disable, and wait until the power stage is off: in order, then quickly, both for a bounded time."""
+        self.apply(Event.DISABLE)
+        if not await self.reached(lambda: self.state in AT_REST, ORDERLY_STOP_S):
+            self.log.add("stopping", f"not at rest within {ORDERLY_STOP_S:g} s: quick stop", Level.WARNING)
+            self.apply(Event.QUICK_STOP)
+            await self.reached(lambda: self.state in AT_REST, QUICK_STOP_S)
 
     async def close(self) -> None:
-        """Leave the axis without torque, the bus without traffic, the recording whole."""
+        """Leave the axis without torque, the bus without traffic, the recording whole; within CLOSE_S at most."""
         self._closing = True
         self._wake.set()
-        await self.recorder.end()
+        try:
+            await asyncio.wait_for(self._leave_for_good(), CLOSE_S)
+        except TimeoutError:
+            waits = "the disk" if self.recorder.busy else "the bus"
+            self.log.add("stopping", f"{waits} does not answer within {CLOSE_S:g} s: ended without it", Level.ERROR)
+        self.machine.state = State.OFFLINE
+        self.machine.epoch.advance()
+
+    async def _leave_for_good(self) -> None:
         connection, self.connection = self.connection or self._to_leave, None
         self._to_leave = self._watcher = self.motion = None
-        if connection is not None:
-            self.fatal = await asyncio.to_thread(leave, connection) or self.fatal
-        self.state = State.OFFLINE
+        if connection is not None:  # the bus first: torque and SYNC end whatever the disk does
+            leaving = asyncio.ensure_future(self.bus_work.run(leave, connection))
+            await self.recorder.end()
+            self.fatal = await leaving or self.fatal
+        await self._lived.wait()
 
     # -- what it says ----------------------------------------------------------------------------------------------
 

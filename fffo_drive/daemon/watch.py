@@ -20,7 +20,7 @@ RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and 
 STANDSTILL_RPS = 0.05
 SILENT_S = 0.5  # without an answer to SYNC for so long, at rest, the drive counts as lost
 
-# trips that say that the drive, or the way to it, is gone: it has to be brought up again
+# trips that say that the drive, or the way to it, is gone or another's: it has to be brought up again
 LOST_TRIPS = frozenset(
     {
         env.TRIP_BUS_OFF,
@@ -29,6 +29,7 @@ LOST_TRIPS = frozenset(
         env.TRIP_NOT_OPERATIONAL,
         env.TRIP_FEEDBACK_MISSING,
         env.TRIP_STATUS_MISSING,
+        env.TRIP_FOREIGN_SYNC,
     }
 )
 TRIP_NAMES = {

@@ -43,6 +43,7 @@ FEEDBACK = np.dtype(
         ("bus_losses", "<i8"),  # how often that came about
         ("send_errors", "<i8"),
         ("dropped_frames", "<i8"),  # frames that the socket's queue lost
+        ("foreign_syncs", "<i8"),  # SYNC frames that are not ours
     ]
 )
 
@@ -70,6 +71,7 @@ class ExchangeCounts(NamedTuple):
     emergency_count: int = 0  # EMCY messages with an error
     boot_count: int = 0  # the drive restarted
     nmt_exits: int = 0  # a heartbeat said that the drive left NMT operational
+    foreign_syncs: int = 0  # SYNC frames of another producer
 
     def since(self, before: ExchangeCounts) -> ExchangeCounts:
         """What came after `before`."""
@@ -137,6 +139,10 @@ class DriveError(Exception):
 
 class BusUnavailableError(DriveError):
     """The bus cannot be opened, or nobody answers on it."""
+
+
+class BusOccupiedError(BusUnavailableError):
+    """Somebody else commands on the bus, or two nodes have the drive's id. Nothing of ours was sent."""
 
 
 class DriveRefusedError(DriveError):

@@ -45,6 +45,7 @@ class TickStatistics(NamedTuple):
     emergency_count: int
     boot_count: int
     nmt_exits: int
+    foreign_syncs: int
     lateness_us_p50: float
     lateness_us_p99: float
     lateness_us_max: float

@@ -1,7 +1,12 @@
-"""Recorded feedback through the law again: the same law gives the same commands, bit for bit; another one is compared.
+"""Recorded rows through the law and the envelope again: the same blocks give the same commands, bit for bit.
 
-A row holds everything that the law read (references, velocity, toggle, what was limited), so that a record is
-the proof of what was computed. A changed law is run on the same data open loop: what it would have asked for there.
+A row holds everything that law and envelope read, and names the parameters and effects in use, whose records have all
+values: a record is the proof of what was computed. A changed law is run on the same data open loop: what it would have
+asked for there. What is reproduced: every term of the law, the command after the envelope, its limits, the I2t heat,
+the latched fault and the controlword. What is taken from the row: references, feedback, what was asked for.
+
+The memory of law and envelope is known from the begin of a loop on. Where a recording begins later, or rows were lost,
+it is known again behind the first row in which no torque was wanted; rows until then are counted as not replayed.
 """
 
 from __future__ import annotations
@@ -10,134 +15,259 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..control.compensation import compensation_rest, compensation_step, new_memory, no_compensation
-from ..control.controller import ControllerConfig, controller_at_rest, controller_step, with_limited
+from ..control.compensation import (
+    SUM_NM,
+    TABLE_SIZE,
+    compensation_rest,
+    compensation_step,
+    new_memory,
+)
+from ..control.controller import (
+    CONTROLLER_BLOCK_SIZE,
+    ControllerState,
+    controller_at_rest,
+    controller_step,
+    unpack_controller,
+    with_limited,
+    with_new_gains,
+    with_torque_lost,
+)
 from ..control.envelope import (
     LIMIT_CONTROLLER,
     TRIP_NONE,
     EnvelopeConfig,
     EnvelopeInputs,
+    EnvelopeState,
+    envelope_after_reset,
     envelope_at_rest,
     envelope_step,
 )
 from ..control.feedforward import Reference
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
-from ..drive.cia402 import is_operation_enabled
+from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
+from ..runtime.loop import goal_after_trip
+from ..runtime.tick import (
+    FLAG_BUS_OFF,
+    FLAG_EMERGENCY,
+    FLAG_FOREIGN_SYNC,
+    FLAG_LOOP_BEGAN,
+    FLAG_NOT_OPERATIONAL,
+    FLAG_REBOOT,
+)
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 Floats = np.ndarray[Any, np.dtype[np.float64]]
+Integers = np.ndarray[Any, np.dtype[np.int64]]
 
-# columns of the replayed record, by the names of the row
-REPLAYED = (
+# what is reproduced, by the names of the row
+TERMS = (
     "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "effects_nm",
-    "requested_a", "limited_a",
+    "observation_nm_per_s", "requested_a",
 )  # fmt: skip
-REQUESTED = REPLAYED.index("requested_a")
-
-
-class ReplayReport(NamedTuple):
-    """How a replay compares with its record."""
-
-    rows: int  # in which the law acted
-    identical: int  # of these, every term and the command the same to the last bit
-    first_difference_tick: int  # -1: none
-    rms_difference_a: float  # of requested_a
-    largest_difference_a: float
-    replayed: Floats  # (n, len(REPLAYED)), NaN where the law did not act
-
-    @property
-    def exact(self) -> bool:
-        """True when the record is reproduced."""
-        return self.rows > 0 and self.identical == self.rows
-
+COMMANDS = ("limited_a", "i2t_a2s")
+WORDS = ("limits", "trip", "controlword")
+REQUESTED = TERMS.index("requested_a")
 
 _int64: Any = np.int64  # rows hold narrower integers; the law has been compiled for these
 
 
+class InForce(NamedTuple):
+    """Laws that rows refer to by their place."""
+
+    parameters: Floats  # (m, CONTROLLER_BLOCK_SIZE), packed
+    effects: Floats  # (t, TABLE_SIZE)
+    envelope: EnvelopeConfig
+
+
+class Memory(NamedTuple):
+    """Where the replay is: what the loop remembers between two ticks, and of the row before."""
+
+    known: bool  # False: the rest means nothing
+    controller: ControllerState
+    envelope: EnvelopeState
+    parameters: int  # places in `InForce`
+    effects: int
+    trip: int
+    controlword: int
+    resetting: int
+    row_number: int
+    tick: int
+
+
+class Replayed(NamedTuple):
+    """What was computed for rows (n,)."""
+
+    terms: Floats  # (n, len(TERMS)); NaN where the law did not act
+    commands: Floats  # (n, len(COMMANDS))
+    words: Integers  # (n, len(WORDS))
+    known: Integers  # (n,): 1 where the memory was known
+
+
+def memory_at_start() -> Memory:
+    """Before the first row."""
+    return Memory(False, controller_at_rest(), envelope_at_rest(), 0, 0, 0, 0, 0, -1, -1)
+
+
+def room_for(rows: int) -> Replayed:
+    """Nothing computed yet."""
+    return Replayed(
+        np.full((rows, len(TERMS)), np.nan),
+        np.full((rows, len(COMMANDS)), np.nan),
+        np.zeros((rows, len(WORDS)), np.int64),
+        np.zeros(rows, np.int64),
+    )
+
+
+@njit
+def _reference_of(row: Any) -> Reference:
+    return Reference(
+        row["reference_rps"], row["reference_rps2"], row["reference_ahead_rps"], row["reference_ahead_rps2"],
+        row["expected_rps"],
+    )  # fmt: skip
+
+
+@njit
+def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> EnvelopeInputs:
+    """What the envelope saw in the tick of this row."""
+    flags = _int64(row["flags"])
+    statusword = _int64(row["statusword"])
+    closed_loop = row["mode"] == MODE_VELOCITY
+    return EnvelopeInputs(
+        requested_a,
+        row["velocity_rps"],
+        row["position_rev"],
+        row["expected_rps"] - row["velocity_rps"] if closed_loop else 0.0,
+        _int64(row["velocity_age"]),
+        _int64(row["status_age"]),
+        statusword,
+        1 if flags & FLAG_EMERGENCY else 0,
+        1 if flags & FLAG_REBOOT else 0,
+        flags & FLAG_NOT_OPERATIONAL != 0,
+        flags & FLAG_BUS_OFF != 0,
+        1 if flags & FLAG_FOREIGN_SYNC else 0,
+        _int64(row["heartbeat_age_ns"]),
+        wanted,
+        is_operation_enabled(statusword),
+        closed_loop,
+        skipped_ticks,
+    )
+
+
 @njit
 def replay_into(
-    config: ControllerConfig, limits_config: EnvelopeConfig, effects: Floats, memory: Floats, rows: Any, output: Any
-) -> None:
-    """Run the law and the envelope over rows (n,) of signals.ROW; output (n, len(REPLAYED)).
+    in_force: InForce, effects_memory: Floats, memory: Memory, rows: Any, parameters_at: Integers,
+    effects_at: Integers, out: Replayed,
+) -> Memory:  # fmt: skip
+    """Run law and envelope over rows (n,) of signals.ROW into `out`. Returns the memory behind the last one.
 
-    `effects`: the table of compensated effects, `memory` theirs at rest.
+    `parameters_at`, `effects_at` (n,): which law in force each row names; -1: none that is known.
     """
-    state = controller_at_rest()
-    envelope = envelope_at_rest()
+    config = unpack_controller(in_force.parameters[memory.parameters])
+    known, controller, envelope = memory.known, memory.controller, memory.envelope
+    parameters, effects = memory.parameters, memory.effects
+    trip, controlword, resetting_before = memory.trip, memory.controlword, memory.resetting
+    row_number, tick = memory.row_number, memory.tick
     for k in range(rows.size):
         row = rows[k]
-        requested_a = 0.0
-        closed_loop = row["mode"] == MODE_VELOCITY
-        if closed_loop:
-            reference = Reference(
-                row["reference_rps"],
-                row["reference_rps2"],
-                row["reference_ahead_rps"],
-                row["reference_ahead_rps2"],
-                row["expected_rps"],
-            )
-            effects_nm = compensation_step(effects, memory, _int64(row["effects"]), reference, row["position_rev"])
-            terms, state = controller_step(
-                config, state, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm
-            )
-            output[k, 0] = terms.error_rps
-            output[k, 1] = terms.filtered_error_rps
-            output[k, 2] = terms.proportional_a
-            output[k, 3] = terms.integral_a
-            output[k, 4] = terms.friction_nm
-            output[k, 5] = terms.inertia_nm
-            output[k, 6] = terms.effects_nm
-            output[k, 7] = terms.requested_a
-            requested_a = terms.command_a
-        else:
-            state = controller_at_rest()
-            compensation_rest(memory)
-            if row["mode"] == MODE_CURRENT:
-                requested_a = row["requested_a"]
-        wanted = row["mode"] != 0
-        seen = EnvelopeInputs(
-            requested_a,
-            row["velocity_rps"],
-            row["position_rev"],
-            row["expected_rps"] - row["velocity_rps"],
-            _int64(row["velocity_age"]),
-            _int64(row["status_age"]),
-            _int64(row["statusword"]),
-            0,
-            0,
-            False,
-            False,
-            -1,
-            wanted,
-            is_operation_enabled(row["statusword"]),
-            closed_loop,
-            _int64(row["tick"]) - _int64(rows[k - 1]["tick"]) - 1 if k > 0 else 0,
-        )
-        limited_a, _, _, envelope = envelope_step(limits_config, envelope, seen)
-        if row["limits"] & ~LIMIT_CONTROLLER:
-            state = with_limited(state, True)
-        if closed_loop:
-            output[k, 8] = limited_a if row["trip"] == TRIP_NONE else 0.0
-
-
-def replay(
-    rows: Rows, config: ControllerConfig, envelope: EnvelopeConfig, effects: Floats | None = None
-) -> ReplayReport:
-    """Replay rows from the start of a loop (or from where the drive was last disabled), with a table of effects."""
-    output = np.full((rows.size, len(REPLAYED)), np.nan)
-    replay_into(config, envelope, no_compensation() if effects is None else effects, new_memory(), rows, output)
-    acted = rows["mode"] == MODE_VELOCITY
-    recorded = np.stack([rows[name] for name in REPLAYED], axis=1)
-    # bit for bit: compared as integers, so that not even the sign of a zero may differ
-    same = (recorded.view(np.int64) == output.view(np.int64)).all(axis=1)
-    different = np.flatnonzero(acted & ~same)
-    difference_a = (output[:, REQUESTED] - recorded[:, REQUESTED])[acted]
-    return ReplayReport(
-        int(acted.sum()),
-        int((acted & same).sum()),
-        int(rows["tick"][different[0]]) if different.size else -1,
-        float(np.sqrt(np.mean(difference_a**2))) if difference_a.size else 0.0,
-        float(np.abs(difference_a).max()) if difference_a.size else 0.0,
-        output,
+        resetting = _int64(row["resetting"])
+        wanted = row["goal"] == GOAL_ENABLED and resetting == 0
+        named = parameters_at[k] >= 0 and effects_at[k] >= 0
+        follows = _int64(row["row_number"]) == (row_number + 1) & 0xFFFFFFFF
+        if _int64(row["flags"]) & FLAG_LOOP_BEGAN:
+            known, controller, envelope = True, controller_at_rest(), envelope_at_rest()
+            compensation_rest(effects_memory)
+            trip, controlword, resetting_before, tick = TRIP_NONE, 0, 0, -1
+        known = known and named and (follows or tick < 0)
+        if known:
+            if parameters_at[k] != parameters:
+                before, config = config, unpack_controller(in_force.parameters[parameters_at[k]])
+                controller = with_new_gains(before, config, controller)
+            if effects_at[k] != effects:
+                controller = with_torque_lost(config, controller, effects_memory[SUM_NM])
+                compensation_rest(effects_memory)
+            if resetting > 0 and resetting >= resetting_before:  # it counts down: it was asked for once more
+                trip = TRIP_NONE
+                envelope = envelope_after_reset(envelope)
+            requested_a = 0.0
+            limited = False
+            if row["mode"] == MODE_VELOCITY:
+                reference = _reference_of(row)
+                effects_nm = compensation_step(
+                    in_force.effects[effects_at[k]], effects_memory, _int64(row["effects"]), reference,
+                    row["position_rev"],
+                )  # fmt: skip
+                terms, controller = controller_step(
+                    config, controller, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm
+                )
+                requested_a, limited = terms.command_a, terms.limited
+                out.terms[k, 0] = terms.error_rps
+                out.terms[k, 1] = terms.filtered_error_rps
+                out.terms[k, 2] = terms.proportional_a
+                out.terms[k, 3] = terms.integral_a
+                out.terms[k, 4] = terms.friction_nm
+                out.terms[k, 5] = terms.inertia_nm
+                out.terms[k, 6] = terms.effects_nm
+                out.terms[k, 7] = terms.observation_nm_per_s
+                out.terms[k, 8] = terms.requested_a
+            else:
+                controller = controller_at_rest()
+                compensation_rest(effects_memory)
+                if row["mode"] == MODE_CURRENT:
+                    requested_a = row["requested_a"]
+            skipped_ticks = _int64(row["tick"]) - tick - 1
+            seen = _seen_in(row, requested_a, wanted and trip == TRIP_NONE, skipped_ticks)
+            command_a, limits, found, envelope = envelope_step(in_force.envelope, envelope, seen)
+            if limits != 0:
+                controller = with_limited(controller, True)
+            if limited:
+                limits |= LIMIT_CONTROLLER
+            if found != TRIP_NONE and trip == TRIP_NONE and resetting == 0:
+                trip = found
+            goal = goal_after_trip(in_force.envelope, trip, _int64(row["goal"]))
+            controlword = controlword_towards(seen.statusword, goal, resetting > 0, controlword)
+            out.commands[k, 0] = command_a if trip == TRIP_NONE else 0.0
+            out.commands[k, 1] = envelope.i2t_a2s
+            out.words[k, 0] = limits
+            out.words[k, 1] = trip
+            out.words[k, 2] = controlword
+            out.known[k] = 1
+        elif named and not wanted:
+            # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says
+            known, controller = True, controller_at_rest()
+            compensation_rest(effects_memory)
+            envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False)
+        # another law may have found a fault where the axis went on: what follows is what the axis did
+        trip, controlword, resetting_before = _int64(row["trip"]), _int64(row["controlword"]), resetting
+        row_number, tick = _int64(row["row_number"]), _int64(row["tick"])
+        if named:
+            if parameters_at[k] != parameters:
+                config = unpack_controller(in_force.parameters[parameters_at[k]])
+            parameters, effects = parameters_at[k], effects_at[k]
+    return Memory(
+        known, controller, envelope, parameters, effects, trip, controlword, resetting_before, row_number, tick
     )
+
+
+def law_in_force(parameters: list[Floats], effects: list[Floats], envelope: EnvelopeConfig) -> InForce:
+    """Blocks and tables side by side."""
+    return InForce(
+        np.array(parameters).reshape(-1, CONTROLLER_BLOCK_SIZE), np.array(effects).reshape(-1, TABLE_SIZE), envelope
+    )
+
+
+class Replay:
+    """The rows of one session, file by file."""
+
+    def __init__(self) -> None:
+        self._memory = memory_at_start()
+        self._effects_memory = new_memory()
+
+    def run(self, in_force: InForce, rows: Rows, parameters_at: Integers, effects_at: Integers) -> Replayed:
+        """The next rows; places in `in_force` stay what they are from call to call."""
+        out = room_for(rows.size)
+        if rows.size:
+            self._memory = replay_into(
+                in_force, self._effects_memory, self._memory, rows, parameters_at, effects_at, out
+            )
+        return out

@@ -52,10 +52,20 @@ def emit_call(context: Any, builder: Any, arguments: tuple[Any, ...], address: A
     return context.get_dummy_value()
 
 
+_vector_kernels: dict[int, VectorKernel] = {}
+
+
 @cache
 def vectors_address(kernel: VectorKernel) -> int:
     """Address of a kernel on three float64 vectors for `call_on_vectors`; compiles it when needed."""
-    return address_of(kernel, _VECTORS)
+    address = address_of(kernel, _VECTORS)
+    _vector_kernels[address] = kernel
+    return address
+
+
+def vector_kernel_at(address: int) -> VectorKernel:
+    """The kernel that `vectors_address` gave this address. Raises KeyError for any other number."""
+    return _vector_kernels[address]
 
 
 @intrinsic

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 LINE_LIMIT = 4 * 1024 * 1024
 ANSWER_S = 15.0  # beyond what a call itself waits
+REFUSED = -32000  # code of the control API: not possible in this state, or no more in this epoch
 
 
 class LinkError(Exception):
@@ -42,8 +43,11 @@ class ControlLink:
         """The connection stands."""
         return self._writer is not None
 
-    async def call(self, method: str, **params: Any) -> Any:
+    async def call(self, method: str, params: Mapping[str, Any] | None = None) -> Any:
         """The result. Raises LinkError."""
+        params = params or {}
+        wait_s = params.get("wait_s", 0.0)
+        patience_s = ANSWER_S + (wait_s if isinstance(wait_s, int | float) else 0.0)
         await self._open()
         writer = self._writer
         if writer is None:
@@ -54,7 +58,7 @@ class ControlLink:
         request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
         writer.write(json.dumps(request).encode() + b"\n")
         try:
-            return await asyncio.wait_for(answer, ANSWER_S + float(params.get("wait_s", 0.0)))
+            return await asyncio.wait_for(answer, patience_s)
         except TimeoutError:
             raise LinkError("the daemon does not answer") from None
         finally:

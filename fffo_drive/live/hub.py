@@ -1,9 +1,12 @@
-"""What everybody who looks shares: one feed, one look at the status, one way to stop. On the live server's thread."""
+"""What everybody who looks shares: one feed, one look at the status. And the pages' stop, which shares nothing.
+
+Runs on the live server's thread. Each status and each batch of rows is made into a frame once, for all pages.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -49,13 +52,14 @@ class Audience(Protocol):
 class Hub:
     """The pages that look, and what they and the viewers are shown."""
 
-    def __init__(self, feed: Feed, control_path: Path, token: str) -> None:
-        self.feed, self.control_path, self.token = feed, control_path, token
+    def __init__(self, feed: Feed, control_path: Path, key: str) -> None:
+        self.feed, self.control_path, self.key = feed, control_path, key
         self.clients: set[Client] = set()
         self.audience: Audience | None = None
-        self.link = ControlLink(control_path, self._hear)  # stands all the time: a stop finds its way open
+        self.link = ControlLink(control_path, self._hear)
+        self.stops = ControlLink(control_path)  # open all the time, and nothing else goes this way
+        self._greeted: asyncio.Task[str | None] | None = None
         self._somebody = asyncio.Event()
-        self._kept: set[asyncio.Task[None]] = set()
         self._status_hz = -1.0
         self._state = ""
         self._loop: int | None = -1
@@ -63,10 +67,10 @@ class Hub:
     async def serve(self, connection: ServerConnection) -> None:
         """One page, until it goes."""
         client = Client(self, connection)
-        try:
-            client.offer(await self._greeting())
-        except LinkError:
+        greeting = await self._greeting()
+        if greeting is None:
             return
+        client.offer(greeting)
         self.clients.add(client)
         self._somebody.set()
         try:
@@ -74,9 +78,18 @@ class Hub:
         finally:
             self.clients.discard(client)
 
-    async def _greeting(self) -> str:
-        info, status = await self.link.call("info"), await self.link.call("status")
-        events = await self.link.call("events", limit=EVENTS)
+    async def _greeting(self) -> str | None:
+        """Asked for once for all pages that come meanwhile; None without a daemon."""
+        if self._greeted is None or self._greeted.done():
+            self._greeted = asyncio.create_task(self._make_greeting())
+        return await asyncio.shield(self._greeted)
+
+    async def _make_greeting(self) -> str | None:
+        try:
+            info, status = await self.link.call("info"), await self.link.call("status")
+            events = await self.link.call("events", {"limit": EVENTS})
+        except LinkError:
+            return None
         return frames.text(
             "hello", info={name: info[name] for name in ("axis", "profiles", "fffo_drive")}, status=status,
             events=events["events"], fields=frames.fields(), lateness_edges_us=LATENESS_EDGES_US,
@@ -134,12 +147,13 @@ class Hub:
             client.offer(frame)
 
     async def _subscribe(self, wanted_hz: float) -> None:
-        """Statuses while somebody looks; events always, so that the connection is never taken for forgotten."""
-        if self.link.is_open and wanted_hz == self._status_hz:
-            return
+        """Statuses while somebody looks; events always, so that no connection is taken for forgotten."""
         try:
-            await self.link.call("subscribe", status_hz=wanted_hz, events=True)
-            self._status_hz = wanted_hz
+            if not self.stops.is_open:
+                await self.stops.call("subscribe", {"status_hz": 0.0, "events": True})
+            if not self.link.is_open or wanted_hz != self._status_hz:
+                await self.link.call("subscribe", {"status_hz": wanted_hz, "events": True})
+                self._status_hz = wanted_hz
         except LinkError:
             self._status_hz = -1.0
             await asyncio.sleep(RETRY_S)
@@ -156,18 +170,13 @@ class Hub:
     async def stop(self) -> Any:
         """Brake to standstill, then no torque; asked for again while it stops: the drive's quick stop."""
         method = "quick_stop" if self._state == "stopping" else "disable"
-        result = await self.link.call(method, wait_s=0.0)
+        result = await self.stops.call(method, {"wait_s": 0.0})
         self._state = result["state"]
         return {"method": method, **result}
-
-    def keep(self, asked: Coroutine[Any, Any, None]) -> None:
-        """Do it to the end, even when who asked is gone by then: a stop."""
-        task = asyncio.create_task(asked)
-        self._kept.add(task)
-        task.add_done_callback(self._kept.discard)
 
     def close(self) -> None:
         """Drop everybody."""
         for client in list(self.clients):
             client.drop("the service ends")
         self.link.close()
+        self.stops.close()

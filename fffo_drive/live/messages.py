@@ -6,11 +6,11 @@ under the topic and with the field names of a recorded row, so that one layout s
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
+from ..recording.cdr import Field, encode, schema_of
 from ..recording.events import EVENT_SCHEMA, Event, Level
 from ..recording.schema import CDR_HEADER, EVENT_TOPIC, EVENT_TYPE, ROW_TOPIC
 from ..signals import SIGNALS
@@ -22,17 +22,7 @@ STATE_TOPIC, STATE_TYPE = "/fffo_drive/state", "fffo_drive_msgs/msg/State"
 LATENESS_TOPIC, LATENESS_TYPE = "/fffo_drive/lateness", "fffo_drive_msgs/msg/Lateness"
 LOG_TOPIC, LOG_TYPE = "/fffo_drive/log", "rcl_interfaces/msg/Log"
 
-_PACKED = {"float64": "<d", "int64": "<q", "uint32": "<I", "uint8": "<B", "bool": "<?"}
 _LEVELS = {level.name.lower(): level for level in Level}
-
-
-class Field(NamedTuple):
-    """One field of a message."""
-
-    kind: str  # of ROS 2
-    name: str
-    unit: str
-    meaning: str
 
 
 class Message(NamedTuple):
@@ -46,25 +36,11 @@ class Message(NamedTuple):
     @property
     def schema(self) -> str:
         """`ros2msg`, unit and meaning as comments."""
-        lines = [f"{f.kind} {f.name}  # [{f.unit}] {f.meaning}" for f in self.fields]
-        return "\n".join((f"# {self.title}", *lines)) + "\n"
+        return schema_of(self.title, self.fields)
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
         """CDR, little-endian, with its header."""
         return encode((field.kind, values[field.name]) for field in self.fields)
-
-
-def encode(values: Iterable[tuple[str, Any]]) -> bytes:
-    """Kinds and values, in their order, as CDR with its header."""
-    out = bytearray()
-    for kind, value in values:
-        if kind == "string":
-            raw = str(value).encode("utf-8", "replace").replace(b"\0", b"") + b"\0"
-            out += bytes(-len(out) % 4) + struct.pack("<I", len(raw)) + raw
-        else:
-            layout = _PACKED[kind]
-            out += bytes(-len(out) % struct.calcsize(layout)) + struct.pack(layout, value)
-    return CDR_HEADER + bytes(out)
 
 
 def _bin_fields() -> tuple[Field, ...]:
@@ -103,8 +79,9 @@ STATE = Message(
         Field("int64", "late", "-", "late ticks since the loop began; -1 without one"),
         Field("int64", "skipped", "-", "skipped ticks since the loop began; -1 without one"),
         Field("int64", "missing_feedback", "-", "ticks without an answer since the loop began; -1 without a loop"),
+        Field("int64", "epoch", "-", "raised by every stop: `start` and `enable` may name it; -1 when it is not told"),
         Field("int64", "rows_written", "-", "rows in the recording; -1 when there is none"),
-        Field("string", "state", "-", "offline, connected, ready, enabled, running, stopping or fault"),
+        Field("string", "state", "-", "offline, connected, ready, enabled, preparing, running, stopping or fault"),
         Field("string", "fault", "-", "name of the latched fault; empty without one"),
         Field("string", "fault_text", "-", "the same for people"),
         Field("string", "obstacles", "-", "why the axis may not be enabled"),
@@ -150,6 +127,7 @@ def state_payload(status: Mapping[str, Any]) -> bytes:
         **counts,
         "state_s": status["state_s"],
         "profile_share": profile["sample"] / max(1, profile["samples"]) if profile else float("nan"),
+        "epoch": status.get("epoch", -1),
         "rows_written": recording.get("rows_written", -1),
         "state": status["state"],
         "fault": fault.get("name", ""),

@@ -12,15 +12,16 @@ import os
 import secrets
 import stat
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from ..config.address import Address, in_unit, sandbox_problem
-from .control_link import ControlLink
 from .feed import Feed, Source
 from .hub import Hub
 from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE, VIEWERS_FILE
+from .services import Method
+from .viewers import Viewers
 from .web import Web
 
 START_S, END_S = 120.0, 10.0  # a first start may compile
@@ -38,12 +39,17 @@ class LiveServer:
     """Serves from `start` to `close`."""
 
     def __init__(
-        self, wanted: Wanted, directory: Path, control: str, source: Callable[[], Source | None], name: str = "axis"
-    ) -> None:
-        """`directory` has the daemon's socket `control`; addresses and key are left there as files."""
+        self, wanted: Wanted, directory: Path, control: str, source: Callable[[], Source | None],
+        methods: Mapping[str, Method], name: str = "axis",
+    ) -> None:  # fmt: skip
+        """`directory` has the daemon's socket `control`; addresses and key are left there as files.
+
+        `methods`: those of the control API, by name, of which the services of the viewers are made.
+        """
         self.wanted = wanted  # with the ports that were given, once started
-        self.token = secrets.token_urlsafe(24)
+        self.key = secrets.token_urlsafe(24)
         self._directory, self._control, self._source, self._name = directory, control, source, name
+        self._methods = methods
         self._thread = threading.Thread(target=self._work, name=THREAD_NAME, daemon=True)
         self._ready = threading.Event()
         self._failure: BaseException | None = None
@@ -91,7 +97,7 @@ class LiveServer:
 
     def _files(self) -> list[tuple[str, str, int]]:
         urls = [(URL_FILE, self.url, URL_MODE), (VIEWERS_FILE, self.viewers_url, URL_MODE)]
-        return [*(file for file in urls if file[1]), (TOKEN_FILE, self.token, TOKEN_MODE)]
+        return [*(file for file in urls if file[1]), (TOKEN_FILE, self.key, TOKEN_MODE)]
 
     def _work(self) -> None:
         with contextlib.suppress(OSError):
@@ -106,7 +112,7 @@ class LiveServer:
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self.hub = hub = Hub(Feed(self._source), self._directory / self._control, self.token)
+        self.hub = hub = Hub(Feed(self._source), self._directory / self._control, self.key)
         async with contextlib.AsyncExitStack() as served:
             served.callback(hub.close)
             if self.wanted.scope is not None:
@@ -114,7 +120,10 @@ class LiveServer:
                 self.wanted = self.wanted._replace(scope=await web.start())
                 served.callback(web.close)
             if self.wanted.viewers is not None:
-                self.wanted = self.wanted._replace(viewers=await self._open_viewers(self.wanted.viewers, served))
+                path = self._directory / self._control
+                hub.audience = viewers = Viewers(self.wanted.viewers, self._name, self.key, path, self._methods)
+                self.wanted = self.wanted._replace(viewers=await viewers.start())
+                served.callback(viewers.close)
             working = asyncio.create_task(hub.run())
             self._ready.set()
             ending = asyncio.create_task(self._end.wait())
@@ -122,18 +131,6 @@ class LiveServer:
             if working.done():
                 working.result()
             working.cancel()
-
-    async def _open_viewers(self, address: Address, served: contextlib.AsyncExitStack) -> Address:
-        """The viewers' WebSocket, with a connection to the daemon of its own."""
-        from .viewers import Viewers  # the SDK is large: only where it is wanted
-
-        others = ControlLink(self._directory / self._control)
-        viewers = Viewers(address, self._name, self.token, (self.hub.link, others))
-        served.push_async_callback(viewers.close)
-        served.callback(others.close)  # first of all: what waits for an answer has one, and the SDK can end
-        address = await viewers.start()
-        self.hub.audience = viewers
-        return address
 
 
 def _write(path: Path, text: str, mode: int, group: int) -> None:

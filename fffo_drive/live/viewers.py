@@ -1,43 +1,41 @@
-"""A WebSocket for the viewers that people already use: Foxglove, Lichtblick, PlotJuggler's bridge (foxglove-sdk).
+"""A WebSocket for the viewers that people already use: Foxglove, Lichtblick, PlotJuggler's bridge.
 
-The SDK sends on threads of its own and drops what a slow viewer does not take; here it is only handed what the feed has
-made. Services are the methods of the control API, as the daemon lists them. The protocol knows no origin and no user:
-whoever reaches the port may look and may stop the axis; every other command needs the key in its request.
+All of them are served on the live server's thread, each with a queue of its own; one that does not read, or asks too
+often, is dropped. Services are the methods of the control API. A request is checked completely before the daemon is
+asked. Looking, commands and stops go to the daemon on three connections: who has no key stands before nobody who has
+it, and no command that waits stands before a stop.
 """
 
 from __future__ import annotations
 
-import asyncio
-import hmac
 import json
+import math
+import time
 from collections.abc import Mapping
-from functools import partial
+from pathlib import Path
 from typing import Any
 
-import foxglove
 import numpy as np
-from foxglove.websocket import Capability, MessageSchema, Service, ServiceRequest, ServiceSchema, WebSocketServer
+from websockets.asyncio.server import ServerConnection
 
 from ..config.address import Address
 from ..recording.events import encode_event
 from ..recording.schema import EVENT_TOPIC, MESSAGE_ENCODING, SCHEMA_ENCODING
 from ..signals import SIGNALS
+from . import foxglove_protocol as protocol
 from . import messages as m
-from .control_link import ControlLink
+from .control_link import ControlLink, LinkError
 from .decimation import LAST, LATENESS_EDGES_US
 from .feed import Taken
+from .listener import Listener
+from .peer import DroppedError, Peer
+from .services import Kind, Method, RefusedCallError, Request, Services
 
-PREFIX = "/fffo_drive/"
-ENDING = ("stop", "disable", "quick_stop")  # take torque or motion away: no key
-UNSERVED = ("subscribe", "schema")  # of the connection, or served as the services' own schemas
-BACKLOG = 256  # messages for a viewer that does not read: a few seconds
-REQUEST_BYTES = 256 * 1024
+VIEWERS = 24
+REQUEST_BYTES = 256 * 1024  # a model file fits
+CALLS_IN_ALL = {Kind.LOOKS: 16, Kind.COMMANDS: 16, Kind.ENDS: math.inf}  # that wait at a time
 LATENESS_NS = 1_000_000_000
 DEADLINE = next(i for i, signal in enumerate(SIGNALS) if signal.name == "deadline_ns")
-
-
-class RefusedCallError(Exception):
-    """A call that is not let through, and why."""
 
 
 class Tally:
@@ -65,55 +63,81 @@ class Tally:
         return m.lateness_payload(self._counts.tolist(), self._ticks, self._late, self._lost)
 
 
-class Viewers:
-    """The server and its channels. All but the services' handlers is called from the live server's thread."""
+class Line:
+    """A connection to the daemon for the calls of all viewers, on which so many may wait at a time."""
 
-    def __init__(self, address: Address, name: str, key: str, links: tuple[ControlLink, ControlLink]) -> None:
-        """`links`: for what ends a motion, and for all other calls, so that nothing stands before a stop."""
-        self._address, self._name, self._key = address, name, key
-        self._ending, self._others = links
-        self._context = foxglove.Context()
-        self._channels = {
-            topic: foxglove.Channel(
-                topic, message_encoding=MESSAGE_ENCODING, context=self._context,
-                schema=foxglove.Schema(name=kind, encoding=SCHEMA_ENCODING, data=text.encode()),
-            )
-            for topic, (kind, text) in m.SCHEMAS.items()
-        }  # fmt: skip
-        self._server: WebSocketServer | None = None
+    def __init__(self, control_path: Path, most: float) -> None:
+        self.link = ControlLink(control_path)
+        self._most = most
+        self._waiting = 0
+
+    async def ask(self, request: Request) -> bytes:
+        """The answer as JSON. Raises LinkError."""
+        if self._waiting >= self._most:
+            raise LinkError(f"{self._most} calls of viewers wait already; ask again")
+        self._waiting += 1
+        try:
+            return json.dumps(await self.link.call(request.method, request.params)).encode()
+        finally:
+            self._waiting -= 1
+
+
+class Viewers:
+    """The server, its topics and services. Everything runs on the live server's thread."""
+
+    def __init__(
+        self, address: Address, name: str, key: str, control_path: Path, methods: Mapping[str, Method]
+    ) -> None:
+        """`methods`: those of the control API, by name."""
+        self._listener = Listener(
+            address, self._serve, lambda _: None, VIEWERS, key, REQUEST_BYTES, protocol.SUBPROTOCOL
+        )
+        self.services = Services(methods, key)
+        self.channels = [
+            protocol.Channel(number, topic, MESSAGE_ENCODING, kind, text, SCHEMA_ENCODING)
+            for number, (topic, (kind, text)) in enumerate(m.SCHEMAS.items(), start=1)
+        ]
+        self._number_of = {channel.topic: channel.id for channel in self.channels}
+        self._greeting = (
+            protocol.server_info(name, str(time.time_ns())),
+            protocol.advertise(self.channels),
+            protocol.advertise_services(self.services.offered()),
+        )
+        self._lines = {kind: Line(control_path, CALLS_IN_ALL[kind]) for kind in Kind}
+        self._viewers: set[Viewer] = set()
         self.begin()
 
     async def start(self) -> Address:
-        """Listen. Returns where. Raises OSError when the address cannot be had, LinkError without a daemon."""
-        self._loop = asyncio.get_running_loop()
-        methods = await self._others.call("schema")
-        services = [self._service(name, method) for name, method in methods.items() if name not in UNSERVED]
-        begin = partial(
-            foxglove.start_server, name=self._name, host=self._address.host, port=self._address.port,
-            capabilities=[Capability.Services], supported_encodings=["json"], services=services,
-            context=self._context, message_backlog_size=BACKLOG,
-        )  # fmt: skip
-        try:
-            self._server = await asyncio.to_thread(begin)
-        except RuntimeError as error:
-            raise OSError(f"the WebSocket for viewers cannot listen on {self._address.names[0]}: {error}") from error
-        self._address = self._address._replace(port=self._server.port)
-        return self._address
+        """Listen. Returns where. Raises OSError when the address cannot be had."""
+        return await self._listener.start()
 
-    async def close(self) -> None:
+    def close(self) -> None:
         """Stop listening, drop everybody."""
-        server, self._server = self._server, None
-        if server is not None:
-            await asyncio.to_thread(server.stop)
-        for channel in self._channels.values():
-            channel.close()
+        self._listener.close()
+        for line in self._lines.values():
+            line.link.close()
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        """One viewer, until it goes."""
+        viewer = Viewer(self, connection)
+        for text in self._greeting:
+            viewer.offer(text)
+        self._viewers.add(viewer)
+        try:
+            await viewer.live()
+        finally:
+            self._viewers.discard(viewer)
+
+    async def ask(self, request: Request) -> bytes:
+        """The daemon's answer as JSON. Raises LinkError."""
+        return await self._lines[request.kind].ask(request)
 
     # what goes out
 
     @property
     def looking(self) -> bool:
         """Somebody has subscribed to something."""
-        return self._server is not None and any(channel.has_sinks() for channel in self._channels.values())
+        return any(viewer.subscriptions for viewer in self._viewers)
 
     def begin(self) -> None:
         """What follows has nothing to do with what was before."""
@@ -123,63 +147,79 @@ class Viewers:
         """Bins, and once a second how late the ticks woke."""
         times_ns = (taken.bins[:, DEADLINE, LAST].astype(np.int64) + taken.wall_offset_ns).tolist()
         for payload, time_ns in zip(m.bin_payloads(taken.bins), times_ns, strict=True):
-            self._channels[m.BIN_TOPIC].log(payload, log_time=time_ns)
+            self._tell(m.BIN_TOPIC, payload, time_ns)
         self._tally.add(taken)
         if times_ns and self._tally.due(times_ns[0], times_ns[-1]):
-            self._channels[m.LATENESS_TOPIC].log(self._tally.payload(), log_time=times_ns[-1])
+            self._tell(m.LATENESS_TOPIC, self._tally.payload(), times_ns[-1])
             self._tally = Tally(times_ns[-1])
 
     def status(self, status: Mapping[str, Any]) -> None:
         """A status of the control API."""
-        self._channels[m.STATE_TOPIC].log(m.state_payload(status))
+        self._tell(m.STATE_TOPIC, m.state_payload(status), time.time_ns())
 
     def event(self, event: Mapping[str, Any]) -> None:
         """An event of the control API."""
         told = m.event_of(event)
-        self._channels[EVENT_TOPIC].log(encode_event(told), log_time=told.time_ns)
-        self._channels[m.LOG_TOPIC].log(m.log_payload(told), log_time=told.time_ns)
+        self._tell(EVENT_TOPIC, encode_event(told), told.time_ns)
+        self._tell(m.LOG_TOPIC, m.log_payload(told), told.time_ns)
 
-    # what comes in, on threads of the SDK
-
-    def _service(self, name: str, method: Mapping[str, Any]) -> Service:
-        needs_key = not method["watching"] and name not in ENDING
-        request = dict(method["parameters"], description=method["summary"])
-        if needs_key:
-            key = {"type": "string", "description": "what `fffo-drive scope --viewers` says"}
-            request["properties"] = {"key": key, **request.get("properties", {})}
-            request["required"] = ["key", *request.get("required", [])]
-        schemas = [
-            MessageSchema(
-                encoding="json",
-                schema=foxglove.Schema(
-                    name=f"fffo_drive/{name}_{end}", encoding="jsonschema", data=json.dumps(content).encode()
-                ),
-            )
-            for end, content in (("Request", request), ("Response", {"type": "object"}))
-        ]
-        return Service(
-            name=PREFIX + name,
-            schema=ServiceSchema(name=f"fffo_drive/{name}", request=schemas[0], response=schemas[1]),
-            handler=partial(self._serve, name, needs_key),
-        )
-
-    def _serve(self, name: str, needs_key: bool, request: ServiceRequest) -> bytes:
-        """Ask the daemon. What is raised is the viewer's answer."""
-        given = _given(request.payload)
-        key = given.pop("key", "")
-        if needs_key and not hmac.compare_digest(str(key).encode("utf-8", "replace"), self._key.encode()):
-            raise RefusedCallError(f"{name} needs the key: put what `fffo-drive scope --viewers` says into the request")
-        link = self._ending if name in ENDING else self._others
-        answer = asyncio.run_coroutine_threadsafe(link.call(name, **given), self._loop)
-        return json.dumps(answer.result()).encode()
+    def _tell(self, topic: str, payload: bytes, time_ns: int) -> None:
+        """A message, made once, to everybody who has subscribed to its topic."""
+        channel = self._number_of[topic]
+        for viewer in list(self._viewers):
+            subscription = viewer.subscriptions.get(channel)
+            if subscription is not None:
+                viewer.offer(protocol.message_data(subscription, time_ns, payload))
 
 
-def _given(payload: bytes) -> dict[str, Any]:
-    """The parameters in a request; an empty one has none."""
-    try:
-        given = json.loads(payload or b"{}") if len(payload) <= REQUEST_BYTES else None
-    except (ValueError, RecursionError):
-        given = None
-    if not isinstance(given, dict) or "method" in given:
-        raise RefusedCallError(f"a request is one JSON object with the parameters, of {REQUEST_BYTES} bytes at most")
-    return given
+class Viewer(Peer):
+    """One of them."""
+
+    def __init__(self, viewers: Viewers, connection: ServerConnection) -> None:
+        super().__init__(connection)
+        self._all = viewers
+        self._channels = {channel.id for channel in viewers.channels}
+        self.subscriptions: dict[int, int] = {}  # channel -> subscription
+
+    def take(self, message: str | bytes) -> None:
+        """A message of the protocol. Raises DroppedError."""
+        try:
+            asked = protocol.parse(message)
+        except protocol.ProtocolError as error:
+            raise DroppedError(str(error)) from None
+        if isinstance(asked, protocol.Subscribe):
+            self._subscribe(asked)
+        elif isinstance(asked, protocol.Unsubscribe):
+            gone = set(asked.ids)
+            self.subscriptions = {c: s for c, s in self.subscriptions.items() if s not in gone}
+        elif isinstance(asked, protocol.ServiceCall):
+            self._call(asked)
+        else:
+            self.offer(protocol.status(protocol.ERROR, f"{asked.operation} is not offered"))
+
+    def _subscribe(self, asked: protocol.Subscribe) -> None:
+        for subscription, channel in asked.wanted:
+            if channel not in self._channels:
+                self.offer(protocol.status(protocol.ERROR, f"no channel {channel}"))
+            else:
+                self.subscriptions[channel] = subscription
+
+    def _call(self, call: protocol.ServiceCall) -> None:
+        """Ask the daemon, once it is known that this may be asked."""
+        try:
+            if call.encoding != protocol.ENCODING:
+                raise RefusedCallError(f"requests are {protocol.ENCODING}")
+            request = self._all.services.checked(call.service, call.payload)
+            ends = request.kind is Kind.ENDS
+            if self.busy and not ends:
+                raise RefusedCallError("too many of your calls wait already")
+        except RefusedCallError as error:
+            self.offer(protocol.service_failure(call, str(error)))
+        else:
+            self.answer_later(self._answer(call, request), to_the_end=ends)
+
+    async def _answer(self, call: protocol.ServiceCall, request: Request) -> None:
+        try:
+            self.offer(protocol.service_answer(call, await self._all.ask(request)))
+        except LinkError as error:
+            self.offer(protocol.service_failure(call, str(error)))

@@ -173,9 +173,13 @@ def effect_errors(effects: list[EffectModel]) -> list[tuple[str, str]]:
     return errors
 
 
-def write_model(path: str | Path, model: ModelFile) -> None:
-    """Write a model file with its content hash."""
+def model_text(model: ModelFile) -> str:
+    """The model as a file, with its content hash."""
     stamped = model.model_copy(update={"content_hash": content_hash(model)})
     content = stamped.model_dump(mode="json", exclude_none=True, exclude=set() if model.effects else {"effects"})
-    text = yaml.safe_dump(content, sort_keys=False, width=110)
-    Path(path).write_text(text, encoding="utf-8")
+    return yaml.safe_dump(content, sort_keys=False, width=110)
+
+
+def write_model(path: str | Path, model: ModelFile) -> None:
+    """Write a model file with its content hash."""
+    Path(path).write_text(model_text(model), encoding="utf-8")

@@ -35,6 +35,7 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "A": {"A": 1.0, "mA": 1e-3},
     "Nm": {"Nm": 1.0, "mNm": 1e-3},
     "Nm/s": {"Nm/s": 1.0},
+    "A2s": {"A2s": 1.0},
     "V": {"V": 1.0, "mV": 1e-3},
     "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},

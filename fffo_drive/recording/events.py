@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from enum import IntEnum
@@ -17,16 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..units import NS_PER_S
-from .schema import CDR_HEADER
+from .cdr import Field, decode, encode, schema_of
 
-EVENT_SCHEMA = """\
-# What happened beside the ticks.
-uint64 time_ns  # [ns] wall clock, Unix epoch
-uint8 level     # [-] 10 debug, 20 info, 30 warning, 40 error, 50 fatal
-string source   # [-] who says so: loop, supervisor, drive, recorder
-string text     # [-] one sentence for people
-string data     # [-] JSON object for programs
-"""
+EVENT_FIELDS = (
+    Field("uint64", "time_ns", "ns", "wall clock, Unix epoch"),
+    Field("uint8", "level", "-", "10 debug, 20 info, 30 warning, 40 error, 50 fatal"),
+    Field("string", "source", "-", "who says so: loop, supervisor, drive, recorder"),
+    Field("string", "text", "-", "one sentence for people"),
+    Field("string", "data", "-", "JSON object for programs"),
+)
+EVENT_SCHEMA = schema_of("What happened beside the ticks.", EVENT_FIELDS)
 
 
 class Level(IntEnum):
@@ -76,37 +75,30 @@ def utc_text(time_ns: int) -> str:
 
 def encode_event(event: Event) -> bytes:
     """CDR payload (with header) of `EVENT_SCHEMA`."""
-    out = bytearray(struct.pack("<QB", event.time_ns, event.level))
-    for text in (event.source, event.text, json.dumps(_plain(event.data), allow_nan=False)):
-        raw = text.encode("utf-8", "replace") + b"\0"
-        out += bytes(-len(out) % 4) + struct.pack("<I", len(raw)) + raw
-    return CDR_HEADER + bytes(out)
+    values = (*event[:4], json_text(event.data))
+    return encode((field.kind, value) for field, value in zip(EVENT_FIELDS, values, strict=True))
 
 
 def decode_event(payload: bytes) -> Event:
     """The inverse of `encode_event`; raises ValueError for bytes that are no event."""
-    if payload[:2] != CDR_HEADER[:2]:
-        raise ValueError("an event that is not little-endian CDR")
-    body = payload[len(CDR_HEADER) :]
+    values = decode(payload, EVENT_FIELDS)
+    return Event(**{**values, "data": json_object(values["data"])})
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """A JSON object; what JSON cannot say becomes text."""
+    return json.dumps(_plain(data), allow_nan=False)
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """The inverse of `json_text`; raises ValueError for anything but an object."""
     try:
-        time_ns, level = struct.unpack_from("<QB", body)
-        position = 9
-        texts = []
-        for _ in range(3):
-            position += -position % 4
-            (length,) = struct.unpack_from("<I", body, position)
-            position += 4
-            raw = body[position : position + length]
-            if len(raw) != length:
-                raise ValueError("an event that is cut off")
-            texts.append(raw.removesuffix(b"\0").decode())
-            position += length
-    except struct.error as error:
-        raise ValueError("an event that is cut off") from error
-    data = json.loads(texts[2])
+        data = json.loads(text)
+    except RecursionError:
+        raise ValueError("data that is nested too deeply") from None
     if not isinstance(data, dict):
-        raise ValueError("an event whose data is no JSON object")
-    return Event(time_ns, level, texts[0], texts[1], data)
+        raise ValueError("data that is no JSON object")
+    return data
 
 
 def _plain(value: Any) -> Any:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -17,6 +18,7 @@ from ..signals import ROW, SIGNALS, UNITS
 from ..units import NS_PER_S
 from .errors import RecordingError, did_you_mean
 from .events import Event, decode_event
+from .run_records import RECORD_TOPIC, RECORD_TYPE, RunRecord, decode_record
 from .scan import (
     HEAD_SIZE,
     DamagedRecordError,
@@ -42,6 +44,7 @@ from .schema import (
 )
 
 Array = np.ndarray[Any, np.dtype[Any]]
+T = TypeVar("T")
 _MESSAGE_PREFIX = message_dtype(0).itemsize
 _LOG_TIME = 1 + 8 + 2 + 4  # bytes of opcode, length, channel and sequence in front of it
 _CURRENT_LAYOUT = RowLayout(ROW, UNITS, {signal.name: signal.meaning for signal in SIGNALS})
@@ -68,6 +71,7 @@ class Run:
     summary: Mapping[str, str]  # empty in a torn file
     attachments: Mapping[str, Attachment]
     events: tuple[Event, ...]
+    records: tuple[RunRecord, ...]  # in force at the file's begin, and made since; none in files of older versions
     complete: bool
     reason: str
 
@@ -103,6 +107,7 @@ class Run:
             "period_s": float(np.median(periods)) if len(periods) else None,
             "columns": {name: self.units[name] for name in self.rows.dtype.names or ()},
             "events": [event.as_dict() for event in self.events],
+            "records": [record.as_dict() for record in self.records],
             "attachments": {
                 a.name: {"media_type": a.media_type, "bytes": len(a.data)} for a in self.attachments.values()
             },
@@ -129,6 +134,22 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     return collector.run(scanner.tear)
 
 
+def read_metadata(path: Path | str) -> dict[str, str]:
+    """What a recording says of itself at its beginning, without reading its rows; {} where it says nothing.
+
+    Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
+    """
+    with Path(path).open("rb") as file, contextlib.suppress(DamagedRecordError):
+        for record in Scanner(file, str(path)):
+            if record.opcode == Opcode.METADATA:
+                metadata = parse(Metadata.read, record.body)
+                if metadata.name == METADATA_NAME:
+                    return dict(metadata.metadata)
+            elif record.opcode == Opcode.CHUNK:
+                break
+    return {}
+
+
 @dataclass
 class _Collector:
     path: Path
@@ -137,10 +158,12 @@ class _Collector:
     channels: dict[int, Channel] = field(default_factory=dict)
     layouts: dict[int, RowLayout] = field(default_factory=dict)  # by channel
     event_channels: set[int] = field(default_factory=set)
+    record_channels: set[int] = field(default_factory=set)
     rows: list[Array] = field(default_factory=list)  # raw bytes of rows, by segment
     times: list[Array] = field(default_factory=list)
     stated: dict[int, int] = field(default_factory=dict)  # messages by channel, from the file's statistics
     events: list[Event] = field(default_factory=list)
+    records: list[RunRecord] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
 
@@ -165,6 +188,7 @@ class _Collector:
     def _take_segments(self, data: bytes, parts: list[Segment]) -> None:
         blocks: list[tuple[Array, Array]] = []
         events: list[Event] = []
+        records: list[RunRecord] = []
         for part in parts:
             body = memoryview(data)[part.offset + HEAD_SIZE : part.offset + part.size]
             if part.opcode == Opcode.SCHEMA:
@@ -175,10 +199,13 @@ class _Collector:
             elif part.channel in self.layouts:
                 blocks.append(_rows(data, part, self.layouts[part.channel], f"{self.path}: {self.topic}"))
             elif part.channel in self.event_channels:
-                events += _events(data, part)
+                events += _decoded(data, part, decode_event)
+            elif part.channel in self.record_channels:
+                records += _decoded(data, part, decode_record)
         self.rows += [rows for rows, _ in blocks]  # only now: all of a chunk, or nothing
         self.times += [times for _, times in blocks]
         self.events += events
+        self.records += records
 
     def _take_channel(self, channel: Channel) -> None:
         if channel.id in self.channels:
@@ -189,6 +216,8 @@ class _Collector:
             self.layouts[channel.id] = self._layout(channel, schema)
         elif channel.topic == EVENT_TOPIC and schema is not None and schema.name == EVENT_TYPE:
             self.event_channels.add(channel.id)
+        elif channel.topic == RECORD_TOPIC and schema is not None and schema.name == RECORD_TYPE:
+            self.record_channels.add(channel.id)
 
     def _layout(self, channel: Channel, schema: Schema | None) -> RowLayout:
         place = f"{self.path}: channel {channel.topic}"
@@ -227,6 +256,7 @@ class _Collector:
             summary=self.metadata.get(SUMMARY_NAME, {}),
             attachments=self.attachments,
             events=tuple(self.events),
+            records=tuple(self.records),
             complete=tear is None,
             reason=reason,
         )
@@ -257,12 +287,12 @@ def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Ar
     return raw, records["log_time"].astype(np.int64)
 
 
-def _events(data: bytes, part: Segment) -> list[Event]:
+def _decoded(data: bytes, part: Segment, decode: Callable[[bytes], T]) -> list[T]:
     found = []
     for number in range(part.repeats):
         begin = part.offset + number * part.size
         try:
-            found.append(decode_event(data[begin + _MESSAGE_PREFIX : begin + part.size]))
+            found.append(decode(data[begin + _MESSAGE_PREFIX : begin + part.size]))
         except ValueError as error:
             raise DamagedRecordError(str(error)) from error
     return found

@@ -17,6 +17,7 @@ from typing import Any
 from .events import Event, Level
 from .ring_reader import Ring, RingReader
 from .run_files import RunFiles
+from .run_records import RecordBook, RunRecord
 from .settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 
 SOURCE = "recorder"
@@ -29,7 +30,7 @@ class Recorder:
 
     It begins with the oldest row of the ring or, `from_now`, with the next. The first file is opened here, so
     that a path that cannot be written raises OSError before anything moves. Then either `start` and `stop`
-    the thread, or call `drain_once` and `close`, never both at a time.
+    the thread, or call `drain_once` and `close`, never both at a time. `records`: of the session that writes the ring.
     """
 
     def __init__(
@@ -41,7 +42,12 @@ class Recorder:
         hooks: RecorderHooks | None = None,
         *,
         from_now: bool = False,
+        records: RecordBook | None = None,
     ) -> None:
+        self._records: deque[RunRecord] = deque()
+        self._book = records
+        # heard before the first row is read: what that row names is in force, or comes
+        in_force = records.listen(self._records.append) if records is not None else []
         self._reader = RingReader(ring, from_now)
         self._settings = settings or RecorderSettings()
         self._hooks = hooks or RecorderHooks()
@@ -55,7 +61,13 @@ class Recorder:
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._summary: Mapping[str, str] = {}
-        self._files = RunFiles(Path(path), header or RunHeader(), self._settings, self._hooks, self._report)
+        try:
+            self._files = RunFiles(
+                Path(path), header or RunHeader(), self._settings, self._hooks, self._report, in_force
+            )
+        except BaseException:
+            self._leave()
+            raise
 
     def event(
         self,
@@ -132,7 +144,7 @@ class Recorder:
             self._report(Level.ERROR, f"the ring ran over: {batch.lost} rows lost", {"rows_lost": batch.lost})
         self._overrunning = batch.lost > 0
         for begin in range(0, max(len(batch.rows), 1), WRITE_ROWS):
-            self._files.write(batch.rows[begin : begin + WRITE_ROWS], self._events, now_ns)
+            self._files.write(batch.rows[begin : begin + WRITE_ROWS], self._events, self._records, now_ns)
             self._files.keep_house(now_ns)
         if self._hooks.on_rows is not None and len(batch.rows):
             self._call(self._hooks.on_rows, batch.rows)
@@ -143,9 +155,14 @@ class Recorder:
         if not self._closed:
             self._closed = True
             self.drain_once()
+            self._leave()
             counts = {"rows_lost": str(self._reader.rows_lost)}
             self._files.close({**counts, **(summary or {})}, self._hooks.clock_ns())
         return self.statistics
+
+    def _leave(self) -> None:
+        if self._book is not None:
+            self._book.leave(self._records.append)
 
     def __enter__(self) -> Recorder:
         return self

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..units import NS_PER_S
 from .events import Event, Level
 from .rotation import enforce_quota, is_taken, segment_path
+from .run_records import RunRecord, still_in_force
 from .settings import RecorderHooks, RecorderSettings, Rows, RunHeader
 from .writer import RunWriter
 
@@ -18,17 +19,21 @@ Report = Callable[[Level, str, Mapping[str, Any]], None]
 
 
 class RunFiles:
-    """Writes rows and events to NAME.mcap, NAME_002.mcap, ... Only the constructor raises OSError.
+    """Writes rows, events and records to NAME.mcap, NAME_002.mcap, ... Only the constructor raises OSError.
+
+    Every file begins with the records that were in force when it was opened.
 
     Rows and events that do not reach a file are counted; a failure is reported once, and once more when it is
     over.
     """
 
     def __init__(
-        self, path: Path, header: RunHeader, settings: RecorderSettings, hooks: RecorderHooks, report: Report
-    ) -> None:
+        self, path: Path, header: RunHeader, settings: RecorderSettings, hooks: RecorderHooks, report: Report,
+        in_force: Iterable[RunRecord] = (),
+    ) -> None:  # fmt: skip
         self._path = path
         self._header = header
+        self._in_force = list(in_force)
         self._settings = settings
         self._hooks = hooks
         self._report = report
@@ -76,16 +81,25 @@ class RunFiles:
 
     # ---- writing
 
-    def write(self, rows: Rows, events: deque[Event], now_ns: int) -> None:
-        """Take rows and queued events; without an open file, rows are dropped and events stay queued."""
+    def write(self, rows: Rows, events: deque[Event], records: deque[RunRecord], now_ns: int) -> None:
+        """Take rows, queued events and records; without an open file, rows are dropped and events stay queued."""
         if self._writer is None and now_ns >= self._retry_ns:
             self._reopen(now_ns)
+        news = [records.popleft() for _ in range(len(records))]
+        self._in_force += news
+        self._write(rows, events, news, now_ns)
+        if len(rows) and len(self._in_force) > 1:
+            self._in_force = still_in_force(self._in_force, rows[-1])
+
+    def _write(self, rows: Rows, events: deque[Event], records: Iterable[RunRecord], now_ns: int) -> None:
         writer = self._writer
         if writer is None:
             self.rows_dropped += len(rows)
             return
         self._handed += len(rows)
         try:
+            for record in records:
+                writer.write_record(record, self._wall_ns(now_ns))
             writer.write_rows(rows)
             while events:
                 event = events.popleft()
@@ -142,7 +156,7 @@ class RunFiles:
         metadata = dict(self._header.metadata)
         if not first:
             metadata |= {"segment": str(number), "continues": self._path.name}
-        self._writer = RunWriter(
+        writer = RunWriter(
             path,
             metadata,
             self._header.attachments,
@@ -153,9 +167,19 @@ class RunFiles:
             clock_ns=self._hooks.clock_ns,
             opener=self._hooks.opener,
         )
+        try:
+            for record in self._in_force:
+                writer.write_record(record, self._wall_ns(now_ns))
+        except BaseException:
+            writer.abandon()
+            raise
+        self._writer = writer
         self._segment = number
         self._opened_ns = self._flushed_ns = now_ns
         self._check_quota(now_ns)
+
+    def _wall_ns(self, now_ns: int) -> int:
+        return max(now_ns + self._header.time_offset_ns, 0)
 
     def _reopen(self, now_ns: int) -> None:
         try:

@@ -21,6 +21,7 @@ from ..units import NS_PER_S
 from .container import BinaryFile, ChunkBuilder, Compression, McapFile, record_bytes
 from .errors import RecordingError
 from .events import EVENT_SCHEMA, Event, encode_event, utc_text
+from .run_records import RECORD_SCHEMA, RECORD_TOPIC, RECORD_TYPE, RunRecord, encode_record
 from .schema import (
     CDR_HEADER,
     EVENT_TOPIC,
@@ -41,6 +42,7 @@ PART_SUFFIX = ".part"
 CHUNK_SIZE = 256 * 1024
 ROW_CHANNEL = 1
 EVENT_CHANNEL = 2
+RECORD_CHANNEL = 3
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 Attachments = Sequence[tuple[str, str, bytes]]  # name, media type, content
@@ -115,7 +117,9 @@ class RunWriter:
         self.rows_written = 0  # in chunks that the file holds
         self.rows_pending = 0  # in the chunk being filled
         self.events_written = 0
+        self.records_written = 0
         self._events_pending = 0
+        self._records_pending = 0
         self._offset_ns = int(time_offset_ns)
         self._chunk_size = chunk_size
         self._fsync_interval_ns = None if fsync_interval_s is None else int(fsync_interval_s * NS_PER_S)
@@ -195,16 +199,20 @@ class RunWriter:
 
     def write_event(self, event: Event) -> None:
         """Add an event; it reaches the file with the chunk that is being filled."""
-        message = Message(
-            channel_id=EVENT_CHANNEL,
-            sequence=(self.events_written + self._events_pending) & 0xFFFFFFFF,
-            log_time=event.time_ns,
-            publish_time=event.time_ns,
-            data=encode_event(event),
-        )
-        block = record_bytes(message)
-        self._chunk.add_messages(EVENT_CHANNEL, block, np.array([event.time_ns], np.uint64))
+        sequence = self.events_written + self._events_pending
         self._events_pending += 1
+        self._write_message(EVENT_CHANNEL, sequence, event.time_ns, encode_event(event))
+
+    def write_record(self, record: RunRecord, time_ns: int) -> None:
+        """Add a record, as an event is added. `time_ns`: wall clock of now; one in force may be hours older."""
+        self._records_pending += 1
+        self._write_message(RECORD_CHANNEL, record.sequence, time_ns, encode_record(record))
+
+    def _write_message(self, channel: int, sequence: int, time_ns: int, data: bytes) -> None:
+        message = Message(
+            channel_id=channel, sequence=sequence & 0xFFFFFFFF, log_time=time_ns, publish_time=time_ns, data=data
+        )
+        self._chunk.add_messages(channel, record_bytes(message), np.array([time_ns], np.uint64))
         if self._chunk.size > self._chunk_size:
             self._close_chunk()
 
@@ -212,9 +220,11 @@ class RunWriter:
         chunk, self._chunk = self._chunk, ChunkBuilder()
         rows, self.rows_pending = self.rows_pending, 0
         events, self._events_pending = self._events_pending, 0
+        records, self._records_pending = self._records_pending, 0
         self._mcap.add_chunk(chunk)
         self.rows_written += rows
         self.events_written += events
+        self.records_written += records
 
     def flush(self) -> None:
         """Hand everything to the operating system, and to the disk when the fsync interval is over.
@@ -275,6 +285,7 @@ class RunWriter:
             "ended": utc_text(self._wall_ns()),
             "rows": str(self.rows_written),
             "events": str(self.events_written),
+            "records": str(self.records_written),
             "first_tick": str(first),
             "last_tick": str(last),
         }
@@ -302,8 +313,9 @@ def _schemas_and_channels() -> list[Schema | Channel]:
     schemas = [
         Schema(id=1, name=ROW_TYPE, encoding=SCHEMA_ENCODING, data=schema_text().encode()),
         Schema(id=2, name=EVENT_TYPE, encoding=SCHEMA_ENCODING, data=EVENT_SCHEMA.encode()),
+        Schema(id=3, name=RECORD_TYPE, encoding=SCHEMA_ENCODING, data=RECORD_SCHEMA.encode()),
     ]
-    topics = ((ROW_CHANNEL, ROW_TOPIC), (EVENT_CHANNEL, EVENT_TOPIC))
+    topics = ((ROW_CHANNEL, ROW_TOPIC), (EVENT_CHANNEL, EVENT_TOPIC), (RECORD_CHANNEL, RECORD_TOPIC))
     channels = [
         Channel(id=channel, topic=topic, message_encoding=MESSAGE_ENCODING, metadata={}, schema_id=channel)
         for channel, topic in topics

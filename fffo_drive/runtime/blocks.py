@@ -31,7 +31,8 @@ AUTOSTOP = 7  # 1: disable the drive and leave the loop when the profile has end
 SUPERVISOR_BEAT = 8  # changes as long as somebody is in charge of the loop (LoopConfig.supervisor_ticks)
 EFFECTS = 9  # bits: which of the model's effects are in service
 EFFECTS_NUMBER = 10  # a new number publishes the effects in slot number & 1
-CONTROL_WORDS = 11
+REQUEST_NUMBER = 11  # raised after each request, with the sequence of its record: rows name the last one seen
+CONTROL_WORDS = 12
 
 # status words: written by the loop
 TICK = 0
@@ -102,17 +103,22 @@ def publish_effects(blocks: Blocks, table: Floats) -> int:
     return number
 
 
-def publish_profile(blocks: Blocks, profile: Profile) -> int:
-    """Hand a profile to the loop, which starts it once the drive is enabled. Returns its number.
-
-    Raises ValueError when it is longer than the memory for it.
-    """
+def require_room(blocks: Blocks, profile: Profile) -> None:
+    """Raise ValueError for a profile that is longer than the memory for it."""
     capacity = blocks.profiles.shape[2]
     if profile.values.size > capacity:
         raise ValueError(
             f"profile '{profile.name}' has {profile.values.size} samples, the loop holds {capacity}: "
             "shorten it or raise loop.longest_profile_s"
         )
+
+
+def publish_profile(blocks: Blocks, profile: Profile) -> int:
+    """Hand a profile to the loop, which starts it once the drive is enabled. Returns its number.
+
+    Raises ValueError when it is longer than the memory for it.
+    """
+    require_room(blocks, profile)
     number = int(blocks.control[PROFILE_NUMBER]) + 1
     slot = number & 1
     blocks.profiles[slot, 0, : profile.values.size] = profile.values

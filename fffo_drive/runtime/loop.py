@@ -42,6 +42,7 @@ from .tick import (
     baseline_of,
     compensate,
     exchange,
+    flags_of,
     follow_profile,
     look,
     publish_tick,
@@ -107,7 +108,8 @@ def run_loop(
         last_sync_ns = timing.woke_ns
         timing = exchange(port, config, status, timing)
 
-        # what ordinary threads ask for
+        # what ordinary threads ask for; the number first: what it counts is seen below
+        request_number = load_acquire(control, b.REQUEST_NUMBER)
         number = take_parameters(blocks, parameter_number, scratch[0], scratch[1])
         if number != parameter_number:
             parameter_number = number
@@ -130,6 +132,7 @@ def run_loop(
             baseline = baseline_of(feedback)
         toggle = load_acquire(control, b.TOGGLE)
         goal = load_acquire(control, b.GOAL)
+        in_service = effects_in_service(blocks.effects_loop[1], load_acquire(control, b.EFFECTS))
         if stopping_ticks > 0:
             goal = GOAL_DISABLED
         number = load_acquire(control, b.SUPERVISOR_BEAT)
@@ -155,7 +158,7 @@ def run_loop(
             goal = GOAL_DISABLED
             wanted = False
         active = wanted and enabled
-        effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active)
+        effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active, in_service)
         law, controller = apply_law(
             controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active, effects_nm
         )
@@ -170,12 +173,12 @@ def run_loop(
         if found != TRIP_NONE and trip == TRIP_NONE and reset_ticks == 0:
             trip = found
             status[b.TRIP_TICK] = timing.tick
-        goal = goal_after_trip(envelope_config, trip, goal)
         if trip != TRIP_NONE:
             command_a = 0.0
 
         row = write_row(ring, head, timing, config, law, seen, feedback)
-        controlword = controlword_towards(seen.statusword, goal, reset_ticks > 0, controlword)
+        goal_now = goal_after_trip(envelope_config, trip, goal)
+        controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword)
         row["limited_a"] = command_a
         row["current_command_a"] = port_command(port, timing.tick, controlword, command_a)
         row["busy_ns"] = port_now_ns(port) - timing.woke_ns
@@ -184,7 +187,15 @@ def run_loop(
         row["trip"] = trip
         row["profile_sample"] = sample
         row["toggle"] = toggle
-        row["effects"] = effects_in_service(blocks.effects_loop[1], load_acquire(control, b.EFFECTS))
+        row["effects"] = in_service
+        row["i2t_a2s"] = envelope.i2t_a2s
+        row["request_number"] = request_number
+        row["parameters_number"] = parameter_number
+        row["effects_number"] = effects_number
+        row["profile_number"] = cursor.number
+        row["flags"] = flags_of(seen, ticks_run == 0)
+        row["goal"] = goal
+        row["resetting"] = reset_ticks
         head += 1
         publish_tick(ring, head, status, timing, row)
         port_housekeeping(port, timing.tick)

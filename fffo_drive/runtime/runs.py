@@ -94,7 +94,9 @@ def record_simulated(
     """Run in simulated time, then write all rows. The session's ring must hold the whole run."""
     hooks = hooks or RecorderHooks(clock_ns=lambda: int(port_now_ns(session.drive.port)))
     # opened before anything moves: a path that cannot be written is an error now
-    recorder = Recorder(session.ring, path, _with_offset(header, time.time_ns()), settings, hooks)
+    recorder = Recorder(
+        session.ring, path, _with_offset(header, time.time_ns()), settings, hooks, records=session.records
+    )
     counted = exchange_counts(session.drive.feedback)
     before = session.status(b.PROFILE_DONE)
     session.run_profile(profile, toggle)
@@ -115,7 +117,7 @@ def record_live(
     An exception (Ctrl-C, say) disables the drive before it goes on.
     """
     header = _with_offset(header, wall_clock_offset_ns())
-    recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True)
+    recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True, records=session.records)
     counted = exchange_counts(session.drive.feedback)
     recorder.start()
     try:

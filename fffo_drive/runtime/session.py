@@ -7,12 +7,15 @@ returns when the profile has ended, as fast as the machine allows.
 from __future__ import annotations
 
 import threading
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import typeof
 
-from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig
+from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.envelope import EnvelopeConfig
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
@@ -20,8 +23,10 @@ from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
 from ..jit.linear_algebra import leave_out as leave_out_linear_algebra
+from ..recording.run_records import RecordBook, RunRecord
 from . import blocks as b
-from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile
+from . import records
+from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile, require_room
 from .loop import run_loop
 from .realtime import (
     RealtimeRefusedError,
@@ -31,7 +36,8 @@ from .realtime import (
     require_realtime,
     unlock_memory,
 )
-from .ring import Ring, new_ring
+from .records import WORD_KINDS, ModelNote, Unnumbered
+from .ring import HEAD, Ring, copy_row, new_ring
 from .tick import LoopConfig
 
 START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
@@ -53,6 +59,7 @@ class SessionConfig(NamedTuple):
     longest_profile: int  # samples
     ring_rows: int
     effects: Floats | None = None  # table of compensated effects (control/compensation)
+    model: ModelNote | None = None  # that the controller was made with
 
 
 class PortHolder(Protocol):
@@ -65,7 +72,11 @@ class PortHolder(Protocol):
 
 
 class Session:
-    """A loop on a connected drive. Use as a context manager, or call `close`."""
+    """A loop on a connected drive. Use as a context manager, or call `close`.
+
+    Everything that the loop is asked for goes through here and is a record in `records`, made before the loop can see
+    what it tells of.
+    """
 
     def __init__(self, drive: Drive, config: SessionConfig) -> None:
         self.drive = drive
@@ -79,6 +90,21 @@ class Session:
         self._thread: threading.Thread | None = None
         self._ready = threading.Event()
         self._scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
+        self.records = RecordBook()
+        self._asking = threading.Lock()
+        self._model = config.model
+        self._models = 0
+        first = [
+            records.of_session(uuid.uuid4().hex, config.loop, config.envelope),
+            records.of_parameters(0, self.blocks.parameters[0], config.model),
+            records.of_effects(0, self.blocks.effects[0]),
+            *(records.of_word(kind, int(self.blocks.control[word])) for word, kind in WORD_KINDS.items()),
+        ]
+        if config.model is not None:
+            first.insert(1, records.of_model(0, config.model))
+        for told in first:
+            with self._recorded(told):
+                pass
 
     def __enter__(self) -> Session:
         return self
@@ -90,24 +116,67 @@ class Session:
 
     def request(self, word: int, value: int) -> None:
         """Write a control word (blocks.GOAL, TOGGLE, ...)."""
-        store_release(self.blocks.control, word, value)
+        kind = WORD_KINDS.get(word)
+        if kind is None:  # a beat asks for nothing
+            store_release(self.blocks.control, word, value)
+            return
+        with self._asking, self._recorded(records.of_word(kind, value)):
+            store_release(self.blocks.control, word, value)
+
+    def note_request(self, who: str, what: str, values: Mapping[str, Any], epoch: int | None = None) -> None:
+        """Somebody asked for something: a record of its own, in front of those of what comes of it."""
+        with self._asking, self._recorded(records.of_request(who, what, values, epoch)):
+            pass
 
     def status(self, word: int) -> int:
         """Read a status word (blocks.TRIP, PROFILE_DONE, ...)."""
         return load_acquire(self.blocks.status, word)
 
+    def set_model(self, model: ModelNote) -> None:
+        """The model of the parameters and effects that come next, for the records."""
+        with self._asking:
+            self._models += 1
+            self._model = model
+            with self._recorded(records.of_model(self._models, model)):
+                pass
+
     def set_controller(self, controller: ControllerConfig) -> None:
         """New gains and model, taken at a tick boundary."""
-        publish_controller(self.blocks, controller)
+        block = pack_controller(controller)
+        with (
+            self._asking,
+            self._recorded(records.of_parameters(self._next(b.PARAMETER_NUMBER), block, self._model)),
+        ):
+            publish_controller(self.blocks, controller)
 
     def set_effects(self, table: Floats) -> None:
         """Other effects to compensate, taken at a tick boundary; they come in on a ramp. The same again: nothing."""
-        if not np.array_equal(table, self.blocks.effects[self.blocks.control[b.EFFECTS_NUMBER] & 1]):
-            publish_effects(self.blocks, table)
+        with self._asking:
+            if np.array_equal(table, self.blocks.effects[self.blocks.control[b.EFFECTS_NUMBER] & 1]):
+                return
+            with self._recorded(records.of_effects(self._next(b.EFFECTS_NUMBER), table)):
+                publish_effects(self.blocks, table)
 
     def start_profile(self, profile: Profile) -> int:
         """Ask for a profile; it starts once the drive is enabled. Returns its number."""
-        return publish_profile(self.blocks, profile)
+        require_room(self.blocks, profile)
+        told = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
+        with self._asking, self._recorded(told._replace(number=self._next(b.PROFILE_NUMBER))):
+            return publish_profile(self.blocks, profile)
+
+    def _next(self, word: int) -> int:
+        return int(self.blocks.control[word]) + 1
+
+    @contextmanager
+    def _recorded(self, told: Unnumbered) -> Iterator[None]:
+        """A record in front of what it tells of; behind it the number by which rows say that they have seen it."""
+        sequence = self._next(b.REQUEST_NUMBER)
+        self.records.add(RunRecord(0, sequence, *told))
+        yield
+        store_release(self.blocks.control, b.REQUEST_NUMBER, sequence)
+        head = int(self.ring.words[HEAD])
+        if head:
+            self.records.forget(copy_row(self.ring, head - 1))
 
     @property
     def running(self) -> bool:

@@ -3,10 +3,15 @@
 A row says: in this state, on this event, go there and do that. What has no row is refused when somebody asks for it
 and passed over when it is an observation. Torque is asked for by ENABLE alone, and every row that leads from a fault
 needs a reset: there is no way from a fault to torque without a reset and another enable.
+
+A request for torque or motion holds in the epoch in which it was asked, and in no other. Every stop, disable, quick
+stop, fault and reset raises the epoch, and so does a change of who is in charge: what was asked before is refused,
+however late it comes to be carried out.
 """
 
 from __future__ import annotations
 
+import threading
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -18,6 +23,7 @@ class State(StrEnum):
     CONNECTED = "connected"
     READY = "ready"
     ENABLED = "enabled"
+    PREPARING = "preparing"
     RUNNING = "running"
     STOPPING = "stopping"
     FAULT = "fault"
@@ -28,6 +34,7 @@ MEANINGS = {
     State.CONNECTED: "the drive is brought up and the loop runs without torque; something forbids to enable it",
     State.READY: "may be enabled",
     State.ENABLED: "torque is asked for, the axis is held at standstill",
+    State.PREPARING: "as enabled, and the profile of a start is being computed and checked",
     State.RUNNING: "a profile runs, or is braked to standstill",
     State.STOPPING: "torque is on its way out",
     State.FAULT: "latched; no torque until somebody resets it",
@@ -41,6 +48,8 @@ class Event(StrEnum):
     ENABLE = "enable"
     DISABLE = "disable"
     START = "start"
+    PREPARED = "prepared"
+    NOT_PREPARED = "not_prepared"
     STOP = "stop"
     QUICK_STOP = "quick_stop"
     RESET = "reset"
@@ -64,30 +73,37 @@ class Happening(NamedTuple):
 
     asked: bool
     text: str
+    raises: bool = False  # the epoch: what was asked for before is refused from here on
+    bound: bool = False  # to the epoch in which it was asked
 
 
 EVENTS = {
-    Event.ENABLE: Happening(True, "somebody asks for torque"),
-    Event.DISABLE: Happening(True, "somebody asks for no torque, in order"),
-    Event.START: Happening(True, "somebody starts a profile"),
-    Event.STOP: Happening(True, "somebody ends the profile, in order"),
-    Event.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop"),
-    Event.RESET: Happening(True, "somebody resets a fault, the drive still answers"),
-    Event.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone"),
+    Event.ENABLE: Happening(True, "somebody asks for torque", bound=True),
+    Event.DISABLE: Happening(True, "somebody asks for no torque, in order", raises=True),
+    Event.START: Happening(True, "somebody starts a profile", bound=True),
+    Event.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
+    Event.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
+    Event.STOP: Happening(True, "somebody ends the profile, in order", raises=True),
+    Event.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop", raises=True),
+    Event.RESET: Happening(True, "somebody resets a fault, the drive still answers", raises=True),
+    Event.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone", raises=True),
     Event.FOUND: Happening(False, "the drive is brought up, the loop runs"),
     Event.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
     Event.FORBIDDEN: Happening(False, "one of these no longer holds"),
     Event.PROFILE_ENDED: Happening(False, "the profile, or the ramp that brakes it, has ended"),
     Event.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
-    Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time"),
-    Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long"),
-    Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well"),
+    Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
+    Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
+    Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
     Event.DRIVE_LOST: Happening(
-        False, "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational"
+        False,
+        "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, or another "
+        "master's SYNC",
+        raises=True,
     ),
-    Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them"),
-    Event.LOOP_ENDED: Happening(False, "the loop's thread is gone"),
-}
+    Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them", raises=True),
+    Event.LOOP_ENDED: Happening(False, "the loop's thread is gone", raises=True),
+}  # fmt: skip
 
 
 class Action(StrEnum):
@@ -112,42 +128,59 @@ class Transition(NamedTuple):
 
 _S, _E, _A = State, Event, Action
 
+_FALLS: dict[Event, Transition] = {
+    event: Transition(_S.FAULT, (_A.FORGET,)) for event in (_E.DRIVE_LOST, _E.TRIPPED, _E.LOOP_ENDED)
+}
+_LOST_AT_REST = Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE))
+
+
+def _stays(state: State) -> dict[tuple[State, Event], Transition]:
+    """Where there is no motion to end, every stop succeeds and changes nothing."""
+    return {(state, event): Transition(state) for event in (_E.STOP, _E.DISABLE, _E.QUICK_STOP)}
+
+
+def _falls(state: State) -> dict[tuple[State, Event], Transition]:
+    return {(state, event): row for event, row in _FALLS.items()}
+
+
 TABLE: dict[tuple[State, Event], Transition] = {
     (_S.OFFLINE, _E.FOUND): Transition(_S.CONNECTED),
+    **_stays(_S.OFFLINE),
     #
     (_S.CONNECTED, _E.PERMITTED): Transition(_S.READY),
-    (_S.CONNECTED, _E.DISABLE): Transition(_S.CONNECTED),
-    (_S.CONNECTED, _E.QUICK_STOP): Transition(_S.CONNECTED),
-    (_S.CONNECTED, _E.DRIVE_LOST): Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE)),
-    (_S.CONNECTED, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.CONNECTED, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    **_stays(_S.CONNECTED),
+    **_falls(_S.CONNECTED),
+    (_S.CONNECTED, _E.DRIVE_LOST): _LOST_AT_REST,
     #
     (_S.READY, _E.FORBIDDEN): Transition(_S.CONNECTED),
     (_S.READY, _E.ENABLE): Transition(_S.ENABLED, (_A.ENABLE,)),
-    (_S.READY, _E.DISABLE): Transition(_S.READY),
-    (_S.READY, _E.QUICK_STOP): Transition(_S.READY),
-    (_S.READY, _E.DRIVE_LOST): Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE)),
-    (_S.READY, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.READY, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    **_stays(_S.READY),
+    **_falls(_S.READY),
+    (_S.READY, _E.DRIVE_LOST): _LOST_AT_REST,
     #
     (_S.ENABLED, _E.ENABLE): Transition(_S.ENABLED),
-    (_S.ENABLED, _E.START): Transition(_S.RUNNING, (_A.START,)),
+    (_S.ENABLED, _E.START): Transition(_S.PREPARING),
     (_S.ENABLED, _E.STOP): Transition(_S.ENABLED),
     (_S.ENABLED, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
     (_S.ENABLED, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
     (_S.ENABLED, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
-    (_S.ENABLED, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.ENABLED, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.ENABLED, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    **_falls(_S.ENABLED),
+    #
+    (_S.PREPARING, _E.ENABLE): Transition(_S.PREPARING),
+    (_S.PREPARING, _E.PREPARED): Transition(_S.RUNNING, (_A.START,)),
+    (_S.PREPARING, _E.NOT_PREPARED): Transition(_S.ENABLED),
+    (_S.PREPARING, _E.STOP): Transition(_S.ENABLED),
+    (_S.PREPARING, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.PREPARING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.PREPARING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    **_falls(_S.PREPARING),
     #
     (_S.RUNNING, _E.PROFILE_ENDED): Transition(_S.ENABLED),
     (_S.RUNNING, _E.STOP): Transition(_S.RUNNING, (_A.BRAKE,)),
     (_S.RUNNING, _E.DISABLE): Transition(_S.STOPPING, (_A.BRAKE,)),
     (_S.RUNNING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
     (_S.RUNNING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
-    (_S.RUNNING, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.RUNNING, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.RUNNING, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    **_falls(_S.RUNNING),
     #
     (_S.STOPPING, _E.PROFILE_ENDED): Transition(_S.STOPPING, (_A.DISABLE,)),
     (_S.STOPPING, _E.TORQUE_OFF): Transition(_S.READY, (_A.FORGET,)),
@@ -156,17 +189,15 @@ TABLE: dict[tuple[State, Event], Transition] = {
     (_S.STOPPING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
     (_S.STOPPING, _E.STOP_TIMEOUT): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
     (_S.STOPPING, _E.STOP_FAILED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.STOPPING, _E.DRIVE_LOST): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.STOPPING, _E.TRIPPED): Transition(_S.FAULT, (_A.FORGET,)),
-    (_S.STOPPING, _E.LOOP_ENDED): Transition(_S.FAULT, (_A.FORGET,)),
+    **_falls(_S.STOPPING),
     #
-    (_S.FAULT, _E.DISABLE): Transition(_S.FAULT),
-    (_S.FAULT, _E.QUICK_STOP): Transition(_S.FAULT),
+    **_stays(_S.FAULT),
     (_S.FAULT, _E.RESET): Transition(_S.CONNECTED, (_A.CLEAR,)),
     (_S.FAULT, _E.RESET_AWAY): Transition(_S.OFFLINE, (_A.RELEASE,)),
 }
 
-TORQUE_STATES = frozenset({State.ENABLED, State.RUNNING, State.STOPPING})
+TORQUE_STATES = frozenset({State.ENABLED, State.PREPARING, State.RUNNING, State.STOPPING})
+WANTING_TORQUE = TORQUE_STATES - {State.STOPPING}
 AT_REST = frozenset(State) - TORQUE_STATES
 
 
@@ -218,6 +249,78 @@ def step(state: State, event: Event) -> Transition | None:
     return row
 
 
+class Epoch:
+    """A number that only grows, and whether a stop is on its way to its acknowledgement. For any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._value = 1
+        self._stops = 0
+
+    @property
+    def value(self) -> int:
+        """The present one."""
+        return self._value
+
+    @property
+    def stopping(self) -> bool:
+        """A stop has arrived and is not acknowledged yet."""
+        return self._stops > 0
+
+    def advance(self) -> int:
+        """Begin a new one: what was asked for before is refused from here on. Returns it."""
+        with self._lock:
+            self._value += 1
+            return self._value
+
+    def stop_arrived(self) -> None:
+        """From here to `stop_answered` nothing that is bound to an epoch is carried out."""
+        with self._lock:
+            self._stops += 1
+
+    def stop_answered(self) -> None:
+        """Once for each stop that arrived."""
+        with self._lock:
+            self._stops -= 1
+
+
+class Machine:
+    """The state and its epoch, moved by the table. Nothing else decides whether a request still holds."""
+
+    def __init__(self) -> None:
+        self.state = State.OFFLINE
+        self.epoch = Epoch()
+
+    def take(self, event: Event, asked_in: int | None = None) -> Transition | None:
+        """Go where the table says. Returns its row; None for an observation that means nothing here.
+
+        `asked_in`: the epoch in which it was asked; None: in this one. Raises RefusedError.
+        """
+        happening = EVENTS[event]
+        if happening.bound:
+            self._require_epoch(event, asked_in)
+        row = step(self.state, event)
+        if row is None:
+            return None
+        if happening.raises:
+            self.epoch.advance()
+        self.state = row.to
+        return row
+
+    def _require_epoch(self, event: Event, asked_in: int | None) -> None:
+        what = Event.ENABLE if event is Event.ENABLE else Event.START
+        if self.epoch.stopping:
+            text = f"{what.value}: a stop is being carried out; ask again when it is acknowledged"
+        elif asked_in is not None and asked_in != self.epoch.value:
+            text = (
+                f"{what.value} was asked for in epoch {asked_in}; epoch {self.epoch.value} has begun since by a stop, "
+                "a fault, a reset or a change of who is in charge: look at the axis and ask again"
+            )
+        else:
+            return
+        raise RefusedError(text, self.state, states_with(what))
+
+
 def require_change(state: State, change: Change) -> None:
     """Raise RefusedError where the state forbids a change."""
     if state not in CHANGES[change]:
@@ -235,8 +338,15 @@ def markdown() -> str:
         "for without a row is refused with the state and the states that allow it.", "",
         "| state | meaning |", "| --- | --- |",
         *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",
-        "| event | what it is |", "| --- | --- |",
-        *(f"| {event.value} | {happening.text} |" for event, happening in EVENTS.items()), "",
+        "The epoch is a number that only grows. What is bound to it is refused when it was asked for in an earlier "
+        "one, at whatever moment it comes to be carried out. A change of who is in charge (enable with hold, and its "
+        "end) raises it too, and so does the acknowledgement of a stop.", "",
+        "| event | what it is | epoch |", "| --- | --- | --- |",
+        *(
+            f"| {event.value} | {happening.text} | {'raises it' if happening.raises else ''}"
+            f"{'bound to it' if happening.bound else ''} |"
+            for event, happening in EVENTS.items()
+        ), "",
         "| state | event | next state | actions |", "| --- | --- | --- | --- |",
         *(
             f"| {state.value} | {event.value} | {row.to.value} | {'; '.join(row.actions) or '-'} |"

@@ -16,6 +16,14 @@ from . import blocks as b
 from .blocks import Blocks, Words
 from .ring import HEAD, Ring
 
+# bits of the row's flags: what else the envelope saw, and where memory began
+FLAG_LOOP_BEGAN = 1  # the first tick of a loop: all memory at rest
+FLAG_EMERGENCY = 2  # the drive sent an EMCY since the loop began or a fault was reset
+FLAG_REBOOT = 4  # ... a boot-up message
+FLAG_NOT_OPERATIONAL = 8  # ... a heartbeat that says that it is not in NMT state OPERATIONAL
+FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface gone
+FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
+
 
 class LoopConfig(NamedTuple):
     """Times of the loop, in nanoseconds and ticks."""
@@ -63,12 +71,19 @@ class Baseline(NamedTuple):
     boots: int
     bus_losses: int
     nmt_exits: int
+    foreign_syncs: int
 
 
 @njit
 def baseline_of(feedback: Any) -> Baseline:
     """The counters now."""
-    return Baseline(feedback["emergency_count"], feedback["boot_count"], feedback["bus_losses"], feedback["nmt_exits"])
+    return Baseline(
+        feedback["emergency_count"],
+        feedback["boot_count"],
+        feedback["bus_losses"],
+        feedback["nmt_exits"],
+        feedback["foreign_syncs"],
+    )
 
 
 @njit
@@ -120,13 +135,14 @@ def follow_profile(
 
 
 @njit
-def compensate(blocks: Blocks, mode: int, reference: Reference, position_rev: float, active: bool) -> float:
+def compensate(
+    blocks: Blocks, mode: int, reference: Reference, position_rev: float, active: bool, in_service: int
+) -> float:
     """Torque (Nm) for the effects of the model; their memory rests while the velocity law does not act."""
     memory = blocks.effects_memory
     if not active or mode == MODE_CURRENT:
         compensation_rest(memory)
         return 0.0
-    in_service = load_acquire(blocks.control, b.EFFECTS)
     return compensation_step(blocks.effects_loop[1], memory, in_service, reference, position_rev)
 
 
@@ -171,12 +187,24 @@ def look(
         or feedback["nmt_exits"] != baseline.nmt_exits,
         # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
+        feedback["foreign_syncs"] - baseline.foreign_syncs,
         heartbeat_age_ns,
         wanted,
         enabled,
         law.mode == MODE_VELOCITY,
         skipped_ticks,
     )
+
+
+@njit
+def flags_of(seen: EnvelopeInputs, loop_began: bool) -> int:
+    """Bits for the row."""
+    flags = FLAG_LOOP_BEGAN if loop_began else 0
+    flags |= FLAG_EMERGENCY if seen.emergencies > 0 else 0
+    flags |= FLAG_REBOOT if seen.reboots > 0 else 0
+    flags |= FLAG_NOT_OPERATIONAL if seen.not_operational else 0
+    flags |= FLAG_BUS_OFF if seen.bus_off else 0
+    return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
 
 
 @njit
@@ -187,6 +215,7 @@ def write_row(
     row = ring.rows[head & (ring.rows.size - 1)]
     lateness_ns = timing.woke_ns - timing.deadline_ns
     row["tick"] = timing.tick
+    row["row_number"] = head & 0xFFFFFFFF
     row["deadline_ns"] = timing.deadline_ns
     row["lateness_ns"] = lateness_ns
     row["turnaround_ns"] = timing.turnaround_ns
@@ -210,6 +239,7 @@ def write_row(
     row["position_rev"] = seen.position_rev
     row["velocity_age"] = seen.feedback_age
     row["status_age"] = seen.status_age
+    row["heartbeat_age_ns"] = seen.heartbeat_age_ns
     row["statusword"] = seen.statusword
     row["current_a"] = feedback["current_a"]
     row["true_velocity_rps"] = feedback["true_velocity_rps"]

@@ -145,6 +145,16 @@ def bus_off_within_a_tick(world: World) -> None:
     world.at = [(BEGIN, off_and_on)]
 
 
+def foreign_sync(world: World) -> None:
+    """Another master sends SYNC, once."""
+
+    def heard_by_both(w: World) -> None:
+        w.say(SYNC, b"")
+        w.tell(pack_frame(SYNC))
+
+    world.at = [(BEGIN, heard_by_both)]
+
+
 def put_into(command: int, begin: int = BEGIN) -> Callable[[World], None]:
     """Somebody commands the drive's NMT state; its next heartbeat is due one millisecond later."""
     heartbeat = pack_frame(0x600 + NODE, struct.pack("<BHBHxx", 0x2B, 0x1017, 0, HEARTBEAT_MS))
@@ -195,7 +205,7 @@ def clock_stepped(world: World) -> None:
 DAYS = (
     quiet, late, a_period_late, duplicate, reordered, missing_once, missing_for_good, short, extended, remote,
     sync_lost_once, sync_lost_for_good, commands_lost, send_queue_full, interface_gone, bus_off, bus_off_within_a_tick,
-    stopped_shortly, stopped_long, rebooted, pre_operational, stopped_by_nmt, clock_stepped,
+    foreign_sync, stopped_shortly, stopped_long, rebooted, pre_operational, stopped_by_nmt, clock_stepped,
 )  # fmt: skip
 
 

@@ -44,6 +44,7 @@ COUNTED = {
     ),
     "bus_off": ({MISSING: BACK - BEGIN, "error_frames": 2, "bus_losses": 1}, env.TRIP_BUS_OFF),
     "bus_off_within_a_tick": ({"error_frames": 2, "bus_losses": 1}, env.TRIP_BUS_OFF),
+    "foreign_sync": ({LATE: 1, DUPLICATE: 1, "foreign_syncs": 1}, env.TRIP_FOREIGN_SYNC),
     "stopped_shortly": ({"late": 1, "skipped": 10}, env.TRIP_NONE),
     "stopped_long": ({"skipped": 800, MISSING: REST, "emergency_count": 3, "nmt_exits": 1}, env.TRIP_EMERGENCY),
     "rebooted": ({MISSING: REST, "boot_count": 1}, env.TRIP_REBOOT),

@@ -24,6 +24,7 @@ def config():
     return CanopenDriveConfig(
         bus=f"loopback:{free_loopback_port()}",
         node_id=NODE,
+        listen_s=0.02,
         period_ns=500_000,
         counts_per_rev=32768,
         velocity_units_per_rps=1000.0,

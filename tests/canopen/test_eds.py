@@ -35,6 +35,7 @@ def config(tmp_path):
     return CanopenDriveConfig(
         bus=f"loopback:{free_loopback_port()}",
         node_id=5,
+        listen_s=0.02,
         period_ns=500_000,
         counts_per_rev=32768,
         velocity_units_per_rps=1000.0,

@@ -12,7 +12,7 @@ import pytest
 from node.garbage import anything, malformed
 from scripted_node import ScriptedNode
 
-from fffo_drive.can.frame import ERROR_FLAG, EXTENDED_MASK, FRAME_SIZE, pack_frame
+from fffo_drive.can.frame import ERROR_FLAG, EXTENDED_MASK, FRAME_SIZE, SYNC, pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.port_memory import CanopenPort, make_port
@@ -61,15 +61,17 @@ def malformed_frames_are_counted_and_change_nothing(count: int) -> None:
     port = new_port()
     feed(port, bytes_of(np.array([pack_frame(0x185, bytes(8)), pack_frame(0x285, bytes(4))]).view(np.uint8)))
     before = port.feedback.copy()
-    bad = 0
+    bad = syncs = 0
     for frames in malformed(5, count, OWN_IDS):
         feed(port, bytes_of(frames))
         word = frames["word"]
         addressed = np.isin(word & EXTENDED_MASK, OWN_IDS) & (word & ERROR_FLAG == 0)
         bad += int(addressed.sum())
+        syncs += int((word == SYNC).sum())
     assert bad > count // 3
     assert port.feedback[0]["bad_frames"] == bad
-    before["bad_frames"] = bad
+    assert syncs > 0
+    before["bad_frames"], before["foreign_syncs"] = bad, syncs
     assert port.feedback.tobytes() == before.tobytes()
 
 

@@ -19,7 +19,7 @@ from fffo_drive.config.axis import (
     model_of,
     read_axis,
 )
-from fffo_drive.config.checks import bus_problems, law_problems, profile_problems
+from fffo_drive.config.checks import bus_problems, law_problems, profile_problems, shared_buses
 from fffo_drive.config.mirror import dataclass_of, record_of
 from fffo_drive.config.simulated import SimulatedDriveRecord, read_simulated
 from fffo_drive.control import envelope as env
@@ -136,6 +136,22 @@ def test_a_profile_beyond_the_envelope_is_refused(tmp_path):
 def test_a_rate_that_does_not_fit_the_bus_is_refused(tmp_path):
     axis = read_axis(write(tmp_path, BUS.replace("node_id: 1", "node_id: 1\n  bitrate_hz: 500000")))
     assert any("loop.rate_hz" in text for text in bus_problems(axis, model_of(tmp_path / "a", axis)))
+
+
+def test_axes_of_two_nodes_on_one_bus_are_told(tmp_path, capsys):
+    first = write(tmp_path, BUS, "first.yaml")
+    variant = write(tmp_path, BUS.replace("name: bench", "name: other"), "variant.yaml")  # of the same drive
+    second = write(tmp_path, BUS.replace("node_id: 1", "node_id: 2"), "second.yaml")
+    elsewhere = write(tmp_path, BUS.replace("node_id: 1", "node_id: 3").replace("29500", "29501"), "elsewhere.yaml")
+    in_process = write(tmp_path, (CONFIGS / "axis_simulated.yaml").read_text(), "in_process.yaml")
+    axes = [(path.name, read_axis(path)) for path in (first, variant, elsewhere, in_process)]
+    assert shared_buses(axes) == []
+    (said,) = shared_buses([*axes[1:3], ("second.yaml", read_axis(second))])
+    assert said.startswith(
+        "loopback:29500 is the bus of variant.yaml and second.yaml: one bus has one master, and several"
+    )
+    assert main(["config", "check", str(first), str(second)]) == 0
+    assert "warning: loopback:29500 is the bus of" in capsys.readouterr().out
 
 
 def test_errors_of_the_simulated_drive_have_lines(tmp_path):

@@ -17,7 +17,7 @@ from fffo_drive.control import envelope as env
 PERIOD_S = 2.0**-11
 STEP_A = 2.0  # slew in a period
 CAPACITY_A2S = 150.0  # (10^2 - 5^2) 2 s
-REACTIONS = np.zeros(15, dtype=np.int64)
+REACTIONS = np.zeros(16, dtype=np.int64)
 CONFIG = env.EnvelopeConfig(
     current_limit_a=10.0, slew_a_per_s=4096.0, speed_limit_rps=20.0, continuous_current_a=5.0, i2t_time_s=2.0,
     i2t_trips=True, position_low_rev=-3.0, position_high_rev=5.0, following_error_rps=2.0, following_error_s=2.0**-7,
@@ -27,14 +27,15 @@ CONFIG = env.EnvelopeConfig(
 REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False)
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
-    statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, heartbeat_age_ns=0, wanted=True,
-    enabled=True, closed_loop=True, skipped_ticks=0,
+    statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_syncs=0,
+    heartbeat_age_ns=0, wanted=True, enabled=True, closed_loop=True, skipped_ticks=0,
 )  # fmt: skip
 
 # one cause of each trip, most certain first; numbers as in recordings, so that they never change
 CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     # trip, what is seen, what is remembered
     (10, {"bus_off": True}, {}),
+    (15, {"foreign_syncs": 1}, {}),
     (12, {"reboots": 1}, {}),
     (9, {"emergencies": 1}, {}),
     (8, {"statusword": 0x0218}, {}),
@@ -49,7 +50,7 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (4, {"error_rps": 2.5}, {"following_s": 2.0**-7}),
     (5, {}, {"i2t_a2s": 151.0}),
 )
-WITHOUT_TORQUE = (10, 12, 9, 8, 14, 11)  # also where no torque is wanted
+WITHOUT_TORQUE = (10, 15, 12, 9, 8, 14, 11)  # also where no torque is wanted
 
 
 def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: float, was_enabled: bool, seen) -> int:
@@ -58,6 +59,7 @@ def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: floa
     heard = config.heartbeat_timeout_ns == 0 or seen.heartbeat_age_ns in range(-1, config.heartbeat_timeout_ns + 1)
     allowed = {
         10: not seen.bus_off,
+        15: seen.foreign_syncs == 0,
         12: seen.reboots == 0,
         9: seen.emergencies == 0,
         8: (seen.statusword // 8) % 2 == 0,

@@ -13,7 +13,7 @@ PERIOD_S = 5e-4
 CONFIG = env.EnvelopeConfig(
     10.0, 4000.0, 20.0, 5.0, 2.0, True, -3.0, 3.0, 2.0, 0.01, 10, 100, 500_000_000, PERIOD_S, env.default_reactions()
 )
-HEALTHY = env.EnvelopeInputs(1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, True, True, True, 0)
+HEALTHY = env.EnvelopeInputs(1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, True, True, True, 0)
 
 
 def step(config=CONFIG, state=None, **changes):
@@ -65,6 +65,7 @@ def test_slew_limits_the_step_both_ways():
         ({"reboots": 1}, env.TRIP_REBOOT),
         ({"not_operational": True}, env.TRIP_NOT_OPERATIONAL),
         ({"bus_off": True}, env.TRIP_BUS_OFF),
+        ({"foreign_syncs": 1}, env.TRIP_FOREIGN_SYNC),
         ({"heartbeat_age_ns": 500_000_001}, env.TRIP_HEARTBEAT),
     ],
 )

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bad_days.loop_days import ENETDOWN, put_into
-from bad_days.world import HEARTBEAT, NS_PER_MS, RPDO1, SYNC, TPDO1, TPDO2, Wire, World, live, ramp_to
+from bad_days.world import HEARTBEAT, NS_PER_MS, PERIOD_NS, RPDO1, SYNC, TPDO1, TPDO2, Wire, World, live, ramp_to
 from daemon.fault_table import PARTS
 
-from fffo_drive.can.frame import ERROR_BUS_OFF, Frame
+from fffo_drive.can.frame import ERROR_BUS_OFF, Frame, pack_frame
 from fffo_drive.control.envelope import EnvelopeConfig
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED, STATE_NAMES
 from fffo_drive.drive.simulated.node.config import NodeConfig
@@ -167,6 +167,18 @@ def drive_put_into(command: int) -> Prepare:
     return prepare
 
 
+def foreign_sync(world: FaultWorld) -> None:
+    """Another master sends SYNC at our rate, in the middle between ours; drive and host hear it."""
+    raw = pack_frame(SYNC)
+
+    def half_a_period_later(w: World) -> None:
+        for to_drive in (False, True):
+            w._fly(PERIOD_NS // 2, to_drive, raw)
+
+    at_begin(half_a_period_later)(world)
+    world.at += [(tick, half_a_period_later) for tick in range(BEGIN + 1, TICKS)]
+
+
 def host_bus_off(world: FaultWorld) -> None:
     """Our CAN controller leaves the bus: nothing arrives any more, either way."""
     world.say(ERROR_BUS_OFF, error=True)
@@ -222,6 +234,7 @@ SCRIPTS: dict[str, Script] = {
     "drive_bus_off": Script(drive_fault(FaultKind.BUS_OFF)),
     "bus_off": Script(at_begin(host_bus_off)),
     "interface_gone": Script(at_begin(interface_gone)),
+    "foreign_sync": Script(foreign_sync),
     "supervisor_silent": Script(supervisor_falls_silent, supervisor_ticks=SILENCE),
     "following_error": limit(following_error_rps=0.2, following_error_s=0.01),
     "overspeed": limit(speed_limit_rps=9.0),

@@ -41,7 +41,7 @@ PATIENT: dict[str, Any] = {
     "realtime": {"priority": 0, "lock_memory": False, "required": False},
     "profile": {"kind": "sine", "duration_s": 20, "amplitude": 1, "frequency_hz": 0.5},
 }
-PATIENT_DRIVE = {"heartbeat_timeout_ms": 5000, "command_timeout_ms": 5000}
+PATIENT_DRIVE = {"heartbeat_timeout_ms": 5000, "command_timeout_ms": 5000, "listen_s": 0.1}
 PATIENT_LIMITS = {
     "feedback_missing_ticks": 5000, "status_missing_ticks": 5000, "heartbeat_timeout_s": 20, "following_error_s": 20,
 }  # fmt: skip
@@ -150,7 +150,7 @@ class Rig:
         self._opened.set()
         while not self._stop.is_set() and self.supervisor.fatal is None:
             self.supervisor.turn()
-            self.server.turn(time.monotonic())
+            self.server.turn()
             await asyncio.sleep(TURN_S)
         await self.supervisor.close()
         await living

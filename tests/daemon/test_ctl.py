@@ -74,7 +74,7 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         code, _, error = run(capsys, *sockets, "start", "default")
         assert code == 70
         assert "start is not possible in state ready, only in enabled" in error
-        assert run(capsys, *sockets, "enable")[1] == "state: enabled, reached: True\n"
+        assert run(capsys, *sockets, "enable")[1] == "state: enabled, reached: True, epoch: 1\n"
         profile = tmp_path / "gentle.yaml"
         profile.write_text("kind: sine\nduration_s: 0.5\namplitude: 0.5\nfrequency_hz: 2\n")
         assert run(capsys, *sockets, "start", str(profile), "--wait-s", "60")[0] == 0
@@ -99,7 +99,7 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         assert "no change in state enabled" in error
         assert run(capsys, *sockets, "record", "on")[0] == 0
         assert run(capsys, *sockets, "stop")[0] == 0
-        assert run(capsys, *sockets, "quick-stop")[1] == "state: ready, reached: True\n"
+        assert run(capsys, *sockets, "quick-stop")[1].startswith("state: ready, reached: True, epoch: ")
         assert run(capsys, *sockets, "model", str(rig.path.parent / "model.yaml"))[0] == 0
         code, _, error = run(capsys, *sockets, "model", str(tmp_path / "none.yaml"))
         assert code == 78

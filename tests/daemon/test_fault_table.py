@@ -34,6 +34,7 @@ NOTICED = {
     "drive_bus_off": (env.TRIP_BUS_OFF, []),
     "bus_off": (env.TRIP_BUS_OFF, []),
     "interface_gone": (env.TRIP_BUS_OFF, []),
+    "foreign_sync": (env.TRIP_FOREIGN_SYNC, []),
     "supervisor_silent": (env.TRIP_NONE, []),
     "following_error": (env.TRIP_FOLLOWING_ERROR, []),
     "overspeed": (env.TRIP_OVERSPEED, []),

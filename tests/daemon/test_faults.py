@@ -9,10 +9,13 @@ import threading
 from dataclasses import replace
 
 import pytest
+from buses import BusLog
 from daemon.fault_table import ROWS
 from daemon.rig import PATIENCE_S, Rig
 from recording.samples import Disk
 
+from fffo_drive.can.frame import SYNC, pack_frame, unpack_frame
+from fffo_drive.can.link import open_link
 from fffo_drive.daemon.client import CallError
 from fffo_drive.daemon.places import CONTROL, WATCH
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
@@ -55,6 +58,34 @@ def test_row_sdo_timeout(tmp_path):
         rig.until("ready", client)  # it was tried again
         assert len([event for event in rig.events("drive") if "no drive" in event["text"]]) == 1
     assert rig.node.provocations() == []
+
+
+def test_row_another_master(tmp_path):
+    stop = threading.Event()
+    rig = Rig(tmp_path)
+
+    def master() -> None:
+        with open_link(rig.bus) as link:
+            while not stop.wait(0.01):
+                link.send(pack_frame(SYNC))
+
+    thread = threading.Thread(target=master)
+    thread.start()
+    try:
+        with rig:
+            client = rig.client()
+            with BusLog(rig.bus) as log:
+                status = rig.until_status(lambda s: "SYNC (0x080)" in str(s["obstacles"]), client)
+                assert status["state"] == "offline"
+                with pytest.raises(CallError, match="offline"):
+                    client.call("enable")
+            assert {unpack_frame(frame.raw).can_id for frame in log.frames} <= {SYNC, 0x181, 0x281, 0x381, 0x701}
+            stop.set()
+            rig.until("ready", client)  # it was tried again
+            assert len([event for event in rig.events("drive") if "no drive" in event["text"]]) == 1
+    finally:
+        stop.set()
+        thread.join()
 
 
 @pytest.mark.parametrize(("loss", "state"), [("stop", "ready"), ("quick_stop", "ready"), ("go_on", "running")])

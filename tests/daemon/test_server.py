@@ -14,7 +14,7 @@ from daemon.rig import PATIENCE_S, Rig
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fffo_drive.daemon import rpc, server
+from fffo_drive.daemon import clients, rpc
 from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
 from fffo_drive.daemon.methods import Api
 from fffo_drive.daemon.parameters import METHODS
@@ -52,13 +52,13 @@ def code(call) -> int:
     return error.value.code
 
 
-def clients(rig: Rig) -> int:
-    return rig.do(lambda: rig.server.client_count)
+def connections(rig: Rig) -> int:
+    return rig.do(lambda: rig.server.clients.count)
 
 
 def wait_for_clients(rig: Rig, count: int) -> None:
     deadline_s = time.monotonic() + PATIENCE_S
-    while clients(rig) != count:
+    while connections(rig) != count:
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
 
@@ -141,7 +141,7 @@ def test_a_line_without_an_end_is_cut_off_with_a_message(rig):
     with raw(rig) as sock:
         try:
             for _ in range(64):
-                sock.sendall(b"x" * (server.LINE_LIMIT // 16))
+                sock.sendall(b"x" * (clients.CONTROL_LIMITS.line_bytes // 16))
         except OSError:
             pass
         said = answer(sock)
@@ -150,7 +150,7 @@ def test_a_line_without_an_end_is_cut_off_with_a_message(rig):
 
 
 def test_a_client_that_does_not_read_is_cut_off_and_the_others_are_not(rig):
-    before = clients(rig)
+    before = connections(rig)
     slow, other = raw(rig, WATCH), rig.client()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     slow.sendall(b'{"jsonrpc": "2.0", "id": 1, "method": "subscribe", "params": {"events": true}}\n')
@@ -161,7 +161,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_others_are_not(rig):
             rig.supervisor.log.add("command", "x" * 10_000)
 
     deadline_s = time.monotonic() + PATIENCE_S
-    while rig.server.refused == 0 or clients(rig) > before + 1:
+    while rig.server.refused == 0 or connections(rig) > before + 1:
         rig.do(flood)
         assert time.monotonic() < deadline_s
         assert other.call("status")["state"] == "offline"
@@ -173,9 +173,8 @@ def test_a_line_that_is_never_ended_and_a_client_that_says_nothing_are_cut_off(r
         listening.sendall(b'{"jsonrpc": "2.0", "id": 1, "method": "subscribe"}\n')
         answer(listening)
         sock.sendall(b'{"jsonrpc": "2.0"')
-        time_passes = server.IDLE_S + server.PARTIAL_S
-        wait_for_clients(rig, clients(rig))
-        rig.do(lambda: [client.tidy(time.monotonic() + time_passes) for client in list(rig.server._clients)])
+        later_s = time.monotonic() + clients.IDLE_S + clients.PARTIAL_S
+        rig.server.clients.post(lambda: rig.server.clients.tidy(later_s))
         assert "ended" in answer(sock)["error"]["message"]
         assert "silent" in answer(idle)["error"]["message"]
         listening.sendall(b'{"jsonrpc": "2.0", "id": 2, "method": "info"}\n')

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from fffo_drive.runtime.states import (
     AT_REST,
@@ -16,9 +16,11 @@ from fffo_drive.runtime.states import (
     MEANINGS,
     TABLE,
     TORQUE_STATES,
+    WANTING_TORQUE,
     Action,
     Change,
     Event,
+    Machine,
     RefusedError,
     State,
     markdown,
@@ -29,6 +31,8 @@ from fffo_drive.runtime.states import (
 
 WRITTEN = Path(__file__).resolve().parents[2] / "tools" / "tables" / "daemon_states.md"
 RESETS = (Event.RESET, Event.RESET_AWAY)
+STOPS = (Event.STOP, Event.DISABLE, Event.QUICK_STOP)
+FALLS = (Event.DRIVE_LOST, Event.TRIPPED, Event.LOOP_ENDED)
 ASKED = [event for event, happening in EVENTS.items() if happening.asked]
 OBSERVED = [event for event, happening in EVENTS.items() if not happening.asked]
 
@@ -74,10 +78,24 @@ def test_an_axis_with_torque_can_always_be_stopped_and_always_falls_into_fault(s
         assert TABLE[state, event].to is State.FAULT
 
 
-@pytest.mark.parametrize("state", [s for s in State if s is not State.OFFLINE])
-def test_a_stop_is_never_refused_where_there_is_a_drive(state):
-    assert step(state, Event.DISABLE) is not None
-    assert step(state, Event.QUICK_STOP) is not None
+@pytest.mark.parametrize("state", list(State))
+def test_a_stop_is_refused_nowhere_and_raises_the_epoch(state):
+    for event in STOPS:
+        machine = Machine()
+        machine.state = state
+        before = machine.epoch.value
+        assert machine.take(event) is not None
+        assert machine.epoch.value > before
+
+
+def test_what_raises_the_epoch_and_what_is_bound_to_it():
+    raising = {event for event, happening in EVENTS.items() if happening.raises}
+    assert raising == {*STOPS, *RESETS, *FALLS, Event.ENABLE_TIMEOUT, Event.STOP_TIMEOUT, Event.STOP_FAILED}
+    assert {event for event, happening in EVENTS.items() if happening.bound} == {
+        Event.ENABLE, Event.START, Event.PREPARED, Event.NOT_PREPARED,
+    }  # fmt: skip
+    # motion begins nowhere else
+    assert {event for (_, event), row in TABLE.items() if Action.START in row.actions} == {Event.PREPARED}
 
 
 @given(st.sampled_from(list(State)), st.sampled_from(ASKED))
@@ -110,48 +128,134 @@ def test_the_model_changes_only_without_torque_and_gains_always():
     assert CHANGES[Change.GAINS] == CHANGES[Change.TOGGLE] == CHANGES[Change.RECORD] == frozenset(State)
 
 
+class Request:
+    """A start or an enable on its way: asked for, taken, and for a start prepared."""
+
+    def __init__(self, event: Event, epoch: int) -> None:
+        self.event, self.epoch = event, epoch
+        self.outdated = False  # something that ends it has been acknowledged or has happened since
+
+    def __repr__(self) -> str:
+        return f"{self.event}@{self.epoch}"
+
+
 class Axis(RuleBasedStateMachine):
-    """Any events in any order, and a small model of what the loop would have been asked for."""
+    """Any events in any order, requests that take their time, and a small model of what the loop is asked for."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.state = State.OFFLINE
+        self.machine = Machine()
         self.wants_torque = False
-        self.enabled_since_fault = True
-        self.reset_since_fault = True
+        self.moves = False
+        self.reset_since_fault = self.enabled_since_fault = True
         self.fault_seen = False
+        self.arrived: list[Request] = []
+        self.preparing: list[Request] = []
+        self.stops: list[Event] = []  # arrived, not yet taken
+        self.unanswered: list[Event] = []  # taken, not yet acknowledged
 
-    def happen(self, event: Event) -> None:
-        row = step(self.state, event)
+    @property
+    def state(self) -> State:
+        return self.machine.state
+
+    def happen(self, event: Event, asked_in: int | None = None) -> None:
+        before = self.state
+        row = self.machine.take(event, asked_in)
         if row is None:
             return
-        if row.to is State.FAULT and self.state is not State.FAULT:
+        if EVENTS[event].raises:
+            self.outdate()
+        if row.to is State.FAULT and before is not State.FAULT:
             self.fault_seen, self.enabled_since_fault, self.reset_since_fault = True, False, False
         if event in RESETS:
             self.reset_since_fault = True
-        if event is Event.ENABLE and self.state is State.READY:
+        if event is Event.ENABLE and before is State.READY:
             self.enabled_since_fault = True
             assert self.reset_since_fault
         for action in row.actions:
             if action is Action.ENABLE:
                 self.wants_torque = True
+            elif action is Action.START:
+                self.moves = True
             elif action in (Action.DISABLE, Action.QUICK_STOP, Action.FORGET, Action.RELEASE):
-                self.wants_torque = False
-        self.state = row.to
+                self.wants_torque = self.moves = False
+        if event is Event.PROFILE_ENDED:
+            self.moves = False
+
+    def outdate(self) -> None:
+        for request in (*self.arrived, *self.preparing):
+            request.outdated = True
+
+    @initialize(state=st.sampled_from([State.OFFLINE, State.READY, State.ENABLED]))
+    def begin(self, state: State) -> None:
+        self.machine.state = state
+        self.wants_torque = state is State.ENABLED
 
     @rule(event=st.sampled_from(OBSERVED))
     def observe(self, event: Event) -> None:
         self.happen(event)
 
-    @rule(event=st.sampled_from(ASKED))
+    @rule(event=st.sampled_from([e for e in ASKED if not EVENTS[e].bound and e not in STOPS]))
     def ask(self, event: Event) -> None:
         try:
             self.happen(event)
         except RefusedError:
             assert (self.state, event) not in TABLE
 
+    @rule(event=st.sampled_from([Event.ENABLE, Event.START]))
+    def a_request_arrives(self, event: Event) -> None:
+        self.arrived.append(Request(event, self.machine.epoch.value))
+
+    @precondition(lambda self: self.arrived)
+    @rule(data=st.data())
+    def a_request_is_taken(self, data: st.DataObject) -> None:
+        request = self.arrived.pop(data.draw(st.integers(0, len(self.arrived) - 1)))
+        possible = (self.state, request.event) in TABLE and not request.outdated and not self.machine.epoch.stopping
+        try:
+            self.happen(request.event, request.epoch)
+        except RefusedError:
+            assert not possible
+            return
+        assert possible
+        if request.event is Event.START:
+            self.preparing.append(request)
+
+    @precondition(lambda self: self.preparing)
+    @rule(data=st.data(), usable=st.booleans())
+    def a_preparation_ends(self, data: st.DataObject, usable: bool) -> None:
+        request = self.preparing.pop(data.draw(st.integers(0, len(self.preparing) - 1)))
+        try:
+            self.happen(Event.PREPARED if usable else Event.NOT_PREPARED, request.epoch)
+        except RefusedError:
+            assert request.outdated or self.machine.epoch.stopping
+            return
+        assert not request.outdated
+        assert self.state is (State.RUNNING if usable else State.ENABLED)
+
+    @rule(event=st.sampled_from(STOPS))
+    def a_stop_arrives(self, event: Event) -> None:
+        self.machine.epoch.stop_arrived()
+        self.stops.append(event)
+
+    @precondition(lambda self: self.stops)
+    @rule()
+    def a_stop_is_taken(self) -> None:
+        event = self.stops.pop(0)
+        self.happen(event)
+        self.unanswered.append(event)
+
+    @precondition(lambda self: self.unanswered and self.state in AT_REST | {State.ENABLED})
+    @rule()
+    def a_stop_is_acknowledged(self) -> None:
+        """Whatever was sent before is older than the acknowledgement from here on."""
+        self.unanswered.pop(0)
+        self.machine.epoch.advance()
+        self.machine.epoch.stop_answered()
+        self.outdate()
+        assert not self.moves
+
     @precondition(lambda self: self.state is State.FAULT)
-    @rule(event=st.sampled_from([e for e in Event if e not in RESETS]))
+    @rule(event=st.sampled_from([e for e in Event if e not in RESETS and not EVENTS[e].bound]))
     def a_fault_stays(self, event: Event) -> None:
         self.ask(event) if EVENTS[event].asked else self.observe(event)
         assert self.state is State.FAULT
@@ -159,8 +263,9 @@ class Axis(RuleBasedStateMachine):
     @invariant()
     def torque_is_wanted_only_where_the_state_says_so(self) -> None:
         assert not self.wants_torque or self.state in TORQUE_STATES
-        if self.state in (State.ENABLED, State.RUNNING):
+        if self.state in WANTING_TORQUE:
             assert self.wants_torque
+        assert not self.moves or self.state in (State.RUNNING, State.STOPPING)
 
     @invariant()
     def torque_after_a_fault_needs_a_reset_and_an_enable(self) -> None:

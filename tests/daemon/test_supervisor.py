@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from daemon.rig import Rig, edit
 
+from fffo_drive.daemon import supervisor as supervisors
 from fffo_drive.daemon.client import CallError
+from fffo_drive.daemon.connection import leave
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
@@ -32,6 +34,13 @@ def refused(call, *words, code=REFUSED):
     return error.value
 
 
+def reached(answer):
+    """The state that an answer says was reached; the epoch beside it is no more than a number."""
+    assert answer.keys() == {"state", "reached", "epoch"}
+    assert answer["reached"] is True
+    return answer["state"]
+
+
 def test_from_offline_to_a_profile_and_back(tmp_path):
     with Rig(tmp_path) as rig:
         client = rig.client()
@@ -39,17 +48,17 @@ def test_from_offline_to_a_profile_and_back(tmp_path):
         assert status["drive"]["state"] == "switch on disabled"
         assert client.call("info")["protocol"] == 1
         refused(lambda: client.call("start", profile="default"), "start", "ready", "enabled")
-        assert client.call("enable") == {"state": "enabled", "reached": True}
+        assert reached(client.call("enable")) == "enabled"
         assert client.call("status")["drive"]["state"] == "operation enabled"
         assert client.call("record", to="on")["on"]
         client.call("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
-        assert client.call("stop") == {"state": "enabled", "reached": True}
+        assert reached(client.call("stop")) == "enabled"
         client.call("start", profile={"kind": "points", "points": [[0, 0], [0.2, 1], [0.4, 0]]}, wait_s=30)
         assert client.call("status")["state"] == "enabled"
         client.call("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
-        assert client.call("disable") == {"state": "ready", "reached": True}
+        assert reached(client.call("disable")) == "ready"
         (file,) = client.call("record", to="off")["files"]
         assert rig.node is not None
         assert not any(rig.node.plant.torque_seen[-3:])
@@ -125,7 +134,7 @@ def test_a_fault_of_the_drive_latches_until_it_is_reset_and_enabled_again(tmp_pa
         refused(lambda: client.call("start", profile="default"), "fault")
         refused(lambda: client.call("reset_fault", wait_s=5), "fault", code=NOT_REACHED)  # its cause is still there
         rig.node.tell(lambda node: node.drive.injected.clear())
-        assert client.call("reset_fault") == {"state": "ready", "reached": True}
+        assert reached(client.call("reset_fault")) == "ready"
         refused(lambda: client.call("reset_fault"), "ready", "fault")
         assert not any(rig.node.plant.torque_seen[-3:])  # a reset is no enable
         client.call("enable")
@@ -146,7 +155,7 @@ def test_a_drive_that_goes_away_at_rest_is_looked_for_again_and_under_torque_it_
         rig.node.tell(lambda node: node.faults.inject(Fault(FaultKind.REBOOT, duration_s=0.01)))
         status = rig.until("fault", client)
         assert status["fault"]["name"] == "reboot"
-        assert client.call("reset_fault", wait_s=60) == {"state": "ready", "reached": True}  # brought up again
+        assert reached(client.call("reset_fault", wait_s=60)) == "ready"  # brought up again
         assert client.call("status")["loop"]["connection"] >= 3
 
 
@@ -212,9 +221,9 @@ def test_the_watchdog_is_fed_only_while_the_head_moves_and_all_fits_together(tmp
             return trouble.name, supervisor.consistent
 
         def in_a_state_that_does_not_fit() -> bool:
-            before, supervisor.state = supervisor.state, State.OFFLINE
+            before, supervisor.machine.state = supervisor.state, State.OFFLINE
             found = supervisor.consistent
-            supervisor.state = before
+            supervisor.machine.state = before
             return found
 
         assert not rig.do(with_torque_behind_its_back)
@@ -267,3 +276,40 @@ def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):
         refused(lambda: client.call("reload"), "axis.yaml", code=BAD_DOCUMENT)
         assert client.call("status")["state"] == "enabled"
         assert client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.9
+
+
+def test_a_disk_that_hangs_does_not_hold_up_the_end_of_the_service(tmp_path, monkeypatch):
+    monkeypatch.setattr(supervisors, "CLOSE_S", 0.5)
+    hangs = threading.Event()
+    with Rig(tmp_path) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("record", to="on")
+        stop = rig.supervisor.recorder._stop
+        monkeypatch.setattr(rig.supervisor.recorder, "_stop", lambda: (hangs.wait(60.0), stop())[1])
+    told = rig.journal.getvalue()
+    hangs.set()
+    assert "the disk does not answer" in told
+    assert rig.supervisor.state is State.OFFLINE
+    assert rig.supervisor.connection is None  # torque, SYNC and the loop have ended all the same
+    assert rig.node is not None
+    assert not any(rig.node.plant.torque_seen[-3:])
+
+
+def test_a_service_that_ends_while_it_brings_the_drive_up_leaves_the_drive_again(tmp_path, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    real, left = supervisors.bring_up, []
+
+    def slow(*arguments):
+        begun.set()
+        assert go_on.wait(60.0)
+        return real(*arguments)
+
+    monkeypatch.setattr(supervisors, "bring_up", slow)
+    monkeypatch.setattr(supervisors, "leave", lambda connection: left.append(connection) or leave(connection))
+    with Rig(tmp_path) as rig:
+        assert begun.wait(60.0)
+        rig.do(lambda: setattr(rig.supervisor, "_closing", True))
+        go_on.set()
+    assert len(left) == 1
+    assert not left[0].running

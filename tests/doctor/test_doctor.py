@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
+import os
 import tempfile
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from doctor import machines
 
+from fffo_drive.can.frame import pack_frame
+from fffo_drive.can.lease import BusLease
+from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.cli import main
 from fffo_drive.jit import CACHE_DIRECTORY, kernel_digest
 from fffo_drive.runtime.realtime import RealtimeReport
@@ -305,6 +311,49 @@ def test_an_axis_file_decides_what_is_asked_for(tmp_path, capsys):
     assert "98; the loop asks for 98" in said
     assert "bit rate 1000000, the axis file says 500000" in said
     assert "CPU 3 for the loop" in said
+
+
+def bus_master(capsys, path, bus):
+    said = json.loads(doctor(capsys, str(path), "--bus", bus, "--seconds", "0", "--json")[1])
+    (finding,) = [finding for finding in said["findings"] if finding["subject"] == "bus master"]
+    return finding["level"], finding["text"]
+
+
+@contextlib.contextmanager
+def saying(bus, *frames):
+    """Somebody says this again and again."""
+    stop = threading.Event()
+
+    def say():
+        with open_link(bus) as link:
+            while not stop.wait(0.01):
+                for frame in frames:
+                    link.send(frame)
+
+    thread = threading.Thread(target=say)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
+
+
+def test_who_else_commands_on_the_bus_of_an_axis_is_heard_and_named(tmp_path, capsys):
+    bus = f"loopback:{free_loopback_port()}"
+    axis = tmp_path / "axis.yaml"
+    axis.write_text(AXIS.read_text().replace("node_id: 1", "node_id: 1\n  listen_s: 0.2"))
+    heartbeat = pack_frame(0x702, b"\x05")
+    nobody = f"{bus}: nobody else was heard to command in 0.2 s; heartbeats of nodes:"
+    assert bus_master(capsys, axis, bus) == ("ok", f"{nobody} none")
+    with saying(bus, heartbeat):
+        assert bus_master(capsys, axis, bus) == ("ok", f"{nobody} 2")
+    with saying(bus, heartbeat, pack_frame(0x080)):
+        assert bus_master(capsys, axis, bus) == ("failure", f"{bus}: somebody else commands here: SYNC (0x080)")
+    with contextlib.closing(BusLease(bus)):
+        holder = f"process {os.getpid()} on this machine commands on {bus}"
+        assert bus_master(capsys, axis, bus) == ("warning", f"{holder}; heartbeats of nodes: none")
+    level, text = bus_master(capsys, axis, "socketcan:no-such-can0")
+    assert level == "failure"
+    assert "socketcan:no-such-can0" in text
 
 
 def test_text_is_one_line_a_finding_and_one_a_remedy():

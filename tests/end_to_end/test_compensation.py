@@ -9,10 +9,11 @@ import pytest
 
 from fffo_drive.config.axis import AxisFile, build_profile, controller_config, envelope_config, session_config
 from fffo_drive.config.effects import compensation_table
+from fffo_drive.control.controller import pack_controller
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.evaluation.metrics import true_metrics
-from fffo_drive.evaluation.replay import replay
+from fffo_drive.evaluation.replay_runs import Law, Replayer
 from fffo_drive.model.parameters import EffectModel, Quantity, read_model
 from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime import blocks as b
@@ -53,33 +54,42 @@ def run(model, in_service=None):
     with Session(drive, session_config(AXIS, model, PROFILE.values.size, rows)) as session:
         if in_service is not None:
             session.request(b.EFFECTS, in_service)
+        records = session.records.listen(lambda record: None)
         session.run_profile(PROFILE, 1)
         assert session.status(b.TRIP) == 0
-        return RingReader(session.ring).read().rows
+        return RingReader(session.ring).read().rows, records
 
 
-def replayed(rows, model):
-    return replay(rows, controller_config(AXIS, model), envelope_config(AXIS), compensation_table(AXIS, model))
+def replayed(rows, records, instead=None):
+    replayer = Replayer(instead)
+    replayer.take(rows, records)
+    return replayer.report
+
+
+def law(model):
+    return Law(pack_controller(controller_config(AXIS, model)), compensation_table(AXIS, model), envelope_config(AXIS))
 
 
 @pytest.mark.slow
 def test_the_error_falls_and_every_row_replays(models):
-    without, with_effect = (run(model) for model in models)
+    runs = [run(model) for model in models]
+    without, with_effect = (rows for rows, _ in runs)
     ise = [true_metrics(rows, PERIOD_S, PROFILE.values.size).ise for rows in (without, with_effect)]
     assert ise[1] < 0.3 * ise[0]
-    for rows, model in zip((without, with_effect), models, strict=True):
-        assert replayed(rows, model).exact
+    for one, model in zip(runs, models, strict=True):
+        assert replayed(*one).exact
+        assert replayed(*one, law(model)).exact
     assert not without["effects_nm"].any()
     assert not without["effects"].any()
     acting = with_effect["mode"] == 1
     assert (with_effect["effects"][acting] == 1).all()
     assert 0.0074 < np.abs(with_effect["effects_nm"]).max() <= 0.0075 * (1.0 + 1e-9)
-    assert not replayed(with_effect, models[0]).exact  # the record says which effects were in service
+    assert not replayed(*runs[1], law(models[0])).exact
 
 
 @pytest.mark.slow
 def test_an_effect_out_of_service_gives_nothing_and_replays(models):
-    rows = run(models[1], in_service=0)
+    rows, records = run(models[1], in_service=0)
     assert not rows["effects_nm"].any()
     assert not rows["effects"].any()
-    assert replayed(rows, models[1]).exact
+    assert replayed(rows, records).exact

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +14,28 @@ from live.viewer import CLIENT
 from websockets.sync.client import ClientConnection, connect
 
 from fffo_drive.config.address import Address
+from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.daemon.places import CONTROL
 from fffo_drive.live import frames
 from fffo_drive.live.feed import Source
 from fffo_drive.live.server import LiveServer, Wanted
+from fffo_drive.live.services import Method
 from fffo_drive.runtime.ring import new_ring
 
 
 class ScopeRig:
     """`rig` is the daemon, `server` the live server."""
 
-    def __init__(self, directory: Path, ring_rows: int = 4096, viewers: bool = False) -> None:
+    def __init__(
+        self, directory: Path, ring_rows: int = 4096, viewers: bool = False, daemon: Any = None,
+        methods: Mapping[str, Method] = METHODS,
+    ) -> None:  # fmt: skip
         self.ring = new_ring(ring_rows)
-        self.rig = Rig(directory, drive=False)
+        self.rig = daemon or Rig(directory, drive=False)
         self.source: Source | None = Source(1, self.ring, 2000.0, 0.148)
         free = Address("127.0.0.1", 0)
         wanted = Wanted(free, free if viewers else None)
-        self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, "bench")
+        self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, methods, "bench")
         self._pages = contextlib.ExitStack()
 
     def __enter__(self) -> ScopeRig:
@@ -52,11 +57,14 @@ class ScopeRig:
     def origin(self) -> str:
         return self.server.url.rstrip("/")
 
-    def open(self, **options: Any) -> ClientConnection:
-        """A page, after its greeting."""
-        address = self.origin.replace("http", "ws") + "/live"
+    def open(self, key: bool = False, **options: Any) -> ClientConnection:
+        """A page, after its greeting; with the key, or to look."""
+        address = self.origin.replace("http", "ws") + (f"/live?key={self.server.key}" if key else "/live")
         page = self._pages.enter_context(connect(address, **CLIENT | {"origin": self.origin} | options))
         assert hear(page, "hello")["info"]["axis"]
+        if key:
+            say(page, do="token", token=self.server.key)
+            assert hear(page, "rights")["command"]
         return page
 
     def leave(self) -> None:

@@ -65,15 +65,14 @@ def test_foxglove_shows_every_panel_and_no_other():
     assert sorted(leaves(layout)) == sorted(panels())
 
 
-def test_foxglove_calls_services_that_there_are_and_stops_without_a_key():
+def test_foxglove_calls_services_that_there_are_and_has_a_place_for_the_key():
     calls = {name: panel for name, panel in panels().items() if "serviceName" in panel}
     for panel in calls.values():
         name = panel["serviceName"].removeprefix("/fffo_drive/")
         request = json.loads(panel["requestPayload"])
-        key = request.pop("key", None)
+        assert request.pop("key") == ""
         METHODS[name].parameters.model_validate(request)
-        assert (key is None) == (name in ("stop", "disable", "quick_stop"))
-    assert json.loads(calls["CallService!stop"]["requestPayload"]) == {"wait_s": 0}
+    assert json.loads(calls["CallService!stop"]["requestPayload"]) == {"key": "", "wait_s": 0}
 
 
 def test_plotjuggler_finds_every_curve():

@@ -191,26 +191,68 @@ def test_a_reversal_triggers_and_is_taken_at_the_full_rate(served, page, tmp_pat
     assert [float(row["reference_rps"]) for row in rows] == taken["reference"]
 
 
-def test_stop_stops_with_the_key_and_without(served, page, chromium):
+def test_stop_stops(served, page):
     served.run()
     page.until_state("running")
     page.tab.click("#stop")
     page.until_state("ready")
     assert "standstill" in page.said
+
+
+def test_without_the_key_a_page_looks_and_says_so(served, page, chromium):
     served.run()
     watching = Page(chromium, served, key=False).open()
     watching.until_state("running")
+    assert watching.tab.is_disabled("#stop")
     assert watching.tab.is_disabled("#enable")
-    assert watching.tab.is_visible("#rights")
-    watching.tab.click("#stop")
-    watching.until_state("ready")
+    for place in ("#rights", "#may-look"):
+        assert watching.tab.is_visible(place)
+        assert "fffo-drive scope" in watching.tab.text_content(place)
+    assert not watching.tab.is_visible("#may-stop")
+    assert page.tab.is_visible("#may-stop")
+    assert not page.tab.is_visible("#may-look")
+    watching.tab.keyboard.press("Escape")
+    assert "not available" in watching.said
+    watching.see(0.5)
+    assert served.state == "running"
     watching.context.close()
     assert watching.troubles == []
 
 
+# what the page sends, and a status with an epoch that the test sets: the daemon's own are not changed for this
+TOLD = """
+  window.sent = [];
+  const send = WebSocket.prototype.send;
+  WebSocket.prototype.send = function (text) { window.sent.push(JSON.parse(text)); send.call(this, text); };
+  const parse = JSON.parse;
+  JSON.parse = function (text) {
+    const message = parse(text);
+    if (message && message.status && "epoch" in window) message.status.epoch = window.epoch;
+    return message;
+  };
+"""
+
+
+@pytest.mark.parametrize("epoch", [7, None])
+def test_what_gives_torque_or_motion_carries_the_epoch_that_was_shown(served, chromium, epoch):
+    served.rest()
+    page = Page(chromium, served)
+    page.tab.add_init_script(TOLD + f"window.epoch = {'undefined' if epoch is None else epoch};")
+    page.open()
+    page.until_state("ready")
+    for button in ("#enable", "#start"):
+        page.js(f"document.querySelector('{button}').disabled = false, document.querySelector('{button}').click()")
+    calls = page.js("window.sent.filter((m) => m.do === 'call')")
+    assert [call["method"] for call in calls] == ["enable", "start"]
+    for call in calls:
+        assert call["params"].get("epoch") == epoch
+        assert ("epoch" in call["params"]) == (epoch is not None)
+    page.context.close()
+
+
 def test_a_stop_that_nobody_confirms_says_so(served, chromium):
     page = Page(chromium, served)
-    page.tab.route_web_socket("**/live", lambda socket: None)  # a daemon that hears and does not answer
+    page.tab.route_web_socket("**/live?key=*", lambda socket: None)  # a daemon that hears and does not answer
     page.tab.goto(page.address)
     page.until("document.querySelector('#connection').textContent === 'connected'")
     page.tab.click("#stop")

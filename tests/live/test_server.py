@@ -1,4 +1,4 @@
-"""Who may look, who may command, what a stop needs (nothing), and what becomes of clients that stall or mean harm."""
+"""Who may look, who may command (with the key, a stop too), and what becomes of clients that stall or mean harm."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from fffo_drive.cli import main
 from fffo_drive.config.address import Address, address_of
 from fffo_drive.config.sections import DaemonSection
 from fffo_drive.live import client as client_module
+from fffo_drive.live import peer as peer_module
 from fffo_drive.live.page import page
-from fffo_drive.live.web import CLIENTS
+from fffo_drive.live.web import PAGES
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 
@@ -101,10 +102,10 @@ def test_commands_need_the_token_and_go_through_the_control_api(scope):
     page = scope.open()
     toggle = {"do": "call", "method": "toggle", "params": {"to": "off"}}
     say(page, **toggle, id=1)
-    assert "no right" in hear(page, "answer")["error"]
+    assert "only looks" in hear(page, "answer")["error"]
     say(page, do="token", token="wrong")
     assert hear(page, "rights")["command"] is False
-    say(page, do="token", token=scope.server.token)
+    say(page, do="token", token=scope.server.key)
     assert hear(page, "rights")["command"] is True
     say(page, **toggle, id=2)
     answer = hear(page, "answer")
@@ -127,14 +128,18 @@ def test_a_stop_is_carried_out_though_its_page_is_gone(scope, monkeypatch):
         return disable(wanted, caller)
 
     monkeypatch.setattr(scope.rig.api, "disable", heard)
-    page = scope.open()
+    page = scope.open(key=True)
     say(page, do="stop", id=1)
     page.socket.close()
     assert asked.wait(PATIENCE_S)
 
 
-def test_stop_reaches_the_daemon_without_token(scope):
+def test_a_stop_needs_the_key_and_nothing_else(scope):
     page = scope.open()
+    for number, what in enumerate(("stop", "stop", "call")):
+        say(page, do=what, method="disable", id=number)
+        assert "fffo-drive scope" in hear(page, "answer")["error"]
+    say(page, do="token", token=scope.server.key)
     say(page, do="stop", id=9)
     answer = hear(page, "answer")
     assert answer["id"] == 9
@@ -143,7 +148,7 @@ def test_stop_reaches_the_daemon_without_token(scope):
 
 def test_a_token_cannot_be_guessed_in_peace(scope):
     page = scope.open()
-    for number in range(client_module.WRONG_TOKENS - 1):
+    for number in range(client_module.WRONG_KEYS - 1):
         say(page, do="token", token=str(number))
         assert hear(page, "rights")["command"] is False
     say(page, do="token", token="last")
@@ -174,12 +179,12 @@ def test_who_sends_too_much_is_dropped(scope):
 
 
 def test_a_client_that_does_not_read_is_dropped_and_disturbs_nobody(tmp_path, monkeypatch):
-    monkeypatch.setattr(client_module, "STALL_S", 1.0)
+    monkeypatch.setattr(peer_module, "STALL_S", 1.0)
     with ScopeRig(tmp_path, ring_rows=32768) as scope:
         small = socket.socket()
         small.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # the kernel takes nothing in its place
         small.connect(("127.0.0.1", scope.port))
-        good = scope.open(max_queue=None)  # it reads also while this test waits for the other
+        good = scope.open(key=True, max_queue=None)  # it reads also while this test waits for the other
         stalled = scope.open(sock=small, max_queue=1)
         scope.until(lambda: scope.server.hub.feed._reader is not None)
         write(scope.ring, rows_of(0, 20_000))
@@ -193,13 +198,28 @@ def test_a_client_that_does_not_read_is_dropped_and_disturbs_nobody(tmp_path, mo
 
 
 def test_there_are_so_many_places_and_no_more(scope):
-    pages = [scope.open() for _ in range(CLIENTS)]
+    pages = [scope.open() for _ in range(PAGES)]
     with pytest.raises(InvalidStatus) as refused:
         scope.open()
     assert refused.value.response.status_code == 503
     pages[0].close()
-    scope.until(lambda: len(scope.server.hub.clients) < CLIENTS)
+    scope.until(lambda: len(scope.server.hub.clients) < PAGES)
     scope.open()
+
+
+def test_who_shows_the_key_takes_the_place_of_one_who_did_not(scope):
+    with_key = scope.open(key=True)
+    looking = [scope.open() for _ in range(PAGES - 1)]
+    another = scope.open(key=True)
+    with pytest.raises(ConnectionClosed):
+        hear(looking[0], "never")
+    for staying in (with_key, *looking[1:], another):
+        assert hear(staying, "status")
+    for _ in range(PAGES - 2):
+        scope.open(key=True)
+    with pytest.raises(InvalidStatus) as refused:
+        scope.open(key=True)  # all have it
+    assert refused.value.response.status_code == 503
 
 
 def test_the_ring_is_left_alone_when_the_last_page_goes(scope):
@@ -213,7 +233,7 @@ def test_the_command_says_where_the_page_is(served, capsys):
     assert stat.S_IMODE(key.st_mode) == 0o640  # for those who may command anyway
     assert key.st_gid == control.st_gid
     assert main(["scope", "--sockets", str(sockets)]) == 0
-    assert capsys.readouterr().out.strip() == f"{served.server.url}#{served.server.token}"
+    assert capsys.readouterr().out.strip() == f"{served.server.url}#{served.server.key}"
     assert main(["scope", "--sockets", str(sockets), "--watch"]) == 0
     assert capsys.readouterr().out.strip() == served.server.url
     assert main(["scope", "--sockets", str(sockets), "--viewers"]) == 69

@@ -98,8 +98,8 @@ def test_state_and_events_are_told(scope, viewer):
     scope.rig.client().call("toggle", to="ff")
 
 
-def test_a_command_needs_the_key_and_what_ends_a_motion_does_not(scope, viewer):
-    key = scope.server.token
+def test_all_but_looking_needs_the_key(scope, viewer):
+    key = scope.server.key
     assert viewer.call("/fffo_drive/status", b"")["toggle"] == "ff"
     for wrong in ({}, {"key": ""}, {"key": "ä" * 9}, {"key": None}, {"key": key[:-1]}):
         with pytest.raises(ServiceFailure, match="toggle needs the key"):
@@ -107,8 +107,8 @@ def test_a_command_needs_the_key_and_what_ends_a_motion_does_not(scope, viewer):
     assert viewer.call("/fffo_drive/status", {})["toggle"] == "ff"
     assert viewer.call("/fffo_drive/toggle", {"to": "off", "key": key}) == {"toggle": "off"}
     assert viewer.call("/fffo_drive/toggle", {"to": "ff", "key": key}) == {"toggle": "ff"}
-    for ending in ("stop", "disable", "quick_stop"):  # the daemon's own words: there is no drive
-        with pytest.raises(ServiceFailure, match="offline"):
+    for ending in ("stop", "disable", "quick_stop"):
+        with pytest.raises(ServiceFailure, match=f"{ending} needs the key"):
             viewer.call(f"/fffo_drive/{ending}", {"wait_s": 0})
     with pytest.raises(ServiceFailure, match="offline"):
         viewer.call("/fffo_drive/enable", {"key": key})
@@ -127,7 +127,8 @@ def test_a_request_names_its_parameters(viewer):
     assert (request["encoding"], request["schemaEncoding"]) == ("json", "jsonschema")
     for word in ("key", "to", "ff", "fb", "off"):
         assert f'"{word}"' in request["schema"]
-    assert '"key"' not in viewer.services["/fffo_drive/disable"]["request"]["schema"]
+    assert '"key"' in viewer.services["/fffo_drive/disable"]["request"]["schema"]
+    assert '"key"' not in viewer.services["/fffo_drive/status"]["request"]["schema"]
 
 
 def test_it_listens_on_this_machine_alone(scope):
@@ -164,9 +165,9 @@ def test_the_command_says_where_and_gives_the_key(scope, capsys):
     assert main(where) == 0
     url, key = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"ws://127\.0\.0\.1:\d+", url)
-    assert key == f"key for services: {scope.server.token}"
+    assert key == f"key for services: {scope.server.key}"
     assert main([*where, "--watch"]) == 0
-    assert scope.server.token not in capsys.readouterr().out
+    assert scope.server.key not in capsys.readouterr().out
 
 
 def test_times_are_read_as_they_are_written():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 
 import numpy as np
@@ -18,6 +19,13 @@ from fffo_drive.recording.container import BinaryFile
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.events import EVENT_SCHEMA, Event, Level, encode_event
 from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.run_records import (
+    RECORD_SCHEMA,
+    RECORD_TOPIC,
+    RECORD_TYPE,
+    RunRecord,
+    encode_record,
+)
 from fffo_drive.recording.schema import (
     CDR_HEADER,
     EVENT_TOPIC,
@@ -32,6 +40,9 @@ from fffo_drive.recording.writer import LIBRARY, RunWriter, open_new, wall_clock
 from fffo_drive.signals import ROW, UNITS
 
 EVENT = Event(WALL_NS + 7, Level.ERROR, "loop", "trip: following error", {"code": 4, "limit_rev": 0.5})
+RECORD = RunRecord(
+    WALL_NS, 7, 3, "parameters", ("pi.proportional_a_per_rps", "b"), (0.1, 5e-324), {"model": "ab", "note": "µ"}
+)
 
 
 @settings(max_examples=30)
@@ -80,6 +91,7 @@ def test_same_bytes_as_the_writer_of_mcap(tmp_path):
     )
     writer.write_rows(rows[:1700])
     writer.write_event(EVENT)
+    writer.write_record(RECORD, EVENT.time_ns)
     writer.write_rows(rows[1700:2000])
     writer.flush()
     writer.write_rows(rows[2000:])
@@ -93,8 +105,10 @@ def test_same_bytes_as_the_writer_of_mcap(tmp_path):
     other.add_attachment(WALL_NS, WALL_NS, "m", "text/plain", b"abc")
     row_schema = other.register_schema(ROW_TYPE, "ros2msg", schema_text().encode())
     event_schema = other.register_schema(EVENT_TYPE, "ros2msg", EVENT_SCHEMA.encode())
+    record_schema = other.register_schema(RECORD_TYPE, "ros2msg", RECORD_SCHEMA.encode())
     row_channel = other.register_channel(ROW_TOPIC, "cdr", row_schema)
     event_channel = other.register_channel(EVENT_TOPIC, "cdr", event_schema)
+    record_channel = other.register_channel(RECORD_TOPIC, "cdr", record_schema)
 
     def add(part):
         for row in part:
@@ -103,6 +117,7 @@ def test_same_bytes_as_the_writer_of_mcap(tmp_path):
 
     add(rows[:1700])
     other.add_message(event_channel, EVENT.time_ns, encode_event(EVENT), EVENT.time_ns)
+    other.add_message(record_channel, EVENT.time_ns, encode_record(RECORD), EVENT.time_ns, RECORD.sequence)
     add(rows[1700:2000])
     other.flush()
     add(rows[2000:])
@@ -144,9 +159,10 @@ def test_rosbags_reads_it_value_for_value(tmp_path):
     writer = RunWriter(path, {}, [], WALL_NS)
     writer.write_rows(rows)
     writer.write_event(EVENT)
+    writer.write_record(RECORD, WALL_NS + 9)
     writer.close()
     with AnyReader([path]) as reader:
-        found = {topic: [] for topic in (ROW_TOPIC, EVENT_TOPIC)}
+        found = {topic: [] for topic in (ROW_TOPIC, EVENT_TOPIC, RECORD_TOPIC)}
         for connection, _, raw in reader.messages():
             found[connection.topic].append(reader.deserialize(raw, connection.msgtype))
     assert len(found[ROW_TOPIC]) == 300
@@ -156,6 +172,11 @@ def test_rosbags_reads_it_value_for_value(tmp_path):
         assert np.array_equal(values, rows[name], equal_nan=ROW[name].kind == "f"), name
     (event,) = found[EVENT_TOPIC]
     assert (event.time_ns, event.level, event.source, event.text) == EVENT[:4]
+    (record,) = found[RECORD_TOPIC]
+    assert (record.time_ns, record.sequence, record.number, record.kind) == RECORD[:4]
+    assert tuple(record.names) == RECORD.names
+    assert tuple(record.values.tolist()) == RECORD.values
+    assert json.loads(record.data) == RECORD.data
 
 
 def test_infinities_and_nan_survive(tmp_path):

@@ -28,7 +28,6 @@ from fffo_drive.live.server import THREAD_NAME
 
 NAME = "live"
 LARGEST_SHARE, SLOWEST_MS, TARGET = 10.0, 50.0, 1.3
-SDK_THREADS = "tokio"  # what the SDK's runtime calls its threads
 PAGES, VIEWERS = 2, 1
 
 
@@ -49,11 +48,11 @@ class Streaming(Daemon):
         return path.read_text().strip()
 
     def stream_cpu_s(self) -> float:
-        """CPU time of the threads that do nothing but stream: the live server's and the SDK's."""
+        """CPU time of the thread that does nothing but stream."""
         spent = 0
         for task in Path(f"/proc/{self.process.pid}/task").iterdir():
             with contextlib.suppress(OSError):  # it has just ended
-                if (task / "comm").read_text().startswith((THREAD_NAME, SDK_THREADS)):
+                if (task / "comm").read_text().startswith(THREAD_NAME):
                     fields = (task / "stat").read_text().rpartition(")")[2].split()
                     spent += int(fields[11]) + int(fields[12])
         return spent / TICKS_PER_S
@@ -189,7 +188,7 @@ def run() -> int:
     report.notes += [
         f"{passes} passes of {seconds:g} s each with {PAGES} pages and {VIEWERS} viewer that read everything, and "
         f"without; they got {np.median(rates):.0f} binary frames a second in all. Load when it began: {load:.1f}.",
-        "CPU of the stream: the live server's thread and the SDK's threads in the daemon's process.",
+        "CPU of the stream: the live server's thread in the daemon's process.",
         "The browser (headless Chromium, drawing in software), the clients and the simulated drive are other processes"
         " on the same cores; the browser looks after the passes, beside two of the clients.",
         "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",

@@ -33,6 +33,7 @@ from fffo_drive.drive.canopen import object_map, port_memory, service_queue
 from fffo_drive.drive.port import FEEDBACK, port_now_ns
 from fffo_drive.model import friction
 from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime import tick
 from fffo_drive.runtime.loop import run_loop
 from fffo_drive.runtime.ring import new_ring
 from fffo_drive.runtime.tick import Baseline, Law, LoopConfig, ProfileCursor, Timing
@@ -42,7 +43,7 @@ NAME = "loop_cycle"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"
 TARGET = 1.10
 AHEAD_NS = 1_000_000_000  # the first deadline lies far ahead, so that no cycle is late and none is skipped
-CLOCK_FIELDS = ("deadline_ns", "lateness_ns", "turnaround_ns", "busy_ns", "late")
+CLOCK_FIELDS = ("deadline_ns", "lateness_ns", "turnaround_ns", "busy_ns", "heartbeat_age_ns", "late")
 CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (b, ()),
     (port_memory, ()),
@@ -54,6 +55,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction, ("OMEGA_", "STRIBECK_FLOOR")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
+    (tick, ("FLAG_",)),
 )
 
 Rows = np.ndarray[Any, np.dtype[np.void]]

@@ -14,7 +14,7 @@ for argument in sys.argv[2:]:
     name, _, file = argument.partition("=")
     found = json.loads(Path(file).read_text())
     problems = disagreements(expected, found)
-    parts = [f"{found['rows']} rows", f"{found['events']} events"]
+    parts = [f"{found['rows']} rows", f"{found['events']} events", f"{found['records']} records"]
     parts += [f"{len(found['columns'])} columns to the last bit"] if "columns" in found else []
     parts += [f"{len(found[key])} {key}" for key in ("attachments", "metadata") if key in found]
     print(f"{name:<12} {'DISAGREES' if problems else 'agrees'}: {', '.join(parts)}")

@@ -16,10 +16,14 @@ def facts_of(
     columns: Mapping[str, np.ndarray],
     log_time_ns: np.ndarray,
     events: Sequence[Sequence[Any]],
+    records: Sequence[Sequence[Any]],
     attachments: Mapping[str, tuple[str, bytes]],
     metadata: Mapping[str, Mapping[str, str]],
 ) -> Facts:
-    """Columns as float64 (NaN of any payload is one NaN) or int64 modulo 2^64, little-endian; the rest as JSON."""
+    """Columns as float64 (NaN of any payload is one NaN) or int64 modulo 2^64, little-endian; the rest as JSON.
+
+    A record: time_ns, sequence, number, kind, names, values, data.
+    """
     return {
         "rows": len(log_time_ns),
         "columns": {name: _column(values) for name, values in columns.items()},
@@ -27,6 +31,9 @@ def facts_of(
         "events": len(events),
         "event_first": [str(part) for part in events[0]],
         "event_last": [str(part) for part in events[-1]],
+        "records": len(records),
+        "record_last": [str(part) for part in (*records[-1][:4], *records[-1][4], records[-1][6])],
+        "record_values": _column(np.array([value for record in records for value in record[5]], np.float64)),
         "attachments": {
             name: [media_type, len(data), hashlib.sha256(data).hexdigest()]
             for name, (media_type, data) in attachments.items()

@@ -12,6 +12,7 @@ const { parse } = require("@foxglove/rosmsg");
 const { MessageReader } = require("@foxglove/rosmsg2-serialization");
 
 const ROW_TOPIC = "/fffo_drive/row";
+const RECORD_TOPIC = "/fffo_drive/records";
 const digest = (bytes) => createHash("sha256").update(bytes).digest("hex");
 
 class FileReadable {
@@ -64,13 +65,22 @@ for (const channel of reader.channelsById.values()) {
 const columns = new Map();
 const logTimes = [];
 const events = [];
+const recordValues = [];
+let records = 0;
+let recordLast = [];
 for await (const message of reader.readMessages({ validateCrcs: true })) {
   const decoded = decoders.get(message.channelId).readMessage(message.data);
-  if (reader.channelsById.get(message.channelId).topic === ROW_TOPIC) {
+  const topic = reader.channelsById.get(message.channelId).topic;
+  if (topic === ROW_TOPIC) {
     logTimes.push(message.logTime);
     for (const [name, value] of Object.entries(decoded)) {
       columns.get(name)?.push(value) ?? columns.set(name, [value]);
     }
+  } else if (topic === RECORD_TOPIC) {
+    const { time_ns, sequence, number, kind, names, values, data } = decoded;
+    records += 1;
+    recordValues.push(...values);
+    recordLast = [String(time_ns), String(sequence), String(number), kind, ...names, data];
   } else {
     const { time_ns, level, source, text, data } = decoded;
     events.push([String(time_ns), String(level), source, text, data]);
@@ -98,6 +108,9 @@ console.log(
     events: events.length,
     event_first: events[0],
     event_last: events.at(-1),
+    records,
+    record_last: recordLast,
+    record_values: columnFacts(recordValues, true),
     attachments,
     metadata,
   }),

@@ -20,4 +20,5 @@ if check.returncode or info.returncode:
     print(check.stdout + check.stderr + info.stdout + info.stderr, file=sys.stderr)
     sys.exit(f"rerun mcap check: exit code {check.returncode}, info: {info.returncode}")
 channels = dict(re.findall(r"^ *\d+ +(/\S+) +(\d+) +\S+.* Hz", info.stdout, re.MULTILINE))
-print(json.dumps({"rows": int(channels["/fffo_drive/row"]), "events": int(channels["/fffo_drive/events"])}))
+topics = {"rows": "row", "events": "events", "records": "records"}
+print(json.dumps({name: int(channels[f"/fffo_drive/{topic}"]) for name, topic in topics.items()}))

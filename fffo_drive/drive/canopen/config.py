@@ -28,6 +28,12 @@ from .object_map import (
     interpolation_period,
 )
 
+LISTEN_S = 0.5  # any cyclic master sends SYNC or commands within it, ours a heartbeat; many nodes' heartbeats take 1 s
+ONE_MASTER = (
+    "one bus has one master, and several axes on one bus under one SYNC are not built yet: end the other master "
+    "(a device may send SYNC too: 0x1005, bit 30), or use another bus"
+)
+
 
 @dataclass(frozen=True)
 class CanopenDriveConfig:
@@ -63,6 +69,7 @@ class CanopenDriveConfig:
     fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
     max_torque_permille: int | None = None  # 0x6072
     # bring-up
+    listen_s: float = LISTEN_S  # to the bus, before anything is sent
     answer_timeout_s: float = 0.3  # of one SDO answer
     attempts: int = 3
     start_timeout_s: float = 3.0  # boot-up after a reset, and each change of state

@@ -13,13 +13,15 @@ import numpy as np
 from ...can import frame as can
 from ...can.bpf import CanFilter
 from ...can.frame import pack_frame
+from ...can.lease import BusHeldError, BusLease
 from ...can.link import Link, LinkError, open_link
 from ..cia402 import CONTROL_DISABLE_VOLTAGE
-from ..port import BusUnavailableError, DriveError, DriveIdentity, DriveRefusedError
+from ..port import BusOccupiedError, BusUnavailableError, DriveError, DriveIdentity, DriveRefusedError
 from .bring_up import bring_up, start
-from .config import CanopenDriveConfig
+from .config import ONE_MASTER, CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
+from .listening import Listening
 from .object_map import CONTROLWORD, TARGET_TORQUE, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
@@ -39,15 +41,45 @@ class CanopenDrive:
         self._eds = load_eds(config.eds, config.node_id) if config.eds else None
         if self._eds is not None:
             check_eds(self._eds, config)
+        self._lease: BusLease | None = None
+        self._listening: Listening | None = None
         self._service: Service | None = None
         self._link: Link | None = None
         self._port: CanopenPort | None = None
         self._lock = threading.Lock()
 
-    def connect(self) -> DriveIdentity:
-        """Bring the drive to NMT operational, mapped, verified, not enabled.
+    def listen(self) -> None:
+        """Take the bus's lease and begin to hear who else is there: `connect` does, unless it was done before.
 
-        Raises BusUnavailableError and DriveRefusedError; the bus is left then.
+        Nothing is sent, and the kernel keeps what comes: there is time for other work until `connect`. Raises
+        BusUnavailableError; the bus is left then.
+        """
+        try:
+            self._listening = Listening(self.config, self.config.listen_s)
+            self._lease = BusLease(self.config.bus)
+        except BusHeldError as error:
+            self._leave()
+            raise BusOccupiedError(f"{error}: {ONE_MASTER}") from error
+        except LinkError as error:
+            self._leave()
+            raise BusUnavailableError(str(error)) from error
+
+    def _refuse_company(self) -> None:
+        """Raise BusOccupiedError when somebody was heard who is in the way of a master."""
+        if self._listening is None:
+            self.listen()
+        assert self._listening is not None
+        obstacles = self._listening.heard().obstacles()
+        self._listening.close()
+        if obstacles:
+            told = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
+            raise BusOccupiedError(f"{self.config.bus}: {told}")
+
+    def connect(self) -> DriveIdentity:
+        """Listen, then bring the drive to NMT operational, mapped, verified, not enabled.
+
+        Raises BusUnavailableError (BusOccupiedError before anything was sent) and DriveRefusedError; the bus is left
+        then.
         """
         if self._service is not None:
             raise DriveError("connect() was called twice; close() comes in between")
@@ -55,6 +87,7 @@ class CanopenDrive:
         loop_timeout_ns = max(LOOP_TIMEOUT_PERIODS * config.period_ns, LOOP_TIMEOUT_MINIMUM_NS)
         queue = ServiceQueue(loop_timeout_ns)
         try:
+            self._refuse_company()
             link = open_link(config.bus, filters=service_filters(config.node_id))
             self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts)
             identity = bring_up(self._service, config)
@@ -76,11 +109,11 @@ class CanopenDrive:
         return identity
 
     def _cyclic_filters(self) -> list[CanFilter] | None:
-        """The node's frames. None on the loopback bus, where lost frames are only counted without filters."""
+        """The node's frames, and SYNC. None on the loopback bus, where lost frames are only counted without filters."""
         if self.config.bus.startswith("loopback:"):
             return None
         identifiers = [pdo.cob_id for pdo in self.config.answers]
-        identifiers += [can.EMERGENCY + self.config.node_id, can.HEARTBEAT + self.config.node_id]
+        identifiers += [can.EMERGENCY + self.config.node_id, can.HEARTBEAT + self.config.node_id, can.SYNC]
         return [CanFilter(identifier) for identifier in identifiers]
 
     @property
@@ -168,7 +201,10 @@ class CanopenDrive:
         if self._link is not None:
             with self._lock, contextlib.suppress(OSError):
                 self._link.close()
-        self._link, self._port = None, None
+        for held in (self._listening, self._lease):
+            if held is not None:
+                held.close()
+        self._link = self._port = self._listening = self._lease = None
 
     def __enter__(self) -> Self:
         self.connect()

@@ -125,7 +125,7 @@ def _take_error_frame(port: CanopenPort, word: int) -> int:
 
 @njit
 def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
-    """Handle the frame in `port.received`. Frames of others, and SDO answers, are passed over. Returns 0."""
+    """Handle the frame in `port.received`. Of what others send SYNC is counted, the rest passed over. Returns 0."""
     word: Any = np.int64(port.received_words[0])
     if word & can.ERROR_FLAG != 0:
         return _take_error_frame(port, word)
@@ -139,6 +139,8 @@ def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
             slot = i
     node_message = can_id in (can.EMERGENCY + port.node_id, can.HEARTBEAT + port.node_id)
     if slot < 0 and not node_message:
+        if word == can.SYNC:  # ours are not among what a socket hears of itself, on either kind of link
+            port.feedback[0]["foreign_syncs"] += 1
         return 0
     length: Any = np.int64(port.received[can.LENGTH_OFFSET])
     if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.pdos[slot, 1]):

@@ -1,5 +1,6 @@
 "use strict";
-// The connection, and what the page asks the axis for. A stop waits for nothing: without a connection it makes one.
+// The connection, and what the page asks the axis for. A stop needs the key, and waits for nothing else: without a
+// connection it makes one.
 
 const RECONNECT_MS = 1000, STOP_ANSWER_MS = 3000;
 
@@ -17,11 +18,11 @@ class Wire {
 
   connect() {
     clearTimeout(this.timer);
-    const socket = this.socket = new WebSocket(`ws://${location.host}/live`);
+    const socket = this.socket = new WebSocket(`ws://${location.host}/live${this.token ? `?key=${encodeURIComponent(this.token)}` : ""}`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      for (const message of this.unsent.splice(0)) socket.send(message);
       if (this.token) socket.send(JSON.stringify({ do: "token", token: this.token }));
+      for (const message of this.unsent.splice(0)) socket.send(message);
       this.onConnection(true);
     };
     socket.onmessage = (event) => {

@@ -2,7 +2,7 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
-  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", running: "a profile runs", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
+  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
   const FRAME_MS = 40, SILENT_MS = 1500, TELL_MS = 200;
   const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], mayCommand: false };
   let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0, toldMs = 0;
@@ -12,6 +12,7 @@
     sessionStorage.setItem("scope-token", token);
     history.replaceState(null, "", location.pathname);
   }
+  mayStop(Boolean(token));
   const wire = new Wire(token, hear, see, connection);
   window.fffoScope = scope; // for tests
 
@@ -20,13 +21,24 @@
   function connection(open) {
     $("connection").textContent = open ? "connected" : "no connection to the daemon: what is shown is old";
     document.body.classList.toggle("cut", !open);
-    if (!open) rights(false);
+    if (!open) mayCommand(false); // Stop stays as it is: it makes a connection
   }
 
-  function rights(may) {
+  function rights(may) { // a key that is not the daemon's (it was started anew) gives none
+    mayCommand(may);
+    mayStop(may);
+  }
+
+  function mayCommand(may) {
     scope.mayCommand = may;
     $("commands").disabled = !may;
     $("rights").hidden = may;
+  }
+
+  function mayStop(may) {
+    $("stop").disabled = !may;
+    $("may-stop").hidden = !may;
+    $("may-look").hidden = may;
   }
 
   // what comes
@@ -65,6 +77,7 @@
   function status(s) {
     if (s.state === "fault" && scope.state !== "fault" && scope.state) armed("fault", scope.store.now);
     scope.state = s.state;
+    scope.epoch = s.epoch;
     document.body.dataset.state = s.state;
     $("state").textContent = s.state.toUpperCase();
     $("meaning").textContent = s.profile && s.state === "running" ? `${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} % of ${s.profile.duration_s.toFixed(1)} s` : MEANING[s.state] || "";
@@ -77,7 +90,7 @@
     $("enable").disabled = s.state !== "ready";
     $("disable").disabled = AT_REST.includes(s.state);
     $("start").disabled = s.state !== "enabled";
-    $("hold").disabled = s.state !== "running";
+    $("hold").disabled = !["preparing", "running"].includes(s.state);
     $("reset").disabled = s.state !== "fault";
   }
 
@@ -239,18 +252,23 @@
     say(answer.error ? `${text}: ${answer.error}` : `${text}: done`, Boolean(answer.error));
   }
 
+  // what gives torque or motion says in which epoch it was asked: a stop that this page has not shown yet refuses it
+  function epoch() { return Number.isInteger(scope.epoch) ? { epoch: scope.epoch } : {}; }
+
   async function stop() {
+    if ($("stop").disabled) { say("Stop is not available: this page only looks. Use the emergency stop of the machine.", true); return; }
     say("Stop …");
     const answer = await wire.stop();
     if (answer.error && AT_REST.includes(scope.state) && wire.open) say(`Stop: the axis is at rest already (${answer.error})`);
     else if (answer.error) say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true);
+    else if (AT_REST.includes(answer.result.state)) say("Stop: the axis is at rest, no torque");
     else say(answer.result.method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
   }
 
   $("stop").onclick = stop;
-  $("enable").onclick = () => command("Enable", "enable", { hold: $("tied").checked });
+  $("enable").onclick = () => command("Enable", "enable", { hold: $("tied").checked, ...epoch() });
   $("disable").onclick = () => command("Disable", "disable");
-  $("start").onclick = () => command(`Start ${$("profile").value}`, "start", { profile: $("profile").value });
+  $("start").onclick = () => command(`Start ${$("profile").value}`, "start", { profile: $("profile").value, ...epoch() });
   $("hold").onclick = () => command("Hold", "stop");
   $("reset").onclick = () => command("Reset fault", "reset_fault");
   for (const radio of document.querySelectorAll("input[name=toggle]")) radio.onchange = () => command(`Friction ${radio.value}`, "toggle", { to: radio.value });

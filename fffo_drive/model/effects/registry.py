@@ -10,6 +10,7 @@ import importlib
 import math
 from collections.abc import Iterable, Mapping
 
+from ...jit.by_address import VectorKernel
 from .law import SHAPE, Axis, Law
 from .laws.lookup import AXIS_CODES, FIRST_X, KNOWN_AHEAD, NO_AXIS, UNKNOWN
 
@@ -47,6 +48,14 @@ LAWS: dict[str, Law] = {name: importlib.import_module(f"{__package__}.laws.{name
 def law_of(name: str) -> Law:
     """The law of a name; `unknown:AXIS` is the lookup over that axis. Raises KeyError for any other."""
     return LAWS["lookup" if name.startswith(UNKNOWN) else name]
+
+
+def law_of_kernel(kernel: VectorKernel) -> str:
+    """The law that a controller gives torque for by this kernel. Raises KeyError where there is none."""
+    for law in LAWS.values():
+        if kernel is (law.feedforward or law.kernel):
+            return law.name
+    raise KeyError(kernel)
 
 
 def axis_of_effect(name: str) -> Axis:

@@ -55,6 +55,12 @@ ATTRACTION_NM_PER_REV = 27
 REST_SPEED_RPS = 28  # below it the axis rests
 AT_INSTANTS = 29  # 1: the motion is that of instants, as in a record; 0: of the middle of each step
 N_SLOTS = 30
+_PLACES = {
+    place: name.lower()
+    for name, place in globals().copy().items()
+    if name[0] != "_" and name.isupper() and not name.startswith("N_")
+}
+SIGNAL_NAMES = tuple(_PLACES[place] for place in range(N_SLOTS))
 
 MAX_PARAMETERS = 132
 MEMORY_SLOTS = 72

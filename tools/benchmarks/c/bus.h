@@ -197,8 +197,10 @@ static void take_frame(struct canopen_port *port, int64_t tick, bool in_time)
     for (int64_t i = 0; i < port->pdos_n; i++)
         if (port->pdos[i][0] == can_id)
             slot = i;
-    if (slot < 0 && can_id != EMERGENCY + port->node_id && can_id != HEARTBEAT + port->node_id)
+    if (slot < 0 && can_id != EMERGENCY + port->node_id && can_id != HEARTBEAT + port->node_id) {
+        port->feedback->foreign_syncs += word == SYNC;
         return;
+    }
     int64_t length = port->received[LENGTH_OFFSET];
     if ((word & (EXTENDED_FLAG | REMOTE_FLAG)) || length > MAX_DATA || (slot >= 0 && length != port->pdos[slot][1]))
         port->feedback->bad_frames += 1;

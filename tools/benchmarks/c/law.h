@@ -106,6 +106,8 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
 {
     if (seen->bus_off)
         return TRIP_BUS_OFF;
+    if (seen->foreign_syncs > 0)
+        return TRIP_FOREIGN_SYNC;
     if (seen->reboots > 0)
         return TRIP_REBOOT;
     if (seen->emergencies > 0)

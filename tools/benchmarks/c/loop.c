@@ -175,6 +175,7 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .not_operational = (feedback->nmt_state >= 0 && feedback->nmt_state != NMT_OPERATIONAL) ||
                            feedback->nmt_exits != baseline->nmt_exits,
         .bus_off = feedback->bus_off != 0 || feedback->bus_losses != baseline->bus_losses,
+        .foreign_syncs = feedback->foreign_syncs - baseline->foreign_syncs,
         .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
         .wanted = wanted,
         .enabled = enabled,
@@ -183,11 +184,22 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
     };
 }
 
-static void write_row(struct row *row, const struct timing *timing, const struct loop_config *config,
+static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began)
+{
+    int64_t flags = loop_began ? FLAG_LOOP_BEGAN : 0;
+    flags |= seen->emergencies > 0 ? FLAG_EMERGENCY : 0;
+    flags |= seen->reboots > 0 ? FLAG_REBOOT : 0;
+    flags |= seen->not_operational ? FLAG_NOT_OPERATIONAL : 0;
+    flags |= seen->bus_off ? FLAG_BUS_OFF : 0;
+    return flags | (seen->foreign_syncs > 0 ? FLAG_FOREIGN_SYNC : 0);
+}
+
+static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
                       const struct law *law, const struct envelope_inputs *seen, const struct feedback *feedback)
 {
     int64_t lateness_ns = timing->woke_ns - timing->deadline_ns;
     row->tick = timing->tick;
+    row->row_number = (uint32_t)head;
     row->deadline_ns = timing->deadline_ns;
     row->lateness_ns = lateness_ns;
     row->turnaround_ns = timing->turnaround_ns;
@@ -212,6 +224,7 @@ static void write_row(struct row *row, const struct timing *timing, const struct
     row->position_rev = seen->position_rev;
     row->velocity_age = seen->feedback_age;
     row->status_age = seen->status_age;
+    row->heartbeat_age_ns = seen->heartbeat_age_ns;
     row->statusword = seen->statusword;
     row->current_a = feedback->current_a;
     row->true_velocity_rps = feedback->true_velocity_rps;
@@ -240,7 +253,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
     struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits};
+                                feedback->nmt_exits, feedback->foreign_syncs};
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
@@ -266,6 +279,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         if (timing.woke_ns - timing.deadline_ns > config->late_ns)
             status[LATE_TICKS] += 1;
 
+        int64_t request_number = load_acquire(&control[REQUEST_NUMBER]);
         int64_t number = take_parameters(blocks, parameter_number, scratch, in_use);
         if (number != parameter_number) {
             parameter_number = status[PARAMETERS_IN_USE] = number;
@@ -278,7 +292,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             trip = TRIP_NONE;
             envelope = (struct envelope_state){.i2t_a2s = envelope.i2t_a2s};
             baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits};
+                                feedback->nmt_exits, feedback->foreign_syncs};
         }
         int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
         if (stopping_ticks > 0)
@@ -309,13 +323,13 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             trip = found;
             status[TRIP_TICK] = timing.tick;
         }
-        goal = goal_after_trip(envelope_config, trip, goal);
         if (trip != TRIP_NONE)
             command_a = 0.0;
 
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
-        write_row(row, &timing, config, &law, &seen, feedback);
-        controlword = controlword_towards(seen.statusword, goal, reset_ticks > 0, controlword);
+        write_row(row, head, &timing, config, &law, &seen, feedback);
+        int64_t goal_now = goal_after_trip(envelope_config, trip, goal);
+        controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
         row->limited_a = command_a;
         row->current_command_a = bus_command(port, controlword, command_a);
         row->busy_ns = monotonic_ns() - timing.woke_ns;
@@ -324,6 +338,14 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         row->trip = trip;
         row->profile_sample = sample;
         row->toggle = toggle;
+        row->i2t_a2s = envelope.i2t_a2s;
+        row->request_number = request_number;
+        row->parameters_number = parameter_number;
+        row->effects_number = load_acquire(&control[EFFECTS_NUMBER]);
+        row->profile_number = cursor.number;
+        row->flags = flags_of(&seen, ticks_run == 0);
+        row->goal = goal;
+        row->resetting = reset_ticks;
         head += 1;
         store_release(&ring->words[HEAD], head);
         status[DEADLINE_NS] = timing.deadline_ns;

@@ -1,0 +1,126 @@
+"""Who else is on a bus: it is listened to before anything of ours is sent there.
+
+What is heard within `listen_s` tells a running master by its SYNC, NMT commands, or what it sends to our drive, and two
+nodes with the drive's id by heartbeats that contradict each other. Not heard are: a master that is silent for so long,
+or deals with other nodes alone and sends neither SYNC nor NMT commands; two nodes with one id that say the same
+(bring-up finds them, by two answers to one request); a master that begins at the very moment at which we do (on this
+machine the lease of the bus settles that, and a SYNC of its own is a fault of the running loop).
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+from ...can import frame as can
+from ...can.bpf import CanFilter
+from ...can.frame import Frame, unpack_frame
+from ...can.link import open_link
+from .config import ONE_MASTER, CanopenDriveConfig
+from .service import STATE_BOOT_UP, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_STOPPED
+
+MOST_FRAMES = 1 << 16  # looked at: more than a bus at 1 Mbit/s carries in 3 s
+NODE_ID_MASK = 0x7F
+STATE_NAMES = {
+    STATE_BOOT_UP: "boot-up",
+    STATE_STOPPED: "stopped",
+    STATE_OPERATIONAL: "operational",
+    STATE_PRE_OPERATIONAL: "pre-operational",
+}
+TWO_NODES = "two nodes have this id, or its supply fails: look at both"
+
+
+class Obstacle(NamedTuple):
+    """Why we must not begin on a bus, and what to do."""
+
+    text: str
+    remedy: str
+
+
+def masters_frames(config: CanopenDriveConfig) -> dict[int, str]:
+    """Identifiers that only a master of this bus or of this drive sends, and what each of them is."""
+    node, master = config.node_id, config.master_id
+    commands = {base + node for base in (can.RPDO1, can.RPDO2, can.RPDO3, can.RPDO4)} | {config.command.cob_id}
+    commands -= {pdo.cob_id for pdo in config.answers}
+    return {
+        can.SYNC: "SYNC (0x080)",
+        can.NMT: "NMT commands (0x000)",
+        can.SDO_REQUEST + node: f"SDO requests to node {node} (0x{can.SDO_REQUEST + node:03X})",
+        can.HEARTBEAT + master: f"the heartbeat of node {master}, which is ours (drive.master_id)",
+        **{cob_id: f"commands to node {node} (RPDO 0x{cob_id:03X})" for cob_id in sorted(commands)},
+    }
+
+
+class Heard:
+    """What was heard on a bus on which nothing of ours is sent, and what speaks against beginning there."""
+
+    def __init__(self, config: CanopenDriveConfig) -> None:
+        self.nodes: set[int] = set()  # ids of heartbeats and boot-ups
+        self._node_id = config.node_id
+        self._of_masters = masters_frames(config)
+        self._masters: set[int] = set()
+        self._states: list[int] = []  # of the drive since its last boot-up, each change of it
+        self._boot_ups = 0
+        self._disagree = ""
+
+    def take(self, frame: Frame) -> None:
+        """One frame of the bus, in their order."""
+        if frame.extended or frame.remote or frame.error:
+            return
+        if frame.can_id in self._of_masters:
+            self._masters.add(frame.can_id)
+        if frame.can_id & ~NODE_ID_MASK == can.HEARTBEAT and len(frame.data) == 1:
+            self.nodes.add(frame.can_id & NODE_ID_MASK)
+            if frame.can_id == can.HEARTBEAT + self._node_id:
+                self._take_state(frame.data[0] & 0x7F)
+
+    def _take_state(self, state: int) -> None:
+        """No node takes a state again that it has left, but by a boot-up or for an NMT master, who is heard then."""
+        if state == STATE_BOOT_UP:
+            self._states.clear()
+            self._boot_ups += 1
+        elif self._states and state != self._states[-1] and state in self._states:
+            self._disagree = f"{_state_name(self._states[-1])} and {_state_name(state)} in turn"
+        if not self._states or state != self._states[-1]:
+            self._states.append(state)
+
+    def obstacles(self) -> list[Obstacle]:
+        """Why we must not begin here."""
+        found = []
+        if self._masters:
+            signs = ", ".join(text for can_id, text in self._of_masters.items() if can_id in self._masters)
+            found.append(Obstacle(f"somebody else commands here: {signs}", ONE_MASTER))
+        if self._disagree or self._boot_ups > 1:
+            said = self._disagree or f"{self._boot_ups} boot-up messages"
+            found.append(Obstacle(f"node {self._node_id} says {said}", TWO_NODES))
+        return found
+
+
+def _state_name(state: int) -> str:
+    return STATE_NAMES.get(state, f"state 0x{state:02X}")
+
+
+class Listening:
+    """A bus that is heard from now on, and not spoken to: the kernel keeps what comes until `heard` reads it."""
+
+    def __init__(self, config: CanopenDriveConfig, listen_s: float) -> None:
+        """Raises LinkError."""
+        self._config = config
+        heartbeats = CanFilter(can.HEARTBEAT, can.STANDARD_MASK & ~NODE_ID_MASK)
+        identifiers = [CanFilter(can_id) for can_id in masters_frames(config)]
+        self._link = open_link(config.bus, filters=[heartbeats, *identifiers])
+        self._end_s = time.monotonic() + listen_s
+
+    def heard(self) -> Heard:
+        """What came until `listen_s` were over, and until now. Raises LinkError."""
+        heard = Heard(self._config)
+        for _ in range(MOST_FRAMES):
+            raw = self._link.receive(max(0.0, self._end_s - time.monotonic()))
+            if raw is None:
+                break
+            heard.take(unpack_frame(raw))
+        return heard
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._link.close()

@@ -1,0 +1,183 @@
+"""The messages of Foxglove's WebSocket protocol (`foxglove.sdk.v1`) that we speak: bytes and texts, no sockets.
+
+Source: https://github.com/foxglove/foxglove-sdk, rust/foxglove/src/protocol/v1. Numbers are little-endian. A test holds
+this against that SDK, whose own server is none for a process that commands a machine: it has no limit on connections,
+half-open ones among them, nor on what one client asks, and each call of a service takes a thread (up to 512).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+SUBPROTOCOL = "foxglove.sdk.v1"
+MESSAGE_DATA, SERVICE_CALL_RESPONSE = 1, 3  # opcodes of the server
+SERVICE_CALL_REQUEST = 2  # of the client
+ENCODING = "json"  # of requests and answers
+WARNING, ERROR = 1, 2  # levels of a status
+LARGEST_ID = 1 << 32
+_DATA = struct.Struct("<BIQ")
+_CALL = struct.Struct("<BIII")
+
+
+class ProtocolError(Exception):
+    """A message that is none of the protocol."""
+
+
+class Channel(NamedTuple):
+    """A topic."""
+
+    id: int
+    topic: str
+    encoding: str
+    schema_name: str
+    schema: str
+    schema_encoding: str
+
+
+class Service(NamedTuple):
+    """A service; the schemas are JSON schemas."""
+
+    id: int
+    name: str
+    type: str
+    request: Mapping[str, Any]
+    response: Mapping[str, Any]
+
+
+class Subscribe(NamedTuple):
+    """Pairs of subscription and channel."""
+
+    wanted: list[tuple[int, int]]
+
+
+class Unsubscribe(NamedTuple):
+    """Subscriptions."""
+
+    ids: list[int]
+
+
+class ServiceCall(NamedTuple):
+    """A request to a service."""
+
+    service: int
+    number: int
+    encoding: str
+    payload: bytes
+
+
+class Unserved(NamedTuple):
+    """An operation of the protocol that we do not offer."""
+
+    operation: str
+
+
+Asked = Subscribe | Unsubscribe | ServiceCall | Unserved
+
+
+def server_info(name: str, session: str) -> str:
+    """The first message to everybody."""
+    facts = {"name": name, "metadata": {}, "sessionId": session}
+    return _text("serverInfo", **facts, capabilities=["services"], supportedEncodings=[ENCODING])
+
+
+def advertise(channels: Iterable[Channel]) -> str:
+    """These topics exist."""
+    told = [
+        {
+            "id": c.id, "topic": c.topic, "encoding": c.encoding, "schemaName": c.schema_name,
+            "schemaEncoding": c.schema_encoding, "schema": c.schema,
+        }
+        for c in channels
+    ]  # fmt: skip
+    return _text("advertise", channels=told)
+
+
+def advertise_services(services: Iterable[Service]) -> str:
+    """These services exist."""
+    told = [
+        {
+            "id": s.id, "name": s.name, "type": s.type,
+            "request": _schema(f"{s.type}_Request", s.request), "response": _schema(f"{s.type}_Response", s.response),
+        }
+        for s in services
+    ]  # fmt: skip
+    return _text("advertiseServices", services=told)
+
+
+def _schema(name: str, schema: Mapping[str, Any]) -> dict[str, str]:
+    return {"encoding": ENCODING, "schemaName": name, "schemaEncoding": "jsonschema", "schema": json.dumps(schema)}
+
+
+def message_data(subscription: int, time_ns: int, payload: bytes) -> bytes:
+    """A message of a topic."""
+    return _DATA.pack(MESSAGE_DATA, subscription, time_ns) + payload
+
+
+def service_answer(call: ServiceCall, payload: bytes) -> bytes:
+    """What a service answers."""
+    encoding = ENCODING.encode()
+    return _CALL.pack(SERVICE_CALL_RESPONSE, call.service, call.number, len(encoding)) + encoding + payload
+
+
+def service_failure(call: ServiceCall, why: str) -> str:
+    """A service does not do it."""
+    return _text("serviceCallFailure", serviceId=call.service, callId=call.number, message=why)
+
+
+def status(level: int, text: str) -> str:
+    """Something that a person should read."""
+    return _text("status", level=level, message=text)
+
+
+def parse(message: str | bytes) -> Asked:
+    """What a client asks for. Raises ProtocolError."""
+    return _call(message) if isinstance(message, bytes) else _operation(message)
+
+
+def _operation(text: str) -> Asked:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ProtocolError("no JSON") from None
+    operation = content.get("op") if isinstance(content, dict) else None
+    if not isinstance(operation, str):
+        raise ProtocolError("no JSON object with an `op`")
+    if operation == "subscribe":
+        wanted = _list(content, "subscriptions")
+        return Subscribe([(_id(one, "id"), _id(one, "channelId")) for one in wanted])
+    if operation == "unsubscribe":
+        return Unsubscribe([_id({"id": one}, "id") for one in _list(content, "subscriptionIds")])
+    return Unserved(operation[:40])
+
+
+def _list(content: Mapping[str, Any], name: str) -> Sequence[Any]:
+    found = content.get(name)
+    if not isinstance(found, list):
+        raise ProtocolError(f"{content['op']} without a list `{name}`")
+    return found
+
+
+def _id(content: Any, name: str) -> int:
+    found = content.get(name) if isinstance(content, dict) else None
+    if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found < LARGEST_ID:
+        raise ProtocolError(f"`{name}` is no number of 32 bits")
+    return found
+
+
+def _call(message: bytes) -> ServiceCall | Unserved:
+    if message[:1] != bytes([SERVICE_CALL_REQUEST]):
+        return Unserved(f"opcode {message[0]}" if message else "an empty message")
+    if len(message) < _CALL.size:
+        raise ProtocolError("a request to a service that ends too early")
+    _, service, number, length = _CALL.unpack_from(message)
+    end = _CALL.size + length
+    if end > len(message):
+        raise ProtocolError("a request to a service that ends too early")
+    return ServiceCall(service, number, message[_CALL.size : end].decode("ascii", "replace"), message[end:])
+
+
+def _text(operation: str, **content: Any) -> str:
+    return json.dumps({"op": operation, **content}, separators=(",", ":"))

@@ -1,0 +1,150 @@
+"""Records: what was in force in a run and what was asked of it, numbered, with all values.
+
+A row names the parameters, the effects and the profile that were in use by their numbers, and the last request that
+the loop had seen when its tick began (`request_number`): rows and records meet by numbers, never by clocks. What a row
+of now may name is written at the beginning of every file, so that each file stands alone.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from .cdr import Field, decode, encode, schema_of
+from .events import json_object, json_text
+
+RECORD_TOPIC = "/fffo_drive/records"
+RECORD_TYPE = "fffo_drive_msgs/msg/Record"
+RECORD_FIELDS = (
+    Field("uint64", "time_ns", "ns", "wall clock when it was made, Unix epoch"),
+    Field("uint32", "sequence", "-", "place among all records of the session; a row's request_number is one"),
+    Field("uint32", "number", "-", "as rows name it: of parameters, effects or profile; also of model and reset"),
+    Field("string", "kind", "-", "session, model, parameters, effects, profile, request, or a word of the loop"),
+    Field("string[]", "names", "-", "of the values; units as suffixes"),
+    Field("float64[]", "values", "-", "bit for bit as the loop has them"),
+    Field("string", "data", "-", "JSON object for programs: names, texts, hashes, who asked for what"),
+)
+RECORD_SCHEMA = schema_of("What was in force, and what was asked for.", RECORD_FIELDS)
+
+
+class Kind(StrEnum):
+    """What a record tells of."""
+
+    SESSION = "session"  # times of the loop, limits of the envelope, the session's id
+    MODEL = "model"  # a model file: name, content hash, text
+    PARAMETERS = "parameters"  # a whole controller block
+    EFFECTS = "effects"  # a whole table of compensated effects
+    PROFILE = "profile"  # a profile handed to the loop; its samples are in the rows
+    REQUEST = "request"  # who asked for what
+    GOAL = "goal"  # from here on words of the loop: drive.cia402.GOAL_*
+    TOGGLE = "toggle"  # control.friction_observer.TOGGLE_*
+    IN_SERVICE = "in_service"  # effects in service, as bits
+    RESET = "reset"  # of the latched trip and the drive's fault
+    ABORT = "abort"  # the number of a profile that is to end at once
+    STOP = "stop"  # the loop is to end
+    AUTOSTOP = "autostop"  # the loop is to end with the profile
+
+
+NAMED_BY_ROWS: dict[str, str] = {  # kind -> the row's field with its number
+    Kind.PARAMETERS: "parameters_number",
+    Kind.EFFECTS: "effects_number",
+    Kind.PROFILE: "profile_number",
+}
+REQUEST_NUMBER = "request_number"
+
+
+class RunRecord(NamedTuple):
+    """One record. Values that are integers are exact up to 2^53."""
+
+    time_ns: int  # wall clock, Unix epoch
+    sequence: int
+    number: int
+    kind: str  # Kind, or one that a later version knows
+    names: tuple[str, ...] = ()
+    values: tuple[float, ...] = ()
+    data: Mapping[str, Any] = {}
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """The values by their names."""
+        return dict(zip(self.names, self.values, strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON output."""
+        told = self._asdict()
+        return json_object(json_text({**told, "names": list(self.by_name), "values": list(self.values)}))
+
+
+def encode_record(record: RunRecord) -> bytes:
+    """CDR payload (with header) of `RECORD_SCHEMA`."""
+    values = (*record[:6], json_text(record.data))
+    return encode((field.kind, value) for field, value in zip(RECORD_FIELDS, values, strict=True))
+
+
+def decode_record(payload: bytes) -> RunRecord:
+    """The inverse of `encode_record`; raises ValueError for bytes that are no record."""
+    values = decode(payload, RECORD_FIELDS)
+    if len(values["names"]) != len(values["values"]):
+        raise ValueError("a record with another number of names than of values")
+    return RunRecord(**{**values, "data": json_object(values["data"])})
+
+
+def still_in_force(records: Iterable[RunRecord], row: Any) -> list[RunRecord]:
+    """Those of the records (in their order) that this row or a later one can name, and the last of each kind.
+
+    A record that the row names by its number, and what came after it; of the rest the last that the loop had seen, and
+    what it had not.
+    """
+    given = list(records)
+    seen = int(row[REQUEST_NUMBER])
+    last = {record.kind: record.sequence for record in given if record.sequence <= seen}
+
+    def is_current(record: RunRecord) -> bool:
+        name = NAMED_BY_ROWS.get(record.kind)
+        return record.number >= int(row[name]) if name else record.sequence > seen
+
+    kept = [record for record in given if is_current(record) or last.get(record.kind) == record.sequence]
+    models = {record.data.get("model") for record in kept if record.kind == Kind.PARAMETERS}
+    kept += [record for record in given if record.kind == Kind.MODEL and record.data["content_hash"] in models]
+    by_sequence = {record.sequence: record for record in kept}
+    return [by_sequence[number] for number in sorted(by_sequence)]
+
+
+Listener = Callable[[RunRecord], None]
+
+
+class RecordBook:
+    """The records of a session that are in force, and whoever is to hear of new ones. From any thread."""
+
+    def __init__(self, wall_ns: Callable[[], int] = time.time_ns) -> None:
+        self._wall_ns = wall_ns
+        self._lock = threading.Lock()
+        self._records: list[RunRecord] = []
+        self._listeners: list[Listener] = []
+
+    def add(self, record: RunRecord) -> None:
+        """One more, with the time of now; its listeners hear of it before this returns."""
+        with self._lock:
+            record = record._replace(time_ns=self._wall_ns())
+            self._records.append(record)
+            for listener in self._listeners:
+                listener(record)
+
+    def forget(self, row: Any) -> None:
+        """Drop what this row and later ones do not name."""
+        with self._lock:
+            self._records = still_in_force(self._records, row)
+
+    def listen(self, listener: Listener) -> list[RunRecord]:
+        """Be told of every record from now on (it must not wait). Returns those in force: none is missed or doubled."""
+        with self._lock:
+            self._listeners.append(listener)
+            return list(self._records)
+
+    def leave(self, listener: Listener) -> None:
+        """Be told no more."""
+        with self._lock:
+            self._listeners = [other for other in self._listeners if other != listener]

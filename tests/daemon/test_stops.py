@@ -1,0 +1,305 @@
+"""A stop that was acknowledged has stopped everything that was asked for before; nothing stands before a stop."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import pytest
+from daemon.rig import PATIENCE_S, Rig
+
+from fffo_drive.daemon import clients, methods, rpc
+from fffo_drive.daemon.client import CallError, DaemonClient
+from fffo_drive.daemon.clients import ENDING, Budget, SocketLimits
+from fffo_drive.daemon.places import CONTROL, WATCH
+from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
+
+INLINE = {"kind": "sine", "duration_s": 10, "amplitude": 1, "frequency_hz": 0.5}
+
+
+def raw(rig: Rig, name: str = CONTROL) -> socket.socket:
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    sock.settimeout(PATIENCE_S)
+    sock.connect(str(rig.sockets / name))
+    return sock
+
+
+def line_of(method: str, number: int = 1, **params: Any) -> bytes:
+    return json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params}).encode() + b"\n"
+
+
+def answers(sock: socket.socket) -> Iterator[dict[str, Any]]:
+    return map(json.loads, sock.makefile("rb"))
+
+
+def refused(call: Callable[[], Any], *words: str) -> None:
+    with pytest.raises(CallError) as error:
+        call()
+    assert error.value.code == rpc.REFUSED
+    for word in words:
+        assert word in str(error.value)
+
+
+class Held:
+    """Profiles that take as long to compute as a test wants."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        compute = methods.chosen_profile
+
+        def held(*arguments: Any) -> Any:
+            self.begun.set()
+            assert self.go_on.wait(PATIENCE_S)
+            return compute(*arguments)
+
+        monkeypatch.setattr(methods, "chosen_profile", held)
+
+
+def in_thread(call: Callable[[], Any]) -> Callable[[], Any]:
+    """Begin a call; what comes back waits for what it returns or raises."""
+    found: list[Any] = []
+
+    def run() -> None:
+        try:
+            found.append(call())
+        except CallError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+
+    def outcome() -> Any:
+        thread.join(PATIENCE_S)
+        if isinstance(found[0], CallError):
+            raise found[0]
+        return found[0]
+
+    return outcome
+
+
+@contextmanager
+def standing_still(rig: Rig) -> Iterator[None]:
+    """The clients' thread does nothing as long as the block lasts: what arrives stays in the sockets."""
+    blocked, go_on = threading.Event(), threading.Event()
+
+    def stand() -> None:
+        blocked.set()
+        assert go_on.wait(PATIENCE_S)
+
+    rig.server.clients.post(stand)
+    assert blocked.wait(PATIENCE_S)
+    try:
+        yield
+    finally:
+        go_on.set()
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("d"), clients=200) as found:
+        found.until("ready")
+        yield found
+
+
+@pytest.fixture
+def enabled(rig: Rig) -> Iterator[DaemonClient]:
+    client = rig.client()
+    client.call("enable")
+    yield client
+    client.call("disable")
+
+
+@pytest.mark.parametrize("profile", ["default", INLINE], ids=["named", "inline"])
+@pytest.mark.parametrize("ending", [["stop"], ["disable"], ["quick_stop"], ["disable", "enable"], ["stop", "stop"]])
+def test_a_start_that_is_being_prepared_ends_with_a_stop(rig, enabled, monkeypatch, profile, ending):
+    held, other = Held(monkeypatch), rig.client()
+    outcome = in_thread(lambda: enabled.call("start", profile=profile))
+    assert held.begun.wait(PATIENCE_S)
+    assert other.call("status")["state"] == "preparing"
+    for method in ending:
+        state = other.call(method)["state"]
+    held.go_on.set()
+    refused(outcome, "epoch")
+    status = rig.do(lambda: rig.supervisor.state.value)
+    assert status == state == ("enabled" if ending[-1] in ("stop", "enable") else "ready")
+    assert rig.do(lambda: rig.supervisor.profile) is None
+
+
+def test_a_second_start_while_one_is_prepared_is_refused_and_the_first_one_runs(rig, enabled, monkeypatch):
+    held, other = Held(monkeypatch), rig.client()
+    outcome = in_thread(lambda: enabled.call("start", profile=INLINE))
+    assert held.begun.wait(PATIENCE_S)
+    refused(lambda: other.call("start", profile="default"), "preparing", "enabled")
+    held.go_on.set()
+    assert outcome()["state"] == "running"
+
+
+def test_a_start_by_somebody_who_has_gone_is_not_carried_out(rig, enabled, monkeypatch):
+    held = Held(monkeypatch)
+    with raw(rig) as sock:
+        sock.sendall(line_of("start", profile="default"))
+        assert held.begun.wait(PATIENCE_S)
+    rig.until("enabled")
+    held.go_on.set()
+    enabled.call("start", profile={"kind": "points", "points": [[0, 0], [0.1, 0.1], [0.2, 0]]}, wait_s=30)
+    assert not [event for event in rig.events("command") if event["text"].startswith("start default")]
+
+
+@pytest.mark.parametrize("request_line", [line_of("start", profile="default"), line_of("enable", wait_s=0)])
+def test_what_lies_in_a_socket_when_a_stop_is_acknowledged_is_older_than_it(rig, enabled, request_line):
+    with raw(rig) as starter, raw(rig) as stopper:
+        starter.sendall(line_of("status"))
+        next(answers(starter))
+        with standing_still(rig):
+            stopper.sendall(line_of("disable" if b"enable" in request_line else "stop"))
+            starter.sendall(request_line)
+        stopped, started = next(answers(stopper)), next(answers(starter))
+        assert stopped["result"]["reached"]
+        assert started["error"]["code"] == rpc.REFUSED
+        assert rig.do(lambda: rig.supervisor.profile) is None
+        # the epoch of the acknowledgement is the one in which the next request holds
+        assert stopped["result"]["epoch"] == enabled.call("status")["epoch"]
+
+
+def test_a_start_behind_other_requests_of_its_client_is_older_than_a_stop_that_overtook_it(rig, enabled):
+    with raw(rig) as starter:
+        with standing_still(rig):
+            starter.sendall(line_of("info", 1) * 20 + line_of("start", 2, profile="default") + line_of("stop", 3))
+        found = answers(starter)
+        outcome = {}
+        while {2, 3} - outcome.keys():
+            answer = next(found)
+            outcome[answer["id"]] = answer
+        assert outcome[3]["result"]["state"] == "enabled"
+        assert outcome[2]["error"]["code"] == rpc.REFUSED
+
+
+def test_an_epoch_that_a_client_has_seen_binds_its_start(rig, enabled):
+    seen = rig.client(watching=True).call("status")["epoch"]
+    rig.client().call("stop")
+    refused(lambda: enabled.call("start", profile="default", epoch=seen), "epoch", str(seen))
+    refused(lambda: enabled.call("enable", epoch=seen), "epoch")
+    now = enabled.call("status")["epoch"]
+    assert now > seen
+    assert enabled.call("start", profile="default", epoch=now)["state"] == "running"
+
+
+def test_a_stop_overtakes_five_hundred_requests_of_its_own_client(rig):
+    with raw(rig) as sock:
+        sock.sendall(b"".join(line_of("info", number) for number in range(500)) + line_of("quick_stop", 1000))
+        found = answers(sock)
+        order = [next(found)["id"] for _ in range(501)]
+    assert sorted(order[:-1]) != order[:-1]
+    assert order.index(1000) < 250
+    assert [number for number in order if number != 1000] == list(range(500))
+
+
+def test_a_stop_finds_a_place_where_no_other_request_does(tmp_path):
+    with Rig(tmp_path, drive=False, clients=3, retry_s=600) as rig, ExitStack() as held:
+        for _ in range(3):
+            held.enter_context(raw(rig)).sendall(line_of("info"))
+        for method in ENDING:
+            with raw(rig) as sock:
+                sock.sendall(line_of("info", 1) + line_of(method, 2))
+                found = answers(sock)
+                refusal, answer = next(found), next(found)
+            assert refusal["error"]["code"] == rpc.LIMIT
+            assert "stop, disable, quick_stop" in refusal["error"]["message"]
+            assert answer["result"]["state"] == "offline"
+        # however many come and say nothing: the newest has a place
+        silent = [held.enter_context(raw(rig)) for _ in range(clients.STOP_PLACES + 20)]
+        with raw(rig) as sock:
+            sock.sendall(line_of("stop", 3))
+            assert next(answers(sock))["result"]["reached"]
+        assert rig.server.clients.count <= 3 + clients.STOP_PLACES
+        assert silent
+
+
+def test_a_stop_succeeds_in_every_state_and_says_what_is(rig):
+    client = rig.client()
+    for method in ENDING:
+        assert client.call(method)["state"] == "ready"
+    client.call("enable")
+    assert client.call("stop")["state"] == "enabled"
+    assert rig.node is not None
+    rig.node.tell(lambda node: node.drive.injected.add(OVERCURRENT))
+    rig.until("fault", client)
+    for method in ENDING:
+        assert client.call(method)["state"] == "fault"
+    rig.node.tell(lambda node: node.drive.injected.clear())
+    assert client.call("reset_fault")["state"] == "ready"
+
+
+def test_stops_without_a_pause_are_one_stop_for_the_supervisor_and_all_are_answered(rig, enabled):
+    before = len(rig.events("command"))
+    with raw(rig) as sock:
+        sock.sendall(b"".join(line_of("stop", number) for number in range(1000)))
+        found = answers(sock)
+        assert [next(found)["id"] for _ in range(1000)] == list(range(1000))
+    assert len(rig.events("command")) - before < 100
+
+
+def test_a_stop_in_a_batch_ends_what_was_sent_before_it_too(rig, enabled):
+    batch = [json.loads(line_of("stop", 1)), json.loads(line_of("start", 2, profile="default"))]
+    with raw(rig) as sock:
+        sock.sendall(json.dumps(batch).encode() + b"\n")
+        stopped, started = next(answers(sock))
+    assert stopped["result"]["state"] == "enabled"
+    assert started["error"]["code"] == rpc.REFUSED
+
+
+def test_a_wrong_stop_is_an_error_and_the_next_one_a_stop(rig):
+    client = rig.client()
+    with pytest.raises(CallError) as error:
+        client.call("stop", bogus=1)
+    assert error.value.code == rpc.INVALID_PARAMS
+    assert client.call("stop")["reached"]
+    with pytest.raises(CallError) as error:
+        rig.client(watching=True).call("stop")
+    assert error.value.code == rpc.READ_ONLY
+
+
+def test_lines_of_those_who_watch_are_short(rig):
+    with raw(rig, WATCH) as sock:
+        sock.sendall(line_of("info", x="a" * clients.WATCH_LIMITS.line_bytes))
+        assert "longer than 4096 bytes" in next(answers(sock))["error"]["message"]
+
+
+def test_what_floods_cause_displaces_nothing(rig):
+    """Connections by the hundred: what happened before is still told, and they are told in a few lines."""
+    rig.do(lambda: rig.supervisor.log.add("drive", "seen before the flood"))
+    last = rig.client(watching=True).call("events")["last"]
+    for _ in range(20):
+        with ExitStack() as held:
+            for _ in range(60):
+                sock = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+                sock.setblocking(False)
+                if sock.connect_ex(str(rig.sockets / WATCH)):
+                    break
+    watching = rig.client()
+    found = watching.call("events", since=last, limit=1000)["events"]
+    assert len([event for event in found if event["kind"] == "client"]) <= 1000
+    assert any(event["text"] == "seen before the flood" for event in rig.events("drive"))
+
+
+@pytest.mark.parametrize("line_bytes", [1, clients.LINE_COST_BYTES, 4096])
+def test_a_budget_gives_what_its_rate_gives_and_never_more_than_a_burst(line_bytes):
+    limits = SocketLimits(4096, 65536, 10_000.0, 20_000.0)
+    budget = Budget(limits, 0.0)
+    cost = max(line_bytes, clients.LINE_COST_BYTES)
+    paid = 0
+    for tick in range(1000):  # ten seconds
+        while budget.take(line_bytes, tick * 0.01):
+            paid += cost
+    assert paid == pytest.approx(limits.burst_bytes + 9.99 * limits.bytes_per_s, abs=cost)
+    assert budget.take(line_bytes, 1e6)
+    paid = cost
+    while budget.take(line_bytes, 1e6):
+        paid += cost
+    assert paid <= limits.burst_bytes

@@ -1,0 +1,169 @@
+"""Runs in which anything is asked for at any tick, recorded, and what their replay says."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from evaluation.gated import GatedDrive, GatedRun
+
+from fffo_drive.cli.replay import with_continuations
+from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note, session_config
+from fffo_drive.config.effects import compensation_table
+from fffo_drive.control.compensation import ALL_EFFECTS
+from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY, piecewise_linear, sine
+from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
+from fffo_drive.drive.simulated.parameters import PlantConfig
+from fffo_drive.evaluation.replay_runs import Replayer
+from fffo_drive.model.parameters import EffectModel, Quantity, read_model
+from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.recorder import Recorder
+from fffo_drive.recording.settings import RecorderHooks, RecorderSettings, RotationPolicy
+from fffo_drive.runtime import blocks as b
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+AXIS = AxisFile.model_validate({
+    "name": "asked", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
+    "controller": {
+        "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 6,
+        "feedforward": {"inertia": True, "preview": True, "delay_aware": True},
+    },
+    "envelope": {
+        "current_limit_a": 5, "continuous_current_a": 1, "i2t_time_s": 0.05, "i2t_action": "limit", "slew_a_per_s": 400,
+        "speed_limit_rps": 25, "following_error_rps": 8,
+    },
+    "profile": {"kind": "sine", "duration_s": 0.5, "amplitude": 3, "frequency_hz": 8},
+})  # fmt: skip
+PERIOD_S = AXIS.loop.period_s
+COGGING = {"cos_nm": 0.0, "sin_nm": -0.0075, "order": 6.0}
+DRAG = {"drag_nm_per_rps2": 1e-4}
+PROFILES = (
+    build_profile(AXIS.profile, PERIOD_S),
+    sine("short", MODE_VELOCITY, 0.05, PERIOD_S, 8.0, 40.0),
+    sine("current", MODE_CURRENT, 0.05, PERIOD_S, 0.8, 20.0),
+    piecewise_linear("ramp", MODE_VELOCITY, PERIOD_S, np.array([0.0, 0.1, 0.2]), np.array([0.0, 4.0, 0.0])),
+)
+EMERGENCY_CODE = 0x3210
+FILES = "FFFO_REPLAYED_FILES"
+
+
+def models() -> list:
+    """Table 1 bare, with one effect, and with two."""
+    bare = read_model(CONFIGS / "models" / "table1.yaml")
+
+    def effect(name, values):
+        return EffectModel(name=name, parameters={key: Quantity(value=value) for key, value in values.items()})
+
+    cogging, drag = effect("cogging", COGGING), effect("quadratic_drag", DRAG)
+    return [bare, *(bare.model_copy(update={"effects": effects}) for effects in ([cogging], [drag, cogging]))]
+
+
+class Asked:
+    """One run: requests by name, as the daemon makes them."""
+
+    def __init__(self, directory: Path, seed: int = 1, rotate_bytes: int | None = None, most_ticks: int = 20_000):
+        self.models = models()
+        self.axis, self.model = AXIS, self.models[1]
+        self.resets = 0
+        self.path = directory / "run.mcap"
+        config = session_config(AXIS, self.model, 4000, 1 << 15)
+        self.run = GatedRun(config, GatedDrive(replace(PlantConfig(), seed=seed)))
+        self.session = self.run.session
+        hooks = RecorderHooks(clock_ns=lambda: int(self.run.drive.port.drive.words[0]))
+        settings = RecorderSettings(flush_interval_s=0.0, rotation=RotationPolicy(max_bytes=rotate_bytes))
+        self.recorder = Recorder(
+            self.session.ring, self.path, settings=settings, hooks=hooks, records=self.session.records
+        )
+        self.run.begin(most_ticks)
+
+    def ask(self, what: str, value: float) -> None:
+        """`value` from 0 to 1 chooses among what can be asked for."""
+        getattr(self, what)(value)
+
+    def gains(self, value: float) -> None:
+        controller = self.axis.controller.model_copy(update={"proportional_a_per_rps": 0.4 + value})
+        self.axis = self.axis.model_copy(update={"controller": controller})
+        self._publish()
+
+    def other_model(self, value: float) -> None:
+        self.model = self.models[round(value * (len(self.models) - 1))]
+        self.session.set_model(model_note(self.model))
+        self._publish()
+
+    def _publish(self) -> None:
+        self.session.set_controller(controller_config(self.axis, self.model))
+        self.session.set_effects(compensation_table(self.axis, self.model))
+
+    def toggle(self, value: float) -> None:
+        self.session.request(b.TOGGLE, round(2 * value))
+
+    def in_service(self, value: float) -> None:
+        self.session.request(b.EFFECTS, (0, 1, 2, ALL_EFFECTS)[round(3 * value)])
+
+    def enable(self, value: float) -> None:
+        self.session.request(b.GOAL, GOAL_ENABLED)
+
+    def start(self, value: float) -> None:
+        self.session.note_request("pid 1", "start", {"value": value}, epoch=self.resets)
+        self.number = self.session.start_profile(PROFILES[round(value * (len(PROFILES) - 1))])
+
+    def abort(self, value: float) -> None:
+        self.session.request(b.PROFILE_ABORT, int(self.session.blocks.control[b.PROFILE_NUMBER]))
+
+    def disable(self, value: float) -> None:
+        self.session.request(b.GOAL, GOAL_QUICK_STOP if value > 0.5 else GOAL_DISABLED)
+
+    def fault(self, value: float) -> None:
+        self.run.drive.raise_fault(EMERGENCY_CODE)
+
+    def reset(self, value: float) -> None:
+        self.run.drive.clear_fault()
+        self.resets += 1
+        self.session.request(b.RESET_NUMBER, self.resets)
+
+    def drain(self, value: float) -> None:
+        self.recorder.drain_once()
+
+    def finish(self) -> list[Path]:
+        """The files."""
+        self.session.request(b.STOP, 1)
+        self.run.end()
+        self.recorder.close()
+        return with_continuations([self.path])
+
+
+WHAT = (
+    "gains", "other_model", "toggle", "in_service", "enable", "start", "abort", "disable", "fault", "reset", "drain",
+)  # fmt: skip
+STORY = (  # everything at least once, and a motion under most of it
+    ("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("gains", 0.3, 61), ("in_service", 0.0, 90),
+    ("in_service", 1.0, 150), ("other_model", 1.0, 70), ("toggle", 1.0, 33), ("drain", 0.0, 1), ("gains", 0.9, 47),
+    ("other_model", 0.0, 21), ("fault", 0.0, 30), ("reset", 0.0, 60), ("other_model", 0.5, 10), ("start", 0.3, 120),
+    ("toggle", 0.0, 20), ("abort", 0.0, 10), ("start", 0.6, 60), ("disable", 0.0, 30), ("enable", 0.0, 30),
+    ("start", 1.0, 150), ("disable", 1.0, 80),
+)  # fmt: skip
+
+
+def tell(directory: Path, story=STORY, drain_each: bool = False, **options) -> list[Path]:
+    """Run a story: what, which of it, and how many ticks go by after it. Returns the files in their order."""
+    asked = Asked(directory, **options)
+    for what, value, ticks in story:
+        asked.ask(what, value)
+        asked.run.ticks(ticks)
+        if drain_each:
+            asked.recorder.drain_once()
+    return asked.finish()
+
+
+def replayed_files() -> list[str]:
+    """For another interpreter: exact or not, rows, and the commands that its replay computes for the files named."""
+    replayer = Replayer()
+    commands: list[str] = []
+    for file in os.environ[FILES].split(os.pathsep):
+        run = read_run(file)
+        replayed = replayer.take(run.rows, run.records)
+        commands += [value.hex() for value in replayed.commands[:, 0].tolist()]
+    report = replayer.report
+    return [str(report.exact), str(report.all_rows), str(report.rows), *commands]

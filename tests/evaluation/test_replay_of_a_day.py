@@ -1,0 +1,259 @@
+"""Whatever is asked of the loop, whenever: the recording names it, and its replay gives every command bit for bit."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from evaluation.asked import AXIS, FILES, PROFILES, WHAT, models, replayed_files, tell
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from interpreted import hex_results
+
+from fffo_drive.cli import main
+from fffo_drive.cli.replay import replay_files
+from fffo_drive.config.axis import controller_config, envelope_config
+from fffo_drive.config.effects import compensation_table
+from fffo_drive.control.controller import pack_controller
+from fffo_drive.drive.cia402 import GOAL_DISABLED
+from fffo_drive.evaluation.replay_runs import Law, Replayer
+from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.run_records import Kind, decode_record, encode_record
+from fffo_drive.runtime import records as made
+from fffo_drive.runtime.tick import FLAG_EMERGENCY, LoopConfig
+from fffo_drive.signals import ROW
+
+SMALL_FILES = 20_000  # bytes: a file holds some hundred rows
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory):
+    """One file of a run in which everything was asked for."""
+    (file,) = tell(tmp_path_factory.mktemp("story"))
+    return file
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory):
+    """The same in several files."""
+    files = tell(tmp_path_factory.mktemp("cut"), rotate_bytes=SMALL_FILES, drain_each=True)
+    assert len(files) > 3
+    return files
+
+
+def replayed(*parts):
+    replayer = Replayer()
+    for rows, records in parts:
+        replayer.take(rows, records)
+    return replayer.report
+
+
+def test_a_run_with_everything_in_it_replays(story):
+    report = replay_files([story])
+    run = read_run(story)
+    assert report.exact
+    assert report.all_rows == run.rows.size
+    assert report.rows == (run.rows["mode"] == 1).sum() > 900
+    assert report.profiles.as_asked > 0
+    assert report.profiles.other == 0
+    assert {record.kind for record in run.records} == set(Kind)
+    assert (run.rows["trip"] != 0).any()
+    assert (run.rows["resetting"] != 0).any()
+    assert (run.rows["effects_nm"] != 0).any()
+    assert len(np.unique(run.rows["limits"])) > 3
+    used = {(block.parameters, block.effects) for block in report.blocks}
+    assert len(used) >= 5
+    assert len({block.model for block in report.blocks}) == 3
+    assert sum(block.rows for block in report.blocks) == report.rows
+
+
+@settings(max_examples=12, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(st.tuples(st.sampled_from(WHAT), st.floats(0.0, 1.0), st.integers(1, 60)), min_size=8, max_size=25),
+    st.sampled_from([None, SMALL_FILES]),
+)
+def test_whatever_is_asked_for_at_any_tick_replays(tmp_path_factory, asked, rotate_bytes):
+    story = [("enable", 0.0, 40), ("start", 0.0, 30), *asked]
+    files = tell(tmp_path_factory.mktemp("any"), story, rotate_bytes=rotate_bytes)
+    report = replay_files(files)
+    assert report.exact
+    assert report.all_rows == sum(read_run(file).rows.size for file in files)
+
+
+def test_files_of_a_rotated_run_are_one_run_and_each_stands_alone(story, cut):
+    whole, parts = read_run(story), [read_run(file) for file in cut]
+    assert np.concatenate([part.rows for part in parts]).tobytes() == whole.rows.tobytes()
+    together = replay_files(cut)
+    alone = [replay_files([file]) for file in cut]
+    assert together.exact
+    assert together.all_rows == whole.rows.size
+    for part, report in zip(parts, alone, strict=True):
+        assert report.all_identical == report.all_rows  # what is known of it, to the last bit
+        assert report.rows + report.not_replayed == (part.rows["mode"] == 1).sum()
+        named = {record.number for record in part.records if record.kind == Kind.PARAMETERS}
+        assert set(part.rows["parameters_number"].tolist()) <= named
+    assert any(report.not_replayed for report in alone)  # those that begin in a motion
+    assert sum(report.rows for report in alone) > 300
+
+
+def test_a_missing_file_costs_the_rows_until_the_law_rests(cut):
+    report = replay_files([cut[0], *cut[2:]])
+    assert report.not_replayed > 0
+    assert not report.exact
+    assert report.all_identical == report.all_rows > 0
+
+
+def test_a_file_that_was_continued_brings_the_others_along(cut, capsys):
+    assert main(["replay", str(cut[0])]) == 0
+    said = capsys.readouterr().out
+    assert f"and {len(cut) - 1} more" in said
+    assert "reproduced bit for bit" in said
+    assert main(["replay", *map(str, cut)]) == 0
+    assert capsys.readouterr().out == said
+
+
+@pytest.mark.parametrize("kind", [Kind.PARAMETERS, Kind.EFFECTS, Kind.SESSION])
+def test_a_record_that_is_not_what_was_in_use_is_found(story, kind):
+    run = read_run(story)
+    changed = 0
+
+    def other(record):
+        nonlocal changed
+        if record.kind != kind:
+            return record
+        values = list(record.values)
+        name = {
+            Kind.PARAMETERS: "pi.integral_a_per_rev", Kind.EFFECTS: "total_limit_nm",
+            Kind.SESSION: "envelope.slew_a_per_s",
+        }[kind]  # fmt: skip
+        values[record.names.index(name)] *= 1e-3 if kind is Kind.EFFECTS else 1.0 + 1e-12
+        changed += 1
+        return record._replace(values=tuple(values))
+
+    report = replayed((run.rows, tuple(map(other, run.records))))
+    assert changed
+    assert not report.exact
+    assert report.all_identical < report.all_rows
+
+
+@pytest.mark.parametrize("name", ["parameters_number", "effects_number", "toggle", "position_rev", "goal", "flags"])
+def test_a_row_that_says_something_else_is_found(story, name):
+    run = read_run(story)
+    rows = run.rows.copy()
+    where = np.flatnonzero((rows["mode"] == 1) & (rows["effects_nm"] != 0) & (np.abs(rows["reference_rps"]) > 0.5))[20]
+    before = rows[where].copy()
+    other = {
+        "position_rev": before["position_rev"] + 0.1,
+        "flags": FLAG_EMERGENCY,
+        "goal": GOAL_DISABLED,
+        "toggle": (before["toggle"] + 1) % 3,
+    }
+    rows[name][where] = other.get(name, rows[name].max() + rows[name].min() - before[name])
+    assert rows[where] != before
+    assert not replayed((rows, run.records)).exact
+
+
+def test_samples_other_than_those_asked_for_are_found(story):
+    run = read_run(story)
+    records = [
+        record._replace(data={**record.data, "values_sha256": "0" * 64}) if record.kind == Kind.PROFILE else record
+        for record in run.records
+    ]
+    assert replayed((run.rows, records)).profiles.other == replay_files([story]).profiles.as_asked > 0
+
+
+def test_lost_rows_cost_the_rows_until_the_law_rests_and_no_more(story):
+    run = read_run(story)
+    acts = np.flatnonzero(run.rows["mode"] == 1)
+    rows = np.delete(run.rows, slice(acts[50], acts[60]))
+    report = replayed((rows, run.records))
+    assert report.all_identical == report.all_rows
+    assert 0 < report.not_replayed < acts.size - 60
+    assert report.rows > 100
+
+
+def test_a_changed_law_is_scored_beside_the_recorded_one(story):
+    run = read_run(story)
+    limits = AXIS.envelope.model_copy(update={"speed_limit_rps": 0.5, "slew_a_per_s": 100.0})
+    axis = AXIS.model_copy(update={"envelope": limits})
+    law = Law(
+        pack_controller(controller_config(axis, models()[0])), compensation_table(axis, models()[0]),
+        envelope_config(axis),
+    )  # fmt: skip
+    replayer = Replayer(law)
+    replayer.take(run.rows, run.records)
+    report = replayer.report
+    assert report.rows == (run.rows["mode"] == 1).sum()
+    assert 1e-4 < report.rms_difference_a < 5.0
+    assert report.rms_command_difference_a > 0.0
+    assert report.trips_elsewhere > 0
+    assert "speed_limit_rps" in report.first_trip
+
+
+@pytest.mark.slow
+def test_a_replay_without_compilation_gives_the_same_bits(cut, monkeypatch):
+    monkeypatch.setenv(FILES, os.pathsep.join(map(str, cut)))
+    there = hex_results("evaluation.asked", "replayed_files")
+    assert there[0] == "True"
+    assert there == replayed_files()
+
+
+def test_every_kind_of_record_comes_back_from_its_bytes_and_as_what_it_was(story):
+    run = read_run(story)
+    for record in run.records:
+        assert decode_record(encode_record(record)) == record
+    (session,) = (record for record in run.records if record.kind == Kind.SESSION)
+    again = made.of_session("x", made_loop(session), made.envelope_of(session))
+    assert again.values == session.values
+    for record in run.records:
+        if record.kind == Kind.PARAMETERS:
+            assert made.of_parameters(record.number, made.block_of(record), None).values == record.values
+        elif record.kind == Kind.EFFECTS:
+            back = made.of_effects(record.number, made.effects_of(record))
+            assert (back.names, back.values, back.data) == (record.names, record.values, record.data)
+        elif record.kind == Kind.MODEL:
+            assert record.data["content_hash"] in record.data["text"]
+    asked = [record.data for record in run.records if record.kind == Kind.REQUEST]
+    assert {"who": "pid 1", "what": "start", "values": {"value": 0.0}, "epoch": 0} in asked
+    names = {record.data["name"] for record in run.records if record.kind == Kind.PROFILE}
+    assert names <= {profile.name for profile in PROFILES}
+
+
+def made_loop(session):
+    """The times of the loop in a record."""
+    values = session.by_name
+    return LoopConfig(**{name: int(values[f"loop.{name}"]) for name in LoopConfig._fields})
+
+
+SINCE_RECORDS = {  # fields that rows have since blocks are recorded
+    "heartbeat_age_ns", "i2t_a2s", "row_number", "request_number", "parameters_number", "effects_number",
+    "profile_number", "flags", "goal", "resetting",
+}  # fmt: skip
+
+
+def test_rows_of_an_older_version_replay_with_the_law_that_is_given_for_them(tmp_path):
+    """Toggles and effects in service stood in its rows; what was set live did not, and shows as a difference."""
+    calm = [("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("in_service", 0.0, 90), ("toggle", 1.0, 90)]
+    law = Law(
+        pack_controller(controller_config(AXIS, models()[1])), compensation_table(AXIS, models()[1]),
+        envelope_config(AXIS),
+    )  # fmt: skip
+    reports = []
+    for name, story in (("calm", calm), ("set", [*calm, ("gains", 0.9, 50)])):
+        (tmp_path / name).mkdir()
+        (file,) = tell(tmp_path / name, [*story, ("disable", 1.0, 80), ("enable", 0.0, 60), ("fault", 0.0, 40)])
+        rows = read_run(file).rows
+        old = np.zeros(rows.size, [(name, rows.dtype[name]) for name in ROW.names if name not in SINCE_RECORDS])
+        for field in old.dtype.names:
+            old[field] = rows[field]
+        replayer = Replayer()
+        with pytest.raises(ValueError, match="does not name its blocks"):
+            replayer.take(old, ())
+        replayer.take(old, (), law)
+        reports.append(replayer.report)
+        assert reports[-1].rows == (rows["mode"] == 1).sum() > 300
+        assert not reports[-1].names_blocks
+    assert reports[0].exact
+    assert not reports[1].exact
+    assert reports[1].identical > 300

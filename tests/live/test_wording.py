@@ -1,0 +1,116 @@
+"""What a viewer reads whose request is wrong: the parameter, what is wanted there with its range, what came."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fffo_drive.daemon.parameters import METHODS
+from fffo_drive.live.services import ENDING, Kind, RefusedCallError, Services
+
+KEY = "k" * 32
+SERVICES = Services(METHODS, KEY)
+NUMBER = {service.name.removeprefix("/fffo_drive/"): service.id for service in SERVICES.offered()}
+PROFILE = "wanted name (see info: profiles), or a profile as in an axis file"
+
+
+def outcome(name, params):
+    """The request that is let through, or the words of the refusal."""
+    key_name = "access_key" if name == "set" else "key"  # it has a parameter `key`
+    try:
+        return SERVICES.checked(NUMBER[name], json.dumps({key_name: KEY, **params}).encode())
+    except RefusedCallError as error:
+        return str(error)
+
+
+def refusal(name, **params):
+    told = outcome(name, params)
+    assert isinstance(told, str)
+    return told
+
+
+@pytest.mark.parametrize("name", [*ENDING, "enable", "start", "reset_fault"])
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [("x", '"x"'), ("1", '"1"'), (True, "true"), (-1, "-1"), (601, "601"), (None, "null"), ([], "[]")],
+)
+def test_a_wait_is_a_number_in_its_range(name, value, told):
+    profile = {"profile": "default"} if name == "start" else {}
+    expected = f"{name}: wait_s: wanted a number from 0 up to 600, got {told} (parameters: "
+    assert refusal(name, wait_s=value, **profile).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "told"),
+    [
+        ("stop", {"bogus": 1}, "bogus is no parameter"),
+        ("toggle", {"to": "x"}, 'to: wanted one of ff, fb, off, got "x"'),
+        ("toggle", {}, "to: wanted one of ff, fb, off, got nothing"),
+        ("events", {"limit": 0}, "limit: wanted a whole number from 1 up to 1000, got 0"),
+        ("enable", {"hold": 1}, "hold: wanted true or false, got 1"),
+        ("start", {}, f"profile: {PROFILE}, got nothing"),
+        ("start", {"profile": 3}, f"profile: {PROFILE}, got 3"),
+        ("start", {"profile": {"kind": "x"}}, f'profile: {PROFILE}, got {{"kind": "x"}}'),
+        (
+            "start", {"profile": {"kind": "sine", "duration_s": 1e6, "amplitude": 1}},
+            "profile.duration_s: wanted a number above 0 up to 86400, got 1000000.0; "
+            "profile.frequency_hz: wanted a number above 0 up to 1000, got nothing",
+        ),
+        (
+            "start", {"profile": {"kind": "points", "points": [[0, 0], ["a", 1]]}},
+            'profile.points.1.0: wanted a number, got "a"',
+        ),
+        (
+            "start", {"profile": {"kind": "points", "points": [[0, 0], [0, 1]]}},
+            "profile.points: times must start at 0 and rise from point to point",
+        ),
+        ("set", {"key": "a", "value": "x"}, 'value: wanted number, or true or false for a switch, got "x"'),
+    ],
+)  # fmt: skip
+def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, told):
+    assert refusal(name, **params).startswith(f"{name}: {told} (parameters: ")
+
+
+def test_what_is_right_goes_through_as_it_came():
+    sine = {"kind": "sine", "duration_s": 1, "amplitude": 1, "frequency_hz": 1}
+    checked = SERVICES.checked(NUMBER["start"], json.dumps({"key": KEY, "profile": sine}).encode())
+    assert checked == ("start", {"profile": sine}, Kind.COMMANDS)
+    assert outcome("set", {"key": "a", "value": 1.5}) == ("set", {"key": "a", "value": 1.5}, Kind.COMMANDS)
+    assert SERVICES.checked(NUMBER["status"], b"") == ("status", {}, Kind.LOOKS)
+    assert SERVICES.checked(NUMBER["stop"], b'{"key": "%s", "wait_s": 0}' % KEY.encode()).kind is Kind.ENDS
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=5)
+    | st.sampled_from(["sine", "points", "kind", "default"]),
+    lambda inner: st.lists(inner, max_size=3)
+    | st.dictionaries(st.sampled_from(["kind", "points", "mode", "x"]) | st.text(max_size=3), inner, max_size=4),
+    max_leaves=8,
+)  # fmt: skip
+
+
+@given(
+    name=st.sampled_from(sorted(NUMBER)), value=JSON, parameter=st.sampled_from(["profile", "wait_s", "value", "to"])
+)
+@settings(max_examples=200, derandomize=True, deadline=None)
+def test_whatever_comes_is_let_through_or_refused_in_words(name, value, parameter):
+    found = outcome(name, {parameter: value})
+    if not isinstance(found, str):
+        assert found.params == {parameter: value}
+        return
+    assert parameter in found
+    for word in ("Error", "nput should", "pydantic", "tagged-union"):
+        assert word not in found.replace(json.dumps(value)[:40], "")
+
+
+@given(payload=st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
+@settings(max_examples=200, derandomize=True, deadline=None)
+def test_without_the_key_no_bytes_ask_for_more_than_looking(payload):
+    for number in NUMBER.values():
+        try:
+            assert SERVICES.checked(number, payload).kind is Kind.LOOKS
+        except RefusedCallError:
+            continue

@@ -1,0 +1,462 @@
+"""Stops: from the byte to no torque, also beside hostile clients; races with a start; the service's end."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import Report, finish, main, parser, shown
+from daemon import DRIVE, PATIENCE_S, Daemon, until
+from hostile_clients import COUNT, VIEWERS, ViewerCalls, described, hostile
+from live import Streaming
+
+from fffo_drive.can.bpf import CanFilter
+from fffo_drive.can.frame import RPDO1, TPDO2, unpack_frame
+from fffo_drive.can.link import free_loopback_port, open_link
+from fffo_drive.cli import main as command
+from fffo_drive.cli.simulated_process import SimulatedProcess
+from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
+from fffo_drive.drive.cia402 import is_operation_enabled
+from fffo_drive.live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
+
+NAME = "stops"
+ENABLE_OPERATION = 0x0F
+FUNCTION_MASK = 0x780  # of an identifier: all but the node
+RACES, SAMPLE_RACES, LONGEST_DELAY_S = 1000, 24, 0.1
+ROUNDS, SAMPLE_ROUNDS = 100, 3
+BEYOND_QUIET_MS, LONGEST_END_S = 100.0, 5.0
+STANDSTILL_RPS, WATCHED_S = 0.05, 0.1
+INLINE = {"kind": "sine", "duration_s": 20, "amplitude": 2, "frequency_hz": 0.5}
+ENDINGS = (("stop",), ("disable",), ("disable", "enable"), ("quick_stop",))
+
+
+class Witness:
+    """Hears the bus: when the command to the drive stopped asking for torque, and when the drive said it was gone."""
+
+    def __init__(self, bus: str) -> None:
+        self._link = open_link(bus, filters=[CanFilter(RPDO1, FUNCTION_MASK), CanFilter(TPDO2, FUNCTION_MASK)])
+        self._end = threading.Event()
+        self.commanded_ns = self.told_ns = self._begun_ns = 0
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._end.is_set():
+            heard = self._link.receive_stamped(0.2)
+            if heard is None:
+                continue
+            at_ns, frame = round(heard.time_s * 1e9), unpack_frame(heard.raw)
+            word = int.from_bytes(frame.data[:2], "little")
+            kind = frame.can_id & FUNCTION_MASK
+            if at_ns < self._begun_ns:
+                continue
+            if kind == RPDO1 and not self.commanded_ns and word & ENABLE_OPERATION != ENABLE_OPERATION:
+                self.commanded_ns = at_ns
+            elif kind == TPDO2 and not self.told_ns and not is_operation_enabled(word):
+                self.told_ns = at_ns
+
+    def begin(self) -> None:
+        """What came before does not count."""
+        self._begun_ns = time.time_ns()
+        self.told_ns = self.commanded_ns = 0
+
+    def wait(self) -> None:
+        """Until both were heard. Raises RuntimeError when they are not."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (self.commanded_ns and self.told_ns):
+            if time.monotonic() > deadline_s:
+                raise RuntimeError("a stop was answered, and the bus did not show it")
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._end.set()
+        self._thread.join()
+        self._link.close()
+
+
+def patiently(call: Callable[[], Any]) -> Any:
+    """A call beside hostile clients: a connection may be refused, an answer may take its time."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return call()
+        except (ClientError, CallError):
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.2)
+
+
+def moving(client: DaemonClient) -> None:
+    """The axis turns, whatever it was before."""
+
+    def begin() -> None:
+        if client.call("status")["state"] == "fault":
+            client.call("reset_fault")
+        client.call("enable")
+        client.call("start", profile=INLINE)
+
+    if client.call("status")["state"] != "running":
+        patiently(begin)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while abs((client.call("status")["motion"] or {"velocity_rps": 0.0})["velocity_rps"]) < 0.2:
+        if time.monotonic() > deadline_s:
+            raise RuntimeError("the axis does not move")
+        time.sleep(0.02)
+
+
+def quick_stops(daemon: Daemon, witness: Witness, rounds: int, fresh: bool) -> dict[str, list[float]]:
+    """Milliseconds from the byte of a quick stop to three events, round by round."""
+    found: dict[str, list[float]] = {"commanded": [], "told": [], "answered": []}
+    with daemon.client() as client:
+        for _ in range(rounds):
+            moving(client)
+            witness.begin()
+            with contextlib.ExitStack() as held:
+                stopper = held.enter_context(daemon.client()) if fresh else client
+                line = {"jsonrpc": "2.0", "id": "stop", "method": "quick_stop", "params": {"wait_s": 30}}
+                sent_ns = time.time_ns()
+                stopper.send_line(json.dumps(line).encode())
+                while (answer := stopper.read()).get("id") != "stop":
+                    pass
+                answered_ns = time.time_ns()
+            if "error" in answer:
+                raise RuntimeError(f"a stop failed: {answer}")
+            witness.wait()
+            for name, then_ns in (
+                ("commanded", witness.commanded_ns), ("told", witness.told_ns), ("answered", answered_ns),
+            ):  # fmt: skip
+                found[name].append((then_ns - sent_ns) / 1e6)
+    return found
+
+
+# -- races ---------------------------------------------------------------------------------------------------------
+
+
+class Channels:
+    """The ways on which somebody asks for a start or a stop, each on a connection of its own."""
+
+    def __init__(self, daemon: Streaming, held: contextlib.ExitStack) -> None:
+        from websockets.sync.client import connect
+
+        self._daemon = daemon
+        self.key = daemon.told(TOKEN_FILE)
+        url = daemon.told(URL_FILE)
+        self._page = held.enter_context(
+            connect(f"{url.replace('http', 'ws')}live", origin=url.rstrip("/"), compression=None, max_size=None)  # type: ignore[arg-type]
+        )
+        self._page.send(json.dumps({"do": "token", "token": self.key}))
+        self._viewer = held.enter_context(contextlib.closing(ViewerCalls(daemon.told(VIEWERS_FILE))))
+        self._control = held.enter_context(daemon.client())
+        self._numbers = iter(range(1, 1_000_000))
+
+    def ask(self, channel: str, method: str, **params: Any) -> Any:
+        """The answer, or an error of whatever kind."""
+        return getattr(self, f"_by_{channel}")(method, params)
+
+    def _by_control(self, method: str, params: dict[str, Any]) -> Any:
+        return self._control.call(method, **params)
+
+    def _by_ctl(self, method: str, params: dict[str, Any]) -> Any:
+        words = ["ctl", "--sockets", str(self._daemon.sockets), method.replace("_", "-")]
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as error:
+            code = command([*words, *([params["profile"]] if "profile" in params else [])])
+        if code:
+            raise CallError(code, error.getvalue())
+        return {"reached": True}
+
+    def _by_page(self, method: str, params: dict[str, Any]) -> Any:
+        number = next(self._numbers)
+        if method in ("stop", "disable", "quick_stop"):
+            self._page.send(json.dumps({"do": "stop", "id": number}))
+        else:
+            self._page.send(json.dumps({"do": "call", "id": number, "method": method, "params": params}))
+        while True:
+            message = self._page.recv(timeout=PATIENCE_S)
+            told = json.loads(message) if isinstance(message, str) else {}
+            answer = told.get("answer", told)
+            if answer.get("id") == number:
+                if answer.get("error"):
+                    raise CallError(0, str(answer["error"]))
+                return answer["result"]
+
+    def _by_viewer(self, method: str, params: dict[str, Any]) -> Any:
+        try:
+            return self._viewer.call(method, {**params, "key": self.key})
+        except PermissionError as failure:
+            raise CallError(0, str(failure)) from None
+
+
+def races(daemon: Streaming, count: int) -> tuple[list[tuple[str, str, int, int, int]], list[str]]:
+    """By way of the stop and what it asked for: races, starts refused, axes that moved afterwards; these in words."""
+    draw = random.Random(15)
+    tally: Counter[tuple[str, str, str]] = Counter()
+    wrong: list[str] = []
+    with contextlib.ExitStack() as held, shown("races") as progress:
+        channels = Channels(daemon, held)
+        client = held.enter_context(daemon.client())
+        starter = held.enter_context(daemon.client())
+        for number in range(count):
+            channel = ("control", "ctl", "page", "viewer")[number % 4]
+            ending = ENDINGS[number // 4 % len(ENDINGS)]
+            profile = "default" if number // 16 % 2 else INLINE
+            one_race(
+                channels, client, starter, (channel, ending, profile, draw.uniform(0.0, LONGEST_DELAY_S)), tally, wrong
+            )
+            if progress is not None:
+                progress((number + 1) / count)
+    rows = sorted({(channel, how) for channel, how, _ in tally})
+    table = [
+        (channel, how, *(tally[channel, how, what] for what in ("races", "refused", "moved"))) for channel, how in rows
+    ]
+    return table, wrong
+
+
+def one_race(
+    channels: Channels, client: DaemonClient, starter: DaemonClient, race: tuple[str, tuple[str, ...], Any, float],
+    tally: Counter[tuple[str, str, str]], wrong: list[str],
+) -> None:  # fmt: skip
+    """A start on one connection, what ends it on another a moment later; then nothing may move."""
+    channel, ending, profile, delay_s = race
+    how = " + ".join(ending if channel != "page" else ("disable", *ending[1:]))
+    if client.call("status")["state"] == "fault":
+        client.call("reset_fault")
+    if client.call("status")["state"] != "enabled":
+        patiently(lambda: client.call("enable"))
+    outcome: list[str] = []
+    sent = threading.Event()
+
+    def start() -> None:
+        starter.send_line(
+            json.dumps({"jsonrpc": "2.0", "id": 1, "method": "start", "params": {"profile": profile}}).encode()
+        )
+        sent.set()
+        outcome.append("error" if "error" in starter.read() else "result")
+
+    thread = threading.Thread(target=start)
+    thread.start()
+    sent.wait()
+    time.sleep(delay_s)
+    with contextlib.suppress(CallError):
+        for method in ending:
+            if channel == "page" and method == "enable":
+                until(client, "ready")
+            by = "control" if channel == "page" and method == "enable" else channel
+            answer = channels.ask(by, method)
+        if channel == "page":  # its stop does not wait for standstill
+            while client.call("status")["state"] == "stopping":
+                time.sleep(0.01)
+        tally[channel, how, "races"] += 1
+        before = client.call("status")
+        time.sleep(WATCHED_S)
+        status = client.call("status")
+        thread.join()
+        tally[channel, how, "refused"] += outcome == ["error"]
+        motion, allowed = status["motion"], ("ready", "enabled", "stopping", "connected")
+        travel_rev = abs(motion["position_rev"] - before["motion"]["position_rev"])
+        if status["state"] not in allowed or travel_rev > STANDSTILL_RPS * WATCHED_S:
+            tally[channel, how, "moved"] += 1
+            wrong.append(f"{channel}, {how}, {1e3 * delay_s:.1f} ms: {status['state']}, {travel_rev:.4f} rev, {answer}")
+        return
+    thread.join()
+    if (status := client.call("status"))["fault"] is not None:
+        wrong.append(f"{channel}, {how}: not counted, fault {status['fault']['name']}")
+        return
+    wrong.append(f"{channel}, {how}: not acknowledged, {status['state']}")
+
+
+# -- the end of the service ----------------------------------------------------------------------------------------
+
+
+def ends(directory: Path, bus: str) -> list[tuple[str, float]]:
+    """Seconds from SIGTERM to the end of the process, by what the axis did."""
+
+    def ended_s(daemon: Daemon) -> float:
+        begin_s = time.monotonic()
+        daemon.process.send_signal(signal.SIGTERM)
+        daemon.process.wait()
+        return time.monotonic() - begin_s
+
+    def in_state(prepare: Callable[[DaemonClient], None]) -> float:
+        with SimulatedProcess(DRIVE, bus), Daemon(directory, bus) as daemon, daemon.client() as client:
+            until(client, "ready")
+            prepare(client)
+            return ended_s(daemon)
+
+    def start(client: DaemonClient, profile: Any = INLINE) -> None:
+        client.call("enable")
+        client.call("start", profile=profile)
+
+    def while_preparing(client: DaemonClient) -> None:
+        client.call("enable")
+        points = [[t, (t % 2) * 0.1] for t in range(500)]
+        line = {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "start",
+            "params": {"profile": {"kind": "points", "points": points}},
+        }
+        client.send_line(json.dumps(line).encode())
+
+    def stopping(client: DaemonClient) -> None:
+        start(client, {"kind": "sine", "duration_s": 20, "amplitude": 10, "frequency_hz": 0.2})
+        time.sleep(1.2)
+        client.call("disable", wait_s=0)
+
+    found = [
+        ("ready", in_state(lambda client: None)),
+        ("enabled", in_state(lambda client: client.call("enable"))),
+        ("preparing", in_state(while_preparing)),
+        ("running", in_state(start)),
+        ("stopping", in_state(stopping)),
+        ("recording, running", in_state(lambda client: (client.call("record", to="on"), start(client)))),  # type: ignore[arg-type, func-returns-value]
+    ]
+    with Unconnected(directory, f"loopback:{free_loopback_port()}") as daemon:
+        time.sleep(1.0)
+        found.append(("connecting, no drive", ended_s(daemon)))
+    with SimulatedProcess(DRIVE, bus) as node, Daemon(directory, bus) as daemon, daemon.client() as client:
+        until(client, "ready")
+        start(client)
+        node.process.kill()  # type: ignore[attr-defined]
+        time.sleep(1.0)
+        found.append(("fault, drive gone", ended_s(daemon)))
+    with (
+        SimulatedProcess(DRIVE, bus),
+        Unconnected(directory, bus, {"NUMBA_CACHE_DIR": str(directory / "cold")}) as daemon,
+    ):
+        time.sleep(5.0)
+        found.append(("bringing up, compiling", ended_s(daemon)))
+    return found
+
+
+class Unconnected(Daemon):
+    """A daemon that is not waited for."""
+
+    def __init__(self, directory: Path, bus: str, environment: dict[str, str] | None = None) -> None:
+        super().__init__(directory, bus)
+        self._more = environment or {}
+
+    def __enter__(self) -> Daemon:
+        import subprocess
+
+        self._log = (self._directory / "log").open("a")
+        environment = {**os.environ, "STATE_DIRECTORY": str(self._directory), **self._more}
+        self.process = subprocess.Popen(self._command, stderr=self._log, env=environment)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (self.sockets / "control.sock").exists() and time.monotonic() < deadline_s:
+            time.sleep(0.02)
+        return self
+
+
+# -- the command ---------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def beside(variant: str, daemon: Streaming) -> Iterator[None]:
+    """Hostile clients, or none."""
+    if variant == "quiet":
+        yield
+        return
+    with hostile(daemon.sockets, daemon.told(VIEWERS_FILE)):
+        yield
+
+
+def run() -> int:
+    """The command."""
+    options = parser(NAME, __doc__ or "", 4, 1)
+    options.add_argument("--races", type=int, help=f"of a start with a stop (default {RACES})")
+    chosen = options.parse_args()
+    passes = chosen.passes or chosen.default_passes[1 if chosen.sample else 0]
+    rounds = SAMPLE_ROUNDS if chosen.sample else max(1, ROUNDS // (2 * passes))
+    count = chosen.races if chosen.races is not None else SAMPLE_RACES if chosen.sample else RACES
+    report = Report(NAME, "A stop at 2 kHz on the loopback bus, the simulated drive in a process of its own.")
+    bus = f"loopback:{free_loopback_port()}"
+    latency: dict[tuple[str, str], dict[str, list[float]]] = {}
+    with tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name:
+        directory = Path(name)
+        directory.chmod(0o755)
+        with SimulatedProcess(DRIVE, bus), Streaming(directory, bus) as daemon, daemon.client() as client:
+            until(client, "ready")
+            table, wrong = races(daemon, count)
+            witness = Witness(bus)
+            with shown("quick stops") as progress:
+                for number in range(passes):
+                    for variant in ("quiet", "hostile") if number % 2 == 0 else ("hostile", "quiet"):
+                        with beside(variant, daemon):
+                            for way in ("open", "new"):
+                                found = quick_stops(daemon, witness, rounds, way == "new")
+                                kept = latency.setdefault((variant, way), {key: [] for key in found})
+                                for key, values in found.items():
+                                    kept[key] += values
+                    if progress is not None:
+                        progress((number + 1) / passes)
+            witness.close()
+            faults = [e for e in client.call("events", limit=1000)["events"] if e["kind"] == "fault"]
+        last = [] if chosen.sample else ends(directory, bus)
+    _add(report, latency, table, wrong, last)
+    report.facts |= {"faults": Counter(event["data"]["name"] for event in faults), "wrong": wrong}
+    report.notes += [
+        f"Hostile: {COUNT} clients, those of the watching socket without any right, and {VIEWERS} viewers without the "
+        "key that ask for a stop which is refused, without a pause; all on the same cores.",
+        "Commanded: the first frame to the drive that no longer asks for Operation Enabled, heard on the bus; told: "
+        "the first statusword that says so. Both by the kernel's time stamps of the frames. The axis turned.",
+        "A race: `start` on one connection, then what ends it, a random 0 to 100 ms later, on another; 100 ms after "
+        "the acknowledgement the state and the shaft are looked at. The page's stop is always `disable` and does not "
+        "wait for standstill: the race does. `enable` after a stop goes the same way, by the page over the control "
+        "socket.",
+        f"Faults by load: {dict(report.facts['faults']) or 'none'}.",
+    ]
+    return finish(report, chosen)
+
+
+def _add(
+    report: Report, latency: dict[tuple[str, str], dict[str, list[float]]],
+    table: list[tuple[str, str, int, int, int]], wrong: list[str], last: list[tuple[str, float]],
+) -> None:  # fmt: skip
+    total, moved = (sum(row[place] for row in table) for place in (2, 4))
+    report.figure("races of a start with a stop that was acknowledged", total, "", digits=4)
+    report.figure("of them, the axis moved or ran afterwards", moved, "", 0.0)
+    for way, words in (("open", "on an open connection"), ("new", "on a new connection")):
+        quiet, busy = (np.array(latency[variant, way]["commanded"]) for variant in ("quiet", "hostile"))
+        beyond = float(busy.max() - np.median(quiet))
+        report.figure(f"quick stop {words}: worst of {busy.size} beside {COUNT} hostile clients, over the quiet median",
+                      beyond, "ms", BEYOND_QUIET_MS)  # fmt: skip
+    if last:
+        report.figure("SIGTERM to the end of the process, slowest state", max(s for _, s in last), "s", LONGEST_END_S)
+    report.table(
+        ("quick stop", "to", "median ms", "95 %", "worst"),
+        [
+            (f"{variant}, {way} connection", what, *(f"{np.quantile(v, q):.1f}" for q in (0.5, 0.95, 1.0)))
+            for (variant, way), found in latency.items() for what, v in found.items()
+        ],
+    )  # fmt: skip
+    report.table(
+        ("stop over", "what ended it", "races", "start refused", "moved afterwards"),
+        [tuple(map(str, row)) for row in table],
+    )
+    if wrong:
+        report.table(("not as it should be, or not counted",), [(text,) for text in wrong])
+    if last:
+        report.table(("SIGTERM while", "s"), [(state, f"{seconds:.2f}") for state, seconds in last])
+    report.table(("hostile clients", "socket", "what they do"), described())
+
+
+if __name__ == "__main__":
+    try:
+        main(run)
+    except (RuntimeError, ClientError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
