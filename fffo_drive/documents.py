@@ -6,8 +6,9 @@ PyYAML reads YAML 1.1, in which `1e3` is a string and a key given twice silently
 from __future__ import annotations
 
 import difflib
+import json
 import re
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,12 +16,20 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from .formats import FormatError, migrated
+
 M = TypeVar("M", bound=BaseModel)
 Location = tuple[str | int, ...]
 
-_FLOAT = re.compile(
-    r"^[-+]?(\d[\d_]*)(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$"
-)
+LARGEST_BYTES = 256 * 1024  # of a file, as of a line of the daemon's API: thousands of points fit
+MOST_ENTRIES = 30_000  # values of a file; reading so many takes a second
+MOST_DIGITS = 40  # of a whole number
+LARGEST_JSON_BYTES = 16 * 1024 * 1024  # of a report with its curves
+LONGEST_SHOWN = 80  # characters of a value in a message
+DEEPEST = 32  # of mappings and lists in each other
+
+_INTEGER = re.compile(r"^[-+]?\d[\d_]*$|^[-+]?0x[\da-fA-F_]+$")
+_FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
 
 
 class DocumentError(Exception):
@@ -28,32 +37,66 @@ class DocumentError(Exception):
 
 
 class Record(BaseModel):
-    """Base of all configuration records: unknown keys are errors, values do not change."""
+    """Base of all configuration records: unknown keys are errors, a number is a number, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class _NotAllowedError(yaml.MarkedYAMLError):
+    """YAML that no file of ours needs."""
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with YAML 1.2 floats, true/false as the only booleans, and an error for a key given twice."""
+    """SafeLoader with the scalars of YAML 1.2 (null, true, false, numbers, text), no aliases and no tags, and bounds.
+
+    An alias is refused, not followed: nine of them in a line make a file of 300 bytes a million entries.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._entries = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """One value with all that is in it. Raises ComposerError."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        self._entries += 1
+        refusal = None
+        if isinstance(event, yaml.AliasEvent):
+            refusal = f"the alias *{event.anchor} is not allowed: write the value itself"
+        elif getattr(event, "anchor", None):
+            refusal = f"the anchor &{event.anchor} is not allowed: nothing may refer to it, leave it out"
+        elif getattr(event, "tag", None):
+            refusal = f"the tag {event.tag} is not allowed: leave it out"
+        elif self._depth >= DEEPEST:
+            refusal = f"mappings and lists in each other are not allowed deeper than {DEEPEST}"
+        elif self._entries > MOST_ENTRIES:
+            refusal = f"more than {MOST_ENTRIES} values are not allowed in a file"
+        if refusal is not None:
+            raise _NotAllowedError(problem=refusal, problem_mark=event.start_mark)
+        self._depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_number(self, node: yaml.ScalarNode) -> int:
+        """A whole number; a leading zero does not make it octal."""
+        text = node.value.replace("_", "")
+        if len(text) > MOST_DIGITS:
+            problem = f"a number of {len(text)} digits is not allowed"
+            raise _NotAllowedError(problem=problem, problem_mark=node.start_mark)
+        return int(text, 16 if "x" in text else 10)
 
 
-_Loader.yaml_implicit_resolvers = {
-    first: [
-        (tag, pattern) for tag, pattern in resolvers if tag not in ("tag:yaml.org,2002:float", "tag:yaml.org,2002:bool")
-    ]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
-_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(true|false)$"), list("tf"))
-
-
-def _integers_first(loader: _Loader) -> None:
-    """The float pattern also matches integers: PyYAML takes the first resolver that matches, so int goes first."""
-    for resolvers in loader.yaml_implicit_resolvers.values():
-        resolvers.sort(key=lambda pair: pair[0] != "tag:yaml.org,2002:int")
-
-
-_integers_first(_Loader)  # type: ignore[arg-type]
+# of YAML 1.1 null is left: its other booleans, base 60, dates, octal numbers and merged keys are text in 1.2
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("null", re.compile(r"^(~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
+    ("bool", re.compile(r"^(true|false)$"), list("tf")),
+    ("int", _INTEGER, list("-+0123456789")),  # the float pattern matches whole numbers too: this one goes first
+    ("float", _FLOAT, list("-+0123456789.")),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _pattern, _first)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_number)
 
 
 def _walk(node: yaml.Node, path: Location, lines: dict[Location, int], errors: list[tuple[int, str]]) -> None:
@@ -80,12 +123,14 @@ def parse(text: str, name: str) -> tuple[Any, dict[Location, int]]:
         loader = _Loader(text)
         node = loader.get_single_node()
         data = loader.construct_document(node) if node is not None else {}
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
-        raise DocumentError(f"{name}{line}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
-    except (ValueError, RecursionError) as error:  # an impossible date, say, or thousands of brackets
-        raise DocumentError(f"{name}: not valid YAML: {error}") from None
+        kind = "" if isinstance(error, _NotAllowedError) else "not valid YAML: "
+        raise DocumentError(f"{name}{line}: {kind}{error.problem or error.context}") from None
+    except yaml.reader.ReaderError as error:
+        line = f":{text.count(chr(10), 0, error.position) + 1}"
+        raise DocumentError(f"{name}{line}: not valid YAML: the character {text[error.position]!a}") from None
     lines: dict[Location, int] = {}
     errors: list[tuple[int, str]] = []
     if node is not None:
@@ -95,10 +140,14 @@ def parse(text: str, name: str) -> tuple[Any, dict[Location, int]]:
     return data, lines
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, largest_bytes: int = LARGEST_BYTES) -> str:
     """The file's text. Raises DocumentError with the reason when it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(largest_bytes + 1)
+        if len(content) > largest_bytes:
+            raise DocumentError(f"{path}: larger than {largest_bytes} bytes, which no file of this kind is")
+        return content.decode("utf-8")
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
@@ -112,15 +161,39 @@ def load(path: str | Path, record: type[M]) -> M:
     return check(data, record, str(path), lines)
 
 
+def load_json(path: Path) -> Any:
+    """A file that programs write, as it is. Raises DocumentError."""
+    try:
+        return json.loads(read_text(path, LARGEST_JSON_BYTES))
+    except json.JSONDecodeError as error:
+        raise DocumentError(f"{path}:{error.lineno}: not JSON: {error.msg}") from None
+    except (ValueError, RecursionError):
+        raise DocumentError(f"{path}: not JSON that a program would write") from None
+
+
 def check(data: Any, record: type[M], name: str, lines: dict[Location, int] | None = None) -> M:
-    """Check parsed data against a record. Raises DocumentError with every error in it."""
-    if not isinstance(data, dict):
-        raise DocumentError(f"{name}:1: a mapping of keys to values is needed, this is {type(data).__name__}")
+    """Check parsed data against a record, an older format brought up to date. Raises DocumentError with every error."""
+    lines = lines or {}
+    field = record.model_fields.get("format")
+    kind = None if field is None else str(field.default).split("/")[1]
+    data = up_to_date(data, kind, name, lines)
     try:
         return record.model_validate(data)
     except ValidationError as error:
-        found = sorted(_sentence(record, data, e, name, lines or {}) for e in error.errors())
+        found = sorted(_sentence(record, data, e, name, lines) for e in error.errors())
         raise DocumentError("\n".join(text for _, text in found)) from None
+
+
+def up_to_date(data: Any, kind: str | None, name: str, lines: dict[Location, int] | None = None) -> Mapping[str, Any]:
+    """A parsed file of this kind (of `formats`; None: of none) as today's program writes it. Raises DocumentError."""
+    if not isinstance(data, dict):
+        raise DocumentError(f"{name}:1: a mapping of keys to values is needed, this is {_kind_of(data)}")
+    if kind is None:
+        return data
+    try:
+        return migrated(data, kind)
+    except FormatError as error:
+        raise DocumentError(f"{name}:{_line_of(lines or {}, ('format',))}: format: {error}") from None
 
 
 def refuse(path: str | Path, problems: Iterable[tuple[str, str]]) -> None:
@@ -148,37 +221,122 @@ def _sentence(
     record: type[BaseModel], data: Any, error: ErrorDetails, name: str, lines: dict[Location, int]
 ) -> tuple[int, str]:
     """(line, text) for one error of pydantic's."""
-    location = _keys_only(error["loc"], data)
+    location = _keys_only(error, data)
     line = _line_of(lines, location)
-    message = error["msg"].removeprefix("Value error, ")
+    message = what_is_wrong(error, record, data)
     if error["type"] == "extra_forbidden":
-        message = "unknown key"
         known = _known_keys(data, location, record)
         close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.55)
         message += f"; did you mean '{close[0]}'?" if close else f"; known here: {', '.join(known)}"
-    elif error["type"] == "missing":
-        message = "missing"
-    elif not isinstance(error["input"], dict | list):
-        message += f" (got {error['input']!r})"
-    key = ".".join(map(str, location)) or "(file)"
-    return line, f"{name}:{line}: {key}: {message}"
+    return line, f"{name}:{line}: {key_of(error, data)}: {message}"
 
 
-def _keys_only(location: Sequence[str | int], data: Any) -> Location:
-    """The location without the tags that pydantic adds for unions: only what is in the data, and a last missing key."""
+NEEDED = {  # by the type of pydantic's error
+    "extra_forbidden": "unknown key",
+    "missing": "missing",
+    "finite_number": "a finite number is needed",
+    "bool_type": "true or false is needed",
+    "string_type": "text is needed (in quotes, where it looks like something else)",
+    "string_pattern_mismatch": "text like {pattern} is needed",
+    "string_too_long": "at most {max_length} characters are allowed",
+    "string_too_short": "at least {min_length} characters are needed",
+    "literal_error": "{expected} is needed",
+    "too_short": "at least {min_length} entries are needed",
+    "too_long": "at most {max_length} entries are allowed",
+    "list_type": "a list is needed",
+    "tuple_type": "a list is needed",
+    "dict_type": "a mapping of keys to values is needed",
+    "model_type": "a mapping of keys to values is needed",
+    "model_attributes_type": "a mapping of keys to values is needed",
+    "union_tag_not_found": "{discriminator} is missing",
+    "union_tag_invalid": "{discriminator} '{tag}' is none of {expected_tags}",
+    "value_error": "{error}",
+}
+WHOLE = ("int_type", "int_from_float")
+NUMBERS = ("float_type", "greater_than", "greater_than_equal", "less_than", "less_than_equal", *WHOLE)
+
+
+def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> str:
+    """What a value must be and what it is, of an error that pydantic found in `data`; of a number its range too."""
+    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    if kind in NUMBERS:
+        limits = {**_limits(record, data, _keys_only(error, data)), **context}
+        text = f"a {'whole ' if kind in WHOLE else ''}number{_range(limits)} is needed"
+        if kind in WHOLE and isinstance(value, float) and value.is_integer():
+            return f"{text}: write {value:.0f} (got {_shown(value)})"
+    else:
+        text = NEEDED.get(kind, "a value of another kind is needed").format(**context)
+    told = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)
+    return text if told else f"{text} (got {_shown(value)})"
+
+
+def key_of(error: ErrorDetails, data: Any) -> str:
+    """The dotted key in `data` that an error of pydantic's is about."""
+    return ".".join(map(str, _keys_only(error, data))) or "(file)"
+
+
+def _limits(record: type[BaseModel], data: Any, location: Location) -> dict[str, float]:
+    """The bounds of the number at a location by their names in pydantic: ge, gt, le, lt."""
+    found: dict[str, float] = {}
+    for depth in range(len(location), 0, -1):  # of an entry of a list: those of the list's key
+        for owner in _records_at(data, location[:depth], record) if isinstance(location[depth - 1], str) else ():
+            field = owner.model_fields.get(str(location[depth - 1]))
+            for bound in _metadata(field.annotation, field.metadata) if field is not None else ():
+                found |= {key: getattr(bound, key) for key in ("ge", "gt", "le", "lt") if hasattr(bound, key)}
+            return found
+    return found
+
+
+def _metadata(annotation: Any, own: Iterable[Any]) -> list[Any]:
+    """What is annotated on a field, and on the alternatives of a union in it."""
+    inner = [part for argument in getattr(annotation, "__args__", ()) for part in getattr(argument, "__metadata__", ())]
+    return [*(part for item in inner for part in getattr(item, "metadata", [item])), *own]
+
+
+def _range(limits: Mapping[str, float]) -> str:
+    """The range of a number in words, with a blank in front; nothing where it has none."""
+    low = f" from {limits['ge']:.10g}" if "ge" in limits else f" above {limits['gt']:.10g}" if "gt" in limits else ""
+    if "le" in limits:
+        return f"{low}{' to' if 'ge' in limits else ' and up to' if low else ' up to'} {limits['le']:.10g}"
+    if "lt" in limits:
+        return f"{low}{' and' if low else ''} below {limits['lt']:.10g}"
+    return f"{low} up" if "ge" in limits else low
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML and JSON have it, cut where it is long."""
+    text = json.dumps(value, ensure_ascii=False) if isinstance(value, bool | None) else repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+
+
+def _kind_of(value: Any) -> str:
+    """What a value is, in the words of YAML and JSON."""
+    names: list[tuple[Any, str]] = [
+        (bool, "true or false"), (int | float, "a number"), (str, "text"), (list, "a list"), (type(None), "nothing")
+    ]  # fmt: skip
+    return next((name for kind, name in names if isinstance(value, kind)), "something else")
+
+
+def _keys_only(error: ErrorDetails, data: Any) -> Location:
+    """Where an error is, without the tags that pydantic adds for unions: what is in the data, and a missing key."""
     path: list[str | int] = []
-    for position, part in enumerate(location):
+    for position, part in enumerate(error["loc"], 1):
         inside = isinstance(data, dict) and isinstance(part, Hashable) and part in data
         if inside or (isinstance(data, list) and isinstance(part, int) and part < len(data)):
             data = data[part]
             path.append(part)
-        elif position == len(location) - 1:
+        elif position == len(error["loc"]) and error["type"] == "missing":
             path.append(part)
     return tuple(path)
 
 
 def _known_keys(data: Any, location: Location, record: type[BaseModel]) -> list[str]:
     """Field names of the record in which the last part of `location` stands."""
+    return [key for candidate in _records_at(data, location, record) for key in candidate.model_fields]
+
+
+def _records_at(data: Any, location: Location, record: type[BaseModel]) -> list[type[BaseModel]]:
+    """The records in which the last part of `location` may stand: several in a union whose tag is wrong."""
     candidates: list[type[BaseModel]] = [record]
     for part in location[:-1]:
         data = data[part]
@@ -187,8 +345,7 @@ def _known_keys(data: Any, location: Location, record: type[BaseModel]) -> list[
             field = candidate.model_fields.get(str(part))
             following.extend(_records_in(field.annotation if field else None) if field else [])
         candidates = following or candidates
-    tagged = [c for c in candidates if _tag_matches(c, data)]
-    return [key for candidate in tagged or candidates for key in candidate.model_fields]
+    return [candidate for candidate in candidates if _tag_matches(candidate, data)] or candidates
 
 
 def _tag_matches(record: type[BaseModel], data: Any) -> bool:

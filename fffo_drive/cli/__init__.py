@@ -69,16 +69,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(
             "OPENBLAS_NUM_THREADS", "1"
         )  # numpy is not loaded yet; work is shared out by threads here
-        module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
-        subparser = argparse.ArgumentParser(
-            prog=f"fffo-drive {command}",
-            description=module.__doc__,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(subparser)
-        options = subparser.parse_args(words[words.index(command) + 1 :])
         try:
-            return int(module.execute(options))
+            module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
+            subparser = argparse.ArgumentParser(
+                prog=f"fffo-drive {command}",
+                description=module.__doc__,
+                formatter_class=argparse.RawDescriptionHelpFormatter,
+            )
+            module.add_arguments(subparser)
+            return int(module.execute(subparser.parse_args(words[words.index(command) + 1 :])))
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return EXIT_INTERRUPTED

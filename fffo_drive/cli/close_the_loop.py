@@ -27,6 +27,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from .. import formats
 from ..config.adoption import Gate, gates, put_in_service, read_report, refused_effects
 from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
@@ -214,6 +215,7 @@ def _write_facts(plan: Plan, out: Path, simulated: bool) -> Path:
     section = plan.axis.drive
     on_bus = isinstance(section, CanopenDriveSection)
     facts: dict[str, Any] = {
+        "format": formats.FACTS.word,
         "torque_constant_nm_per_a": plan.model.torque_constant_nm_per_a,
         "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else 15,
         "absolute_angle": simulated or not on_bus,

@@ -13,6 +13,7 @@ import json
 from typing import Any
 
 from ..can.load import Step
+from ..config.address import address_of, sandbox_problem
 from ..config.axis import AxisFile, CanopenDriveSection
 from ..config.checks import bus_sum, law_margins, shared_buses
 from ..config.scenario import ScenarioFile
@@ -91,3 +92,8 @@ def _check(plan: Plan) -> None:
             )
     else:
         open_drive(plan)
+    for key in ("scope", "foxglove"):
+        listen = getattr(axis.daemon, key)
+        problem = sandbox_problem(address_of(listen)) if listen is not None else None
+        if problem is not None:
+            print(f"  warning: daemon.{key}: {problem}")

@@ -51,7 +51,7 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
-        kind_of = int if info.annotation is int else float
+        kind_of = float if info.annotation is float else int
         command.add_argument(flag, dest=name, type=kind_of, default=None, metavar="N", help=f"{text} ({info.default})")
 
 

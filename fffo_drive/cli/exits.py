@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..directories import ForeignDirectoryError
 from ..documents import DocumentError
 
 EXIT_OK = 0
@@ -23,6 +24,8 @@ class RecordingGapError(Exception):
 
 def exit_code_of(error: Exception) -> int | None:
     """The exit code of a known error; None for a bug, which shows its traceback."""
+    if isinstance(error, ForeignDirectoryError):  # of compiled code: what is imported below needs that
+        return EXIT_IO
     from ..can.link import LinkError
     from ..drive.canopen.object_map import MappingError
     from ..drive.port import BusUnavailableError, DriveError

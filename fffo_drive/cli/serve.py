@@ -9,12 +9,13 @@ Foxglove, Lichtblick and PlotJuggler, on this machine alone unless an address is
 from __future__ import annotations
 
 import argparse
+import errno
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..config.address import Address, address_of
+from ..config.address import Address, address_of, sandbox_problem
 from ..daemon.parameters import METHODS
 from ..daemon.places import CONTROL
 from ..daemon.service import Attachment, Options, serve
@@ -73,5 +74,11 @@ def _attach(
 
     name = supervisor.plan.axis.name
     server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, METHODS, name)
-    server.start()
+    try:
+        server.start()
+    except OSError as error:
+        closed = [problem for address in (scope, foxglove) if address and (problem := sandbox_problem(address))]
+        if error.errno == errno.EAFNOSUPPORT and closed:  # the sandbox refuses the address's whole family
+            raise DocumentError("; ".join(closed)) from error
+        raise
     return server

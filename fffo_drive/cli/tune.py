@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from .. import formats
 from ..config.axis import read_axis
 from ..control.stability import LinearAxis
 from ..documents import parse, read_text
@@ -134,7 +135,7 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
     locus = root_locus(axis, integral_time_s, gains.proportional_a_per_rps * np.geomspace(0.02, 10.0, LOCUS_POINTS))
     step = step_response(axis, gains.proportional_a_per_rps, gains.integral_a_per_rev, STEP_S)
     return {
-        "format": "fffo_drive/tuning/1",
+        "format": formats.TUNING.word,
         "axis": axis._asdict(),
         "gains": gains._asdict(),
         "integral_time_s": integral_time_s,

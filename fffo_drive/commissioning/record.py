@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field
 
+from .. import formats
 from ..documents import Record, load, refuse
 from ..drive.port import DriveIdentity
 
@@ -88,7 +89,7 @@ class CheckRecord(Record):
 class CommissioningRecord(Record):
     """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
 
-    format: Literal["fffo_drive/commissioning/1"] = "fffo_drive/commissioning/1"
+    format: Annotated[str, formats.COMMISSIONING.key] = formats.COMMISSIONING.word
     axis: str
     date: Annotated[str, Field(description="UTC, ISO 8601")]
     tool: str

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ipaddress
+import os
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
@@ -33,6 +36,32 @@ def address_of(text: str) -> Address:
     if host in WILDCARDS:
         raise ValueError(f"'{text}': give the address or name that browsers use, not all of them")
     return Address(host, int(port))
+
+
+def in_unit(environment: Mapping[str, str] = os.environ) -> bool:
+    """This process was started by the service's unit, which makes its directory for it."""
+    return bool(environment.get("RUNTIME_DIRECTORY"))
+
+
+def sandbox_problem(address: Address) -> str | None:
+    """What the sandbox of the service's unit keeps from this address, and what to change; None: nothing."""
+    if address.host in LOCAL:
+        return None
+    try:
+        found = ipaddress.ip_address(address.host)
+    except ValueError:
+        found = None  # a name
+    lines: list[str] = []
+    if found is None or not found.is_loopback:
+        lines.append("IPAddressAllow= with the network that may connect")
+    if found is not None and found.version == 6:
+        lines.append("RestrictAddressFamilies=AF_INET6")
+    if not lines:
+        return None
+    return (
+        f"{address.names[0]} is closed by the sandbox of fffo-drive@.service; for a service add with `systemctl edit`, "
+        f"under [Service], if it is not there: {'; '.join(lines)}"
+    )
 
 
 def _listen(value: Any) -> Any:

@@ -15,12 +15,14 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import yaml
 from pydantic import Field
 
-from ..documents import DocumentError, Record, load, parse, read_text
+from .. import __version__, formats
+from ..documents import DocumentError, Record, load, load_json, parse, read_text, up_to_date
+from ..formats import kind_of
 from ..model.effects.law import STRENGTH
 from ..model.effects.registry import law_of
 from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
@@ -57,7 +59,8 @@ class Adoption(Record):
 class History(Record):
     """What was adopted on an axis, the last one at the end."""
 
-    format: str = "fffo_drive/adoptions/1"
+    format: Annotated[str, formats.ADOPTIONS.key] = formats.ADOPTIONS.word
+    tool: Annotated[str, Field(description="what wrote it last")] = ""
     adoptions: list[Adoption] = Field(default_factory=list)
 
 
@@ -190,15 +193,10 @@ def read_report(model_path: Path, given: Path | None) -> dict[str, Any] | None:
         if given is not None:
             raise DocumentError(f"{given}: cannot be read: no such file")
         return None
-    try:
-        found = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise DocumentError(f"{path}:{error.lineno}: not JSON: {error.msg}") from None
-    if not str(found.get("format", "")).startswith("fffo_drive/diagnosis/"):
-        if given is not None:
-            raise DocumentError(f"{path}:1: format: not a report of `fffo-drive diagnose`")
+    found = load_json(path)
+    if given is None and kind_of(found) != formats.DIAGNOSIS.kind:
         return None
-    return dict(found)
+    return dict(up_to_date(found, formats.DIAGNOSIS.kind, str(path)))
 
 
 def history_path(axis_path: Path) -> Path:
@@ -290,5 +288,6 @@ def _line(match: re.Match[str], name: str) -> str:
 
 
 def _write_history(axis_path: Path, history: History) -> None:
-    text = yaml.safe_dump(history.model_dump(mode="json"), sort_keys=False, width=110)
+    written = history.model_copy(update={"tool": f"fffo-drive {__version__}"})
+    text = yaml.safe_dump(written.model_dump(mode="json"), sort_keys=False, width=110)
     _replace(history_path(axis_path), text)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from .. import formats
 from ..control import envelope as env
 from ..control.controller import ControllerConfig
 from ..control.feedforward import FeedforwardConfig
@@ -22,7 +23,7 @@ from ..control.reference import (
     piecewise_linear,
     sine,
 )
-from ..documents import Record, load
+from ..documents import Record, load, refuse
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig
 from ..identification.excitation import (
     deciding_motion,
@@ -53,6 +54,7 @@ from .sections import (
     RecipeProfile,
     RecordingSection,
     SineProfile,
+    length_problems,
 )
 
 STOP_S = 2.0  # how long a drive may take to let go of its torque
@@ -135,7 +137,7 @@ class CanopenDriveSection(Record):
 class AxisFile(Record):
     """An axis: one drive, one model, one loop."""
 
-    format: Literal["fffo_drive/axis/1"] = "fffo_drive/axis/1"
+    format: Annotated[str, formats.AXIS.key] = formats.AXIS.word
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     drive: Annotated[SimulatedDriveSection | CanopenDriveSection, Field(discriminator="kind")]
     model: Annotated[str, Field(description="model file, relative to this file")]
@@ -161,7 +163,11 @@ class AxisFile(Record):
 
 def read_axis(path: str | Path) -> AxisFile:
     """Read and check an axis file. Raises DocumentError with every error in it."""
-    return load(path, AxisFile)
+    axis = load(path, AxisFile)
+    sections = {"profile": axis.profile, **{f"daemon.profiles.{name}": s for name, s in axis.daemon.profiles.items()}}
+    found = [(key, text) for key, section in sections.items() for text in length_problems(section, axis.loop)]
+    refuse(path, [(key, text.removeprefix("profile: ")) for key, text in found])
+    return axis
 
 
 def beside(path: str | Path, name: str) -> Path:
@@ -292,7 +298,7 @@ def recorder_settings(axis: AxisFile) -> RecorderSettings:
 
 
 def build_profile(section: ProfileSection, period_s: float) -> Profile:
-    """Sample the profile of a file."""
+    """Sample the profile of a file. `length_problems` is asked first: a day at 2 kHz takes gigabytes."""
     if isinstance(section, PaperProfile):
         return paper_reference(
             section.duration_s, period_s, section.low_rps, section.high_rps, section.lowest_hz, section.highest_hz,

@@ -86,10 +86,6 @@ def profile_problems(axis: AxisFile, profile: Profile) -> list[str]:
         problems.append(
             f"profile: peak of {bounds.value:.4g} A is beyond envelope.current_limit_a {limits.current_limit_a:g}"
         )
-    if profile.duration_s > axis.loop.longest_profile_s:
-        problems.append(
-            f"profile: lasts {profile.duration_s:g} s, loop.longest_profile_s is {axis.loop.longest_profile_s:g}"
-        )
     return problems
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, create_model
+from pydantic import Field, Strict, create_model
 
 from ..documents import Record
 from ..drive.simulated.ranges import key_of
@@ -62,7 +62,7 @@ def _annotation(hint: Any) -> Any:
         return Literal[tuple(member.name.lower() for member in hint)]
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
-        return list[_annotation(arguments[0])]  # type: ignore[misc]
+        return Annotated[list[_annotation(arguments[0])], Strict(False)]  # type: ignore[misc]  # tuples of defaults
     if origin is Mapping or (isinstance(origin, type) and issubclass(origin, Mapping)):
         return dict[arguments[0], arguments[1]]  # type: ignore[valid-type]
     return hint

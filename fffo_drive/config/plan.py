@@ -29,6 +29,7 @@ from .axis import (
 from .checks import bus_problems, law_problems, motion_problems, profile_problems, require
 from .commissioning import Permission, require_identity
 from .effects import compensated_names, effect_problems
+from .sections import length_problems
 
 YAML_TYPE = "application/yaml"
 
@@ -62,6 +63,7 @@ def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None, decide: 
 
 def checked_plan(path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None) -> Plan:
     """As `make_plan`, of what was read already or has been changed since. Raises DocumentError."""
+    require(path, length_problems(axis.profile, axis.loop))
     profile = build_profile(axis.profile, axis.loop.period_s)
     problems = profile_problems(axis, profile) + motion_problems(axis, profile, model) + bus_problems(axis, model)
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, create_model, field_validator, model_validator
 
+from .. import formats
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError, Record, check, parse, read_text, refuse
@@ -36,7 +37,7 @@ from .axis import (
 )
 from .checks import law_problems, profile_problems
 from .mirror import dataclass_of, record_of
-from .sections import FeedforwardSection, PaperProfile, ProfileSection
+from .sections import FeedforwardSection, PaperProfile, ProfileSection, length_problems
 from .simulated import read_simulated
 
 FRICTION_KEYS = (
@@ -92,7 +93,7 @@ class MismatchSection(Record):
 class ScenarioFile(Record):
     """A comparison."""
 
-    format: Literal["fffo_drive/scenario/1"] = "fffo_drive/scenario/1"
+    format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
@@ -154,7 +155,8 @@ def read_scenario(path: str | Path) -> Scenario:
     elif file.plant:
         refuse(path, [("plant", "the axis is on a bus: its plant cannot be changed")])
     scenario = Scenario(path, file, axis_path, axis, model, plant, device)
-    problems = profile_problems(axis, reference_of(scenario, file.first_seed))
+    problems = length_problems(file.reference or axis.profile, axis.loop)
+    problems = problems or profile_problems(axis, reference_of(scenario, file.first_seed))
     refuse(path, [("reference", problem.removeprefix("profile: ")) for problem in problems])
     return scenario
 

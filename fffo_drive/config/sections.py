@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import itertools
-import math
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, Strict, field_validator, model_validator
 
 from ..documents import Record
 from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
 Amperes = Annotated[float, Field(gt=0, le=1000)]
+Hertz = Annotated[float, Field(gt=0, le=1000)]
+Ordinate = Annotated[float, Field(ge=-1000, le=1000)]
+Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
+Point = Annotated[tuple[Annotated[float, Field(ge=0, le=86_400)], Ordinate], Strict(False)]
 Reaction = Literal["coast", "quick_stop"]
+
+
+LEAST_PERIODS = 2  # of a profile: it has a slope
 
 
 class ObserverSection(Record):
@@ -82,9 +88,9 @@ class EnvelopeSection(Record):
     continuous_current_a: Amperes
     i2t_time_s: Annotated[float, Field(gt=0, le=600)] = 2.0
     i2t_action: Literal["trip", "limit"] = "trip"
-    position_window_rev: Annotated[
-        tuple[float, float] | None, Field(description="[low, high]; null: the axis may turn for ever")
-    ] = None
+    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
+        None
+    )
     following_error_rps: Rps
     following_error_s: Annotated[float, Field(gt=0, le=60)] = 0.2
     feedback_missing_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10
@@ -164,8 +170,8 @@ class PaperProfile(Record):
     duration_s: Annotated[float, Field(gt=0, le=86_400)] = 60.0
     low_rps: Annotated[float, Field(ge=0, le=1000)] = 0.2
     high_rps: Rps = 15.0
-    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
-    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    lowest_hz: Hertz = 0.01
+    highest_hz: Hertz = 10.0
     lines: Annotated[int, Field(ge=1, le=1000)] = 31
     slope: Annotated[float, Field(ge=-4, le=4, description="amplitude of a line is f^slope")] = -0.5
     seed: Annotated[int, Field(ge=0, le=2**31)] = 1
@@ -186,15 +192,13 @@ class PointsProfile(Record):
 
     kind: Literal["points"]
     mode: Literal["velocity", "current"] = "velocity"
-    points: Annotated[list[tuple[float, float]], Field(min_length=2, description="[time_s, rps or A] each")]
+    points: Annotated[list[Point], Field(min_length=2, description="[time_s, rps or A] each")]
 
     @model_validator(mode="after")
     def _rising(self) -> PointsProfile:
         times = [time for time, _ in self.points]
         if times[0] != 0 or any(b <= a for a, b in itertools.pairwise(times)):
             raise ValueError("times must start at 0 and rise from point to point")
-        if not all(math.isfinite(level) for _, level in self.points):
-            raise ValueError("levels must be finite numbers")
         return self
 
 
@@ -205,8 +209,13 @@ class IdentifyProfile(Record):
     duration_s: Annotated[float, Field(gt=1, le=86_400)] = 60.0
     low_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the start")] = 0.3
     high_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the end")] = 1.1
-    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
-    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
+    highest_hz: Hertz = 10.0
+
+    @model_validator(mode="after")
+    def _swept(self) -> IdentifyProfile:
+        _require_sweep(self.lowest_hz, self.highest_hz)
+        return self
 
 
 class FrfProfile(Record):
@@ -215,8 +224,19 @@ class FrfProfile(Record):
     kind: Literal["frf"]
     duration_s: Annotated[float, Field(gt=1, le=86_400)] = 120.0
     amplitude_a: Annotated[float, Field(gt=0, le=1000)] = 1.0
-    lowest_hz: Annotated[float, Field(gt=0, le=1000)] = 0.01
-    highest_hz: Annotated[float, Field(gt=0, le=1000)] = 50.0
+    lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
+    highest_hz: Hertz = 50.0
+
+    @model_validator(mode="after")
+    def _swept(self) -> FrfProfile:
+        _require_sweep(self.lowest_hz, self.highest_hz)
+        return self
+
+
+def _require_sweep(lowest_hz: float, highest_hz: float) -> None:
+    """Raise ValueError for a chirp that goes nowhere."""
+    if lowest_hz >= highest_hz:
+        raise ValueError(f"lowest_hz {lowest_hz:g} must be below highest_hz {highest_hz:g}")
 
 
 class PartsProfile(Record):
@@ -255,6 +275,31 @@ ProfileSection = Annotated[
     PaperProfile | SineProfile | PointsProfile | IdentifyProfile | FrfProfile | RecipeProfile | DecideProfile,
     Field(discriminator="kind"),
 ]
+
+
+def duration_s(section: ProfileSection) -> float:
+    """How long a profile lasts, by arithmetic alone: no sample of it is made."""
+    if isinstance(section, PointsProfile):
+        return section.points[-1][0]
+    if isinstance(section, RecipeProfile | DecideProfile):
+        from ..identification.excitation import deciding_motion_s, motion_s, recipe_parts  # the loop's compiler
+
+        shape = section.high_rps, section.acceleration_rps2
+        if isinstance(section, RecipeProfile):
+            return motion_s(recipe_parts(section.repeats), *shape)
+        return deciding_motion_s(section.effect, *shape)
+    return section.duration_s
+
+
+def length_problems(section: ProfileSection, loop: LoopSection) -> list[str]:
+    """What speaks against the length of a profile; to be asked before its samples are made."""
+    length_s = duration_s(section)
+    if length_s > loop.longest_profile_s:
+        return [f"profile: lasts {length_s:g} s, loop.longest_profile_s is {loop.longest_profile_s:g}"]
+    if length_s < LEAST_PERIODS * loop.period_s:
+        least = f"{LEAST_PERIODS} periods of the loop, {LEAST_PERIODS / loop.rate_hz:g} s"
+        return [f"profile: lasts {length_s:g} s; at least {least}, are needed"]
+    return []
 
 
 class DaemonSection(Record):

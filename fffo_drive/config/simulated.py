@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 from pydantic import create_model
 
+from .. import formats
 from ..documents import Record, load, refuse
 from ..drive.simulated.node.config import NodeConfig
 from ..drive.simulated.parameters import PlantConfigError
@@ -14,7 +15,7 @@ from .mirror import dataclass_of, record_of
 
 
 class _Head(Record):
-    format: Literal["fffo_drive/simulated/1"] = "fffo_drive/simulated/1"
+    format: Annotated[str, formats.SIMULATED.key] = formats.SIMULATED.word
 
 
 SimulatedDriveRecord: type[Record] = create_model(

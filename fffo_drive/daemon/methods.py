@@ -81,9 +81,9 @@ class Api:
 
     # what only looks
 
-    def info(self, _: p.Nothing, caller: Caller) -> Any:
+    def info(self, wanted: p.Info, caller: Caller) -> Any:
         """Protocol version, axis, what may be asked for."""
-        return info_of(self.supervisor, __version__)
+        return info_of(self.supervisor, __version__, wanted.protocol)
 
     def status(self, _: p.Nothing, caller: Caller) -> Any:
         """The status of this moment, or of the last turn."""

@@ -10,13 +10,26 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import BaseModel, Field
 
 from ..config.sections import ProfileSection
-from ..documents import Record
+from ..documents import DocumentError, Record
+
+PROTOCOLS = (1,)  # versions of this API that are spoken, the newest at the end
 
 Seconds = Annotated[float, Field(ge=0, le=600)]
 
 
 class Nothing(Record):
     """No parameters."""
+
+
+class Info(Record):
+    """Parameters of `info`."""
+
+    protocol: Annotated[
+        int | Annotated[list[int], Field(min_length=1, max_length=100)] | None,
+        Field(
+            description="version of this API that the client speaks, or a list of them: one that both speak is chosen"
+        ),
+    ] = None
 
 
 class Bound(Record):
@@ -97,6 +110,21 @@ class Subscribe(Record):
     events: Annotated[bool, Field(description="every event as it happens")] = True
 
 
+def agreed_protocol(spoken: int | list[int] | None) -> int:
+    """The newest version of the API that client and daemon speak; the daemon's newest where the client says none.
+
+    Raises DocumentError where there is none.
+    """
+    theirs = PROTOCOLS if spoken is None else [spoken] if isinstance(spoken, int) else spoken
+    both = [version for version in PROTOCOLS if version in theirs]
+    if not both:
+        ours, asked = (", ".join(map(str, versions)) for versions in (PROTOCOLS, theirs))
+        raise DocumentError(
+            f"protocol: this daemon speaks {ours} of its API, the client {asked}; use a client of its version"
+        )
+    return both[-1]
+
+
 class Method(NamedTuple):
     """One method; `methods.Api` has its handler under the same name."""
 
@@ -106,7 +134,7 @@ class Method(NamedTuple):
 
 
 METHODS: dict[str, Method] = {
-    "info": Method(Nothing, True, "protocol version, axis, what may be asked for"),
+    "info": Method(Info, True, "protocol version, axis, what may be asked for"),
     "status": Method(Nothing, True, "the status of this moment"),
     "enable": Method(Enable, False, "torque; the axis is held at standstill"),
     "disable": Method(Ending, False, "brake to standstill, then no torque"),

@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from ..directories import own_directory, require_own, shared_place
+
 CONTROL, WATCH = "control.sock", "watch.sock"
+TEMPORARY = "fffo-drive"
 SYSTEM_DIRECTORY = Path("/run/fffo-drive")  # RuntimeDirectory=fffo-drive/%i of the unit
 
 
 def socket_directory(name: str, environment: Mapping[str, str] = os.environ) -> Path:
-    """Where the sockets of an axis are: what the service manager made, else the user's runtime directory."""
+    """Where the sockets of an axis are: what the service manager made, else the user's runtime directory.
+
+    Without one it is a temporary directory of our own, which is made. Raises ForeignDirectoryError.
+    """
     given = environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:
         return Path(given)
+    if not environment.get("XDG_RUNTIME_DIR"):
+        own_directory(shared_place(TEMPORARY))
     return user_directory(environment) / name
 
 
 def user_directory(environment: Mapping[str, str] = os.environ) -> Path:
-    """Directory for the sockets of daemons that no service manager started."""
-    base = environment.get("XDG_RUNTIME_DIR") or str(Path(tempfile.gettempdir()) / f"fffo-drive-{os.getuid()}")
-    return Path(base) / "fffo-drive"
+    """Directory for the sockets of daemons that no service manager started. Raises ForeignDirectoryError."""
+    base = Path(environment.get("XDG_RUNTIME_DIR") or shared_place(TEMPORARY))
+    if not environment.get("XDG_RUNTIME_DIR") and os.path.lexists(base):
+        require_own(base)
+    return base / "fffo-drive"
 
 
 def recordings_directory(environment: Mapping[str, str] = os.environ) -> Path | None:

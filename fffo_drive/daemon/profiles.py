@@ -10,7 +10,7 @@ import numpy as np
 from ..config.axis import build_profile
 from ..config.checks import motion_problems, profile_problems
 from ..config.plan import Plan
-from ..config.sections import ProfileSection
+from ..config.sections import ProfileSection, length_problems
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError
 
@@ -36,6 +36,9 @@ def chosen_profile(plan: Plan, wanted: str | ProfileSection) -> Profile:
         name = wanted
     else:
         section, name = wanted, wanted.kind
+    too_long = length_problems(section, plan.axis.loop)
+    if too_long:
+        raise DocumentError("\n".join(too_long))
     profile = build_profile(section, plan.axis.loop.period_s)._replace(name=name)
     problems = profile_problems(plan.axis, profile) + motion_problems(plan.axis, profile, plan.model)
     if problems:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from ..documents import DocumentError
+from ..documents import DocumentError, key_of, what_is_wrong
 from ..drive.port import DriveError
 from ..recording.events import Level
 from ..runtime.states import RefusedError
@@ -314,13 +314,15 @@ def _answered(asked: _Asked, answer: dict[str, Any]) -> None:
 
 def _checked(parameters: type[BaseModel], given: dict[str, Any]) -> BaseModel:
     try:
-        return parameters.model_validate(given, strict=False)
+        return parameters.model_validate(given)
     except ValidationError as error:
-        texts = []
-        for problem in error.errors():
-            where = ".".join(str(part) for part in problem["loc"] if str(part) in given or len(problem["loc"]) == 1)
-            what = "unknown parameter" if problem["type"] == "extra_forbidden" else problem["msg"]
-            texts.append(f"{where or problem['loc'][0]}: {what}" if problem["loc"] else what)
+        found = error.errors()
+        # a name or a profile: of an object, only what is wrong as a profile
+        found = [e for e in found if e["type"] != "string_type" or not isinstance(e["input"], dict)] or found
+        texts = [
+            f"{key_of(e, given)}: {what_is_wrong(e, parameters, given).replace('unknown key', 'unknown parameter')}"
+            for e in found
+        ]
         unique = list(dict.fromkeys(texts))
         known = ", ".join(parameters.model_fields) or "none"
         raise RpcError(rpc.INVALID_PARAMS, f"{'; '.join(unique)} (parameters: {known})", {"errors": unique}) from None

@@ -11,12 +11,12 @@ from ..drive.cia402 import state_name
 from ..drive.port import exchange_counts
 from ..runtime import blocks as b
 from ..runtime.states import State
+from .parameters import agreed_protocol
 from .profiles import profile_names
 from .settings import LIVE_KEYS, value_of
 from .supervisor import Supervisor
 from .watch import TRIP_NAMES
 
-PROTOCOL = 1
 MOTION = (
     "velocity_rps", "position_rev", "current_a", "current_command_a", "reference_rps", "error_rps", "friction_nm",
 )  # fmt: skip
@@ -102,14 +102,17 @@ def line_of(supervisor: Supervisor) -> str:
     return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}"
 
 
-def info_of(supervisor: Supervisor, version: str) -> dict[str, Any]:
-    """What does not change by itself: protocol, axis, what may be asked for."""
+def info_of(supervisor: Supervisor, version: str, spoken: int | list[int] | None = None) -> dict[str, Any]:
+    """What does not change by itself: protocol, axis, what may be asked for.
+
+    `spoken`: versions of the API that the client speaks. Raises DocumentError where none of them is ours.
+    """
     plan = supervisor.plan
     connection = supervisor.connection
     realtime = None if connection is None else connection.realtime._asdict()
     identity = None if connection is None else connection.identity._asdict()
     return {
-        "protocol": PROTOCOL,
+        "protocol": agreed_protocol(spoken),
         "fffo_drive": version,
         "axis": plan.axis.name,
         "file": str(plan.path),

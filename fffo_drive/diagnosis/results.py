@@ -11,11 +11,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .. import __version__, formats
 from ..model.parameters import ModelFile
 
 Floats = npt.NDArray[np.float64]
 
-REPORT_FORMAT = "fffo_drive/diagnosis/1"
 VerdictWord = Literal["effects_found", "no_effect_found", "unexplained"]
 
 
@@ -181,7 +181,8 @@ def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:
 def report(diagnosis: Diagnosis) -> dict[str, Any]:
     """The report: stable keys first, then the evidence."""
     return {
-        "format": REPORT_FORMAT,
+        "format": formats.DIAGNOSIS.word,
+        "tool": f"fffo-drive {__version__}",
         "verdict": diagnosis.verdict,
         "headline": diagnosis.headline,
         "effects": [_effect(finding) for finding in diagnosis.findings],

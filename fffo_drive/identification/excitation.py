@@ -26,7 +26,9 @@ STAIRCASE_SHARES = (0.01, 0.03, 0.07, 0.15, 0.3, 0.5, 0.75, 1.0)  # of the highe
 DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six lengths of standstill, left at one and the same rate
 CHIRP, CHIRP_S, CHIRP_HZ = "chirp", 60.0, (1.0, 100.0)  # of current, instead of parts
 CREEP_SHARES, CREEP_REV = (0.05, 0.1), 5.0  # of the highest speed; travel at each of them
+BIASED_SINE_S, BIASED_SINES_HZ = 4.0, (1.0, 5.0)  # of each, either way
 COAST_TIME_S = 0.35  # a coast-down as a reference: the speed falls with about the axis' own time constant
+COAST_S, COAST_REST_S = 5.0 * COAST_TIME_S, 0.2
 
 
 def chirp(first_hz: float, last_hz: float, duration_s: float, period_s: float) -> Floats:
@@ -60,19 +62,31 @@ def separating_recipe(period_s: float, high_rps: float, acceleration_rps2: float
 
     About 100 s with 2 repeats. `acceleration_rps2` is the highest; the accelerate/brake pairs use 1/4, 1/2 and all.
     """
-    parts = ("staircase", "triangles") * (max(1, repeats) - 1)
-    parts += ("dwells", "pairs", "biased_sines", "coast_downs", "staircase", "triangles")
-    return motion_of("recipe", parts, period_s, high_rps, acceleration_rps2)
+    return motion_of("recipe", recipe_parts(repeats), period_s, high_rps, acceleration_rps2)
+
+
+def recipe_parts(repeats: int) -> tuple[str, ...]:
+    """Names of the recipe's parts in their order."""
+    again = ("staircase", "triangles") * (max(1, repeats) - 1)
+    return (*again, "dwells", "pairs", "biased_sines", "coast_downs", "staircase", "triangles")
 
 
 def motion_of(name: str, parts: Sequence[str], period_s: float, high_rps: float, acceleration_rps2: float) -> Profile:
     """Velocity reference from parts of the recipe, one after another from rest to rest. Raises KeyError."""
-    found = [PARTS[part](period_s, high_rps, acceleration_rps2) for part in parts]
+    found = [PARTS[part].values(period_s, high_rps, acceleration_rps2) for part in parts]
     return _sampled(name, MODE_VELOCITY, period_s, np.concatenate(found))
+
+
+def motion_s(parts: Sequence[str], high_rps: float, acceleration_rps2: float) -> float:
+    """How long `motion_of` these parts lasts, to a period each, before a sample of it is made. Raises KeyError."""
+    return sum(PARTS[part].duration_s(high_rps, acceleration_rps2) for part in parts)
 
 
 def _sampled(name: str, mode: int, period_s: float, values: Floats) -> Profile:
     return Profile(name, mode, period_s, values, np.gradient(values, period_s))
+
+
+Legs = tuple[list[float], list[float]]  # durations and the levels reached after them
 
 
 def _lines(period_s: float, durations_s: list[float], levels: list[float]) -> Floats:
@@ -81,7 +95,7 @@ def _lines(period_s: float, durations_s: list[float], levels: list[float]) -> Fl
     return piecewise_linear("", MODE_VELOCITY, period_s, times, np.array([0.0, *levels])).values
 
 
-def _staircase(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+def _staircase(high_rps: float, acceleration_rps2: float) -> Legs:
     """Constant speeds, upwards one way and then the other: the steady friction curve on both sides."""
     durations: list[float] = []
     levels: list[float] = []
@@ -92,10 +106,10 @@ def _staircase(period_s: float, high_rps: float, acceleration_rps2: float) -> Fl
             durations += [max(0.05, 4.0 * abs(level - last) / acceleration_rps2), 0.2 if level == 0.0 else 1.2]
             levels += [level, level]
             last = level
-    return _lines(period_s, durations, levels)
+    return durations, levels
 
 
-def _dwells(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+def _dwells(high_rps: float, acceleration_rps2: float) -> Legs:
     """Standstills of six lengths, each left by the same slow ramp: break-away against dwell time, torque rate fixed."""
     durations: list[float] = []
     levels: list[float] = []
@@ -104,10 +118,10 @@ def _dwells(period_s: float, high_rps: float, acceleration_rps2: float) -> Float
         ramp_s = max(0.3, 8.0 * abs(level) / acceleration_rps2)
         durations += [dwell_s, ramp_s, 0.2, ramp_s]
         levels += [0.0, level, level, 0.0]
-    return _lines(period_s, durations, levels)
+    return durations, levels
 
 
-def _triangles(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+def _triangles(high_rps: float, acceleration_rps2: float) -> Legs:
     """Slow reversals at two accelerations: presliding in distance (the same) against lag in time (not the same)."""
     durations: list[float] = []
     levels: list[float] = []
@@ -115,10 +129,10 @@ def _triangles(period_s: float, high_rps: float, acceleration_rps2: float) -> Fl
         for level in (1.0, 0.0, -1.0, 0.0) * 2:
             durations.append(quarter_s)
             levels.append(level * share * high_rps)
-    return _lines(period_s, durations, levels)
+    return durations, levels
 
 
-def _pairs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+def _pairs(high_rps: float, acceleration_rps2: float) -> Legs:
     """Accelerate and brake alike at three torques, both ways: inertia and torque against friction, sign by sign."""
     durations: list[float] = []
     levels: list[float] = []
@@ -127,15 +141,15 @@ def _pairs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats
             ramp_s = 0.9 * high_rps / (share * acceleration_rps2)
             durations += [ramp_s, 0.25, ramp_s, 0.15]
             levels += [0.9 * sign * high_rps, 0.9 * sign * high_rps, 0.0, 0.0]
-    return _lines(period_s, durations, levels)
+    return durations, levels
 
 
 def _biased_sines(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
     """Oscillation that never reverses, at two rates: frictional lag without presliding; both directions."""
-    time_s = np.arange(round(4.0 / period_s)) * period_s
+    time_s = np.arange(round(BIASED_SINE_S / period_s)) * period_s
     parts = []
     for sign in (1.0, -1.0):
-        for frequency_hz in (1.0, 5.0):
+        for frequency_hz in BIASED_SINES_HZ:
             wave = 0.07 * (1.0 - 0.8 * np.cos(2.0 * math.pi * frequency_hz * time_s))
             parts.append(sign * high_rps * wave * np.minimum(1.0, np.minimum(time_s, time_s[::-1]) / 0.3))
     return np.concatenate(parts)
@@ -143,14 +157,18 @@ def _biased_sines(period_s: float, high_rps: float, acceleration_rps2: float) ->
 
 def _coast_downs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
     """Speed that dies away by itself: next to no torque at all speeds, so no effect of the torque can hide in it."""
-    rise = _lines(period_s, [2.0 * high_rps / acceleration_rps2, 0.3], [high_rps, high_rps])
-    time_s = np.arange(round(5.0 * COAST_TIME_S / period_s)) * period_s
+    rise = _lines(period_s, *_coast_rise(high_rps, acceleration_rps2))
+    time_s = np.arange(round(COAST_S / period_s)) * period_s
     fall = high_rps * (np.exp(-time_s / COAST_TIME_S) - math.exp(-5.0) * time_s / time_s[-1])
-    once = np.concatenate([rise, fall, np.zeros(round(0.2 / period_s))])
+    once = np.concatenate([rise, fall, np.zeros(round(COAST_REST_S / period_s))])
     return np.concatenate([once, -once])
 
 
-def _creep(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
+def _coast_rise(high_rps: float, acceleration_rps2: float) -> Legs:
+    return [2.0 * high_rps / acceleration_rps2, 0.3], [high_rps, high_rps]
+
+
+def _creep(high_rps: float, acceleration_rps2: float) -> Legs:
     """Slow constant speed over five turns both ways, at two speeds: what lives on the angle, and its sign."""
     durations: list[float] = []
     levels: list[float] = []
@@ -160,13 +178,29 @@ def _creep(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats
             ramp_s = max(0.05, 4.0 * abs(level) / acceleration_rps2)
             durations += [ramp_s, CREEP_REV / abs(level), ramp_s, 0.3]
             levels += [level, level, 0.0, 0.0]
-    return _lines(period_s, durations, levels)
+    return durations, levels
 
 
-PARTS: dict[str, Callable[[float, float, float], Floats]] = {
-    "staircase": _staircase, "triangles": _triangles, "dwells": _dwells, "pairs": _pairs,
-    "biased_sines": _biased_sines, "coast_downs": _coast_downs, "creep": _creep,
-}  # fmt: skip
+class Part(NamedTuple):
+    """A piece of a motion, from rest to rest: `values` by period, highest speed and acceleration, and its length."""
+
+    values: Callable[[float, float, float], Floats]
+    duration_s: Callable[[float, float], float]
+
+
+def _of(legs: Callable[[float, float], Legs]) -> Part:
+    return Part(lambda period_s, *shape: _lines(period_s, *legs(*shape)), lambda *shape: sum(legs(*shape)[0]))
+
+
+PARTS: dict[str, Part] = {
+    "staircase": _of(_staircase),
+    "triangles": _of(_triangles),
+    "dwells": _of(_dwells),
+    "pairs": _of(_pairs),
+    "biased_sines": Part(_biased_sines, lambda *_: 2.0 * len(BIASED_SINES_HZ) * BIASED_SINE_S),
+    "coast_downs": Part(_coast_downs, lambda *shape: 2.0 * (sum(_coast_rise(*shape)[0]) + COAST_S + COAST_REST_S)),
+    "creep": _of(_creep),
+}
 
 
 def deciding_motion(
@@ -181,6 +215,12 @@ def deciding_motion(
     if motions == (CHIRP,):
         return frequency_response_chirp(CHIRP_S, period_s, amplitude_a, *CHIRP_HZ)
     return motion_of(f"decide-{effect.replace(':', '-')}", motions, period_s, high_rps, acceleration_rps2)
+
+
+def deciding_motion_s(effect: str, high_rps: float, acceleration_rps2: float) -> float:
+    """How long `deciding_motion` lasts. Raises KeyError for a name that is no effect."""
+    motions = law_of(effect).motions
+    return CHIRP_S if motions == (CHIRP,) else motion_s(motions, high_rps, acceleration_rps2)
 
 
 class MotionForecast(NamedTuple):

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from .. import formats
 from ..documents import Record, load
 from ..recording.column_map import Column, ColumnMap
 
@@ -28,6 +29,8 @@ class ColumnFact(Record):
 
 class DriveFacts(Record):
     """What is declared about the drive."""
+
+    format: Annotated[str, formats.FACTS.key] = formats.FACTS.word
 
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6, description="declared, never fitted")]
     rated_current_a: Annotated[float | None, Field(gt=0, le=1e4)] = None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from .. import __version__
+from .. import __version__, formats
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
@@ -20,7 +20,6 @@ from .fit import OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
 from .residuals import RunResidual, residual_summary
 
-REPORT_FORMAT = "fffo_drive/identification/1"
 CONFIDENCE = 0.95
 LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
 LINEAR_UNITS = {
@@ -85,7 +84,7 @@ def report(
     `runs` are the residuals of the records where they are at hand.
     """
     return {
-        "format": REPORT_FORMAT,
+        "format": formats.IDENTIFICATION.word,
         "tool": f"fffo-drive {__version__}",
         "date": time.strftime("%Y-%m-%d"),
         "units": facts.units,

@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -21,6 +20,8 @@ from typing import Any, TypeVar, overload
 import numba
 from numba import types
 from numba.extending import overload as numba_overload
+
+from ..directories import ForeignDirectoryError, own_directory, shared_place
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -43,19 +44,34 @@ def kernel_digest() -> str:
 
 
 def cache_root() -> Path:
-    """Directory that holds all kernel caches: NUMBA_CACHE_DIR, the user's cache, or a temporary directory."""
-    candidates = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("CACHE_DIRECTORY")]
-    home_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    candidates.append(os.path.join(home_cache, "fffo_drive", "numba"))
-    candidates.append(os.path.join(tempfile.gettempdir(), f"fffo_drive-{os.getuid()}", "numba"))
-    for candidate in filter(None, candidates):
+    """Directory that holds all kernel caches: NUMBA_CACHE_DIR, the user's cache, or a temporary directory.
+
+    What lies there is run. Raises ForeignDirectoryError for a temporary one that somebody else has a hand in.
+    """
+    home_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    given = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("CACHE_DIRECTORY")]
+    candidates = [Path(directory) for directory in given if directory]
+    if _is_ours(home_cache):  # under sudo it may be another user's
+        candidates.append(home_cache / "fffo_drive" / "numba")
+    for candidate in candidates:
         try:
-            Path(candidate).mkdir(parents=True, exist_ok=True, mode=0o700)
+            candidate.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
             continue
         if os.access(candidate, os.W_OK):
-            return Path(candidate)
-    raise OSError("no writable directory for compiled code: set NUMBA_CACHE_DIR to one")
+            return candidate
+    try:
+        return own_directory(own_directory(shared_place("fffo_drive")) / "numba")
+    except ForeignDirectoryError:
+        raise
+    except OSError as error:
+        raise OSError("no writable directory for compiled code: set NUMBA_CACHE_DIR to one") from error
+
+
+def _is_ours(path: Path) -> bool:
+    """The path, or what there is of it, belongs to the user of this process."""
+    there = next((place for place in (path, *path.parents) if place.exists()), path)
+    return there.exists() and there.stat().st_uid == os.getuid()
 
 
 def _use_cache_directory() -> Path:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from ..config.address import Address
+from ..config.address import Address, in_unit, sandbox_problem
 from .feed import Feed, Source
 from .hub import Hub
 from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE, VIEWERS_FILE
@@ -91,6 +91,8 @@ class LiveServer:
         """One line for the log."""
         told = [f"the scope is on {self.url}"] if self.url else []
         told += [f"Foxglove connects to {self.viewers_url}"] if self.viewers_url else []
+        addresses = (self.wanted.scope, self.wanted.viewers) if in_unit() else ()
+        told += [text for address in addresses if address and (text := sandbox_problem(address))]
         return "; ".join((*told, "fffo-drive scope gives the addresses with the key"))
 
     def _files(self) -> list[tuple[str, str, int]]:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field
 
-from .. import units
+from .. import formats, units
 from ..documents import Record, load, refuse
 from .axis import AxisConfig
 from .effects.registry import name_error, parameter_errors
@@ -79,7 +79,7 @@ class Provenance(Record):
 class ModelFile(Record):
     """A model of an axis."""
 
-    format: Literal["fffo_drive/model/1"] = "fffo_drive/model/1"
+    format: Annotated[str, formats.MODEL.key] = formats.MODEL.word
     name: str
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6)]
     inertia_kg_m2: Quantity

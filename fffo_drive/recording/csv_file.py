@@ -6,7 +6,6 @@ and column.
 
 from __future__ import annotations
 
-import gzip
 import io
 import zlib
 from collections.abc import Iterator, Sequence
@@ -16,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from .errors import RecordingError, did_you_mean
+from .unpack import Allowance, inflated
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 _GZIP = b"\x1f\x8b"
+GZIP_WINDOW_BITS = 31  # of zlib: the largest window, with the head of gzip
 _DELIMITERS = ",;\t"
 _COMMENTS = ("#", "%")
 
@@ -101,9 +102,9 @@ def _read_text(path: Path) -> str:
     data = path.read_bytes()
     if data.startswith(_GZIP):
         try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise RecordingError(f"{path}: the compressed file is not whole ({error})") from error
+            data = inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
+        except (EOFError, zlib.error) as error:
+            raise RecordingError(f"{path}: the compressed file is not whole") from error
     return data.decode("utf-8-sig", "replace")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import RecordingError, did_you_mean
+from .mat_elements import unpacked
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -21,13 +22,13 @@ class MatFile:
         from scipy.io import loadmat  # slow to import, and rarely needed
 
         self.path = path
-        data = io.BytesIO(path.read_bytes())
+        data = io.BytesIO(unpacked(path))
         try:
             content = loadmat(data, squeeze_me=True)  # type: ignore[arg-type]  # stubs know paths only
         except NotImplementedError as error:
             raise RecordingError(f"{path}: a MAT file of version 7.3; save it with '-v7' in MATLAB") from error
         except Exception as error:  # scipy raises whatever the bytes lead it to
-            raise RecordingError(f"{path}: not a readable MAT file ({type(error).__name__}: {error})") from error
+            raise RecordingError(f"{path}: not a readable MAT file: it is damaged, or of another kind") from error
         self._values: dict[str, Any] = {}
         for name, value in content.items():
             if not name.startswith("__"):

@@ -25,7 +25,6 @@ from .scan import (
     Record,
     Scanner,
     Segment,
-    open_chunk,
     parse,
     record_data,
     segments,
@@ -128,7 +127,7 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
         scanner = Scanner(file, str(path))
         for record in scanner:
             try:
-                collector.take(record)
+                collector.take(record, scanner)
             except DamagedRecordError as damage:
                 scanner.damage(record, str(damage))
                 break
@@ -168,10 +167,10 @@ class _Collector:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
 
-    def take(self, record: Record) -> None:
+    def take(self, record: Record, scanner: Scanner) -> None:
         """One top-level record; a damaged one changes nothing."""
         if record.opcode == Opcode.CHUNK:
-            data = open_chunk(record.body)
+            data = scanner.contents(record)
             self._take_segments(data, segments(data))
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             data = record_data(record)
@@ -197,8 +196,6 @@ class _Collector:
                 self.schemas[schema.id] = schema
             elif part.opcode == Opcode.CHANNEL:
                 self._take_channel(parse(Channel.read, body))
-            elif part.opcode != Opcode.MESSAGE:
-                continue  # a kind of record that this version does not know
             elif part.channel in self.layouts:
                 blocks.append(_rows(data, part, self.layouts[part.channel], f"{self.path}: {self.topic}"))
             elif part.channel in self.event_channels:

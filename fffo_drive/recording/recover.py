@@ -20,7 +20,6 @@ from .scan import (
     Record,
     Scanner,
     Segment,
-    open_chunk,
     parse,
     record_data,
     segments,
@@ -62,7 +61,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
         try:
             for record in scanner:
                 try:
-                    rescue.take(record)
+                    rescue.take(record, scanner)
                 except DamagedRecordError as damage:
                     scanner.damage(record, str(damage))
                     break
@@ -87,13 +86,13 @@ class _Rescue:
         self._channels: dict[int, str] = {}  # topic by channel
         self._counts: dict[int, int] = {}
 
-    def take(self, record: Record) -> None:
+    def take(self, record: Record, scanner: Scanner) -> None:
         """One top-level record of the torn file; a damaged one leaves no trace."""
         if record.opcode == Opcode.HEADER:
             header = parse(Header.read, record.body)
             self._out = McapFile(self._file, header.profile, f"{LIBRARY} recovered from {header.library}")
         elif record.opcode == Opcode.CHUNK:
-            self._take_contents(open_chunk(record.body))
+            self._take_contents(scanner.contents(record))
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             self._take_contents(record_data(record))
         elif record.opcode == Opcode.METADATA:
@@ -148,8 +147,6 @@ class _Rescue:
         return new
 
     def _add_messages(self, part: Segment, raw: bytes) -> None:
-        if part.opcode != Opcode.MESSAGE:
-            return  # a kind of record that this version does not know
         records = np.frombuffer(raw, message_dtype(part.size - _MESSAGE_PREFIX))
         self._chunk.add_messages(part.channel, raw, records["log_time"])
         self._counts[part.channel] = self._counts.get(part.channel, 0) + part.repeats

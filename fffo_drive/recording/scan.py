@@ -24,12 +24,14 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from .container import MAGIC
 from .errors import RecordingError
+from .unpack import Allowance
 
 HEAD_SIZE = 9  # opcode u1, length u8
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
 _MESSAGE_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
-_LARGEST_CHUNK = 1 << 31
+LARGEST_CHUNK = 64 * 1024 * 1024  # bytes; ours have 256 kB, those of others some MB
+_IN_CHUNKS = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _SKIPPED = frozenset(  # found again from the data, or of no use here
     (
         Opcode.MESSAGE_INDEX,
@@ -81,6 +83,7 @@ class Scanner:
         self._file = file
         self._name = name
         self.size = os.fstat(file.fileno()).st_size  # a file that grows meanwhile is read up to here
+        self._allowance = Allowance(name, self.size)
         self.whole_bytes = 0  # up to the end of the last whole record
         self.tear: str | None = None
 
@@ -99,6 +102,9 @@ class Scanner:
                 self.tear = f"ends at byte {self.size}, before its index: it was never closed"
                 return
             opcode, length = _HEAD.unpack(head)
+            if opcode == 0:
+                self.tear = f"is damaged at byte {self.whole_bytes}: a record of kind 0, which there is none of"
+                return
             begin = self.whole_bytes + HEAD_SIZE
             if begin + length > self.size:
                 needs = f"{_title(opcode)} that takes {length} bytes from {begin}"
@@ -115,6 +121,10 @@ class Scanner:
             self.tear = f"ends at byte {self.size} without the closing magic"
             return
         self.whole_bytes += len(MAGIC)
+
+    def contents(self, record: Record) -> bytes:
+        """As `open_chunk`, within what this file may unpack to."""
+        return open_chunk(record.body, self._allowance)
 
     def damage(self, record: Record, reason: str) -> None:
         """Note that the scan ends at this record, which is all there but wrong."""
@@ -139,8 +149,11 @@ def parse(read: Callable[[ReadDataStream], T], body: bytes | memoryview) -> T:
     return result
 
 
-def open_chunk(body: bytes) -> bytes:
-    """The records in a Chunk, decompressed and checked."""
+def open_chunk(body: bytes, allowance: Allowance | None = None) -> bytes:
+    """The records in a Chunk, decompressed and checked.
+
+    Raises DamagedRecordError; RecordingError for a sound one that takes more than the file is allowed.
+    """
     if len(body) < _CHUNK.size + 4:
         raise DamagedRecordError("too short for a chunk")
     _, _, size, crc = _CHUNK.unpack_from(body)
@@ -149,9 +162,13 @@ def open_chunk(body: bytes) -> bytes:
     compression = body[_CHUNK.size + 4 : begin]
     if begin + 8 > len(body) or begin + 8 + struct.unpack_from("<Q", body, begin)[0] != len(body):
         raise DamagedRecordError("the chunk's size does not fit its record")
-    if size > _LARGEST_CHUNK:
-        raise DamagedRecordError(f"a chunk of {size} bytes")
     data = memoryview(body)[begin + 8 :]
+    if _size_inside(compression, data, size) != size:
+        raise DamagedRecordError(f"it does not unpack to the {size} bytes that it states")
+    if allowance is not None:
+        allowance.take(size)
+    if size > LARGEST_CHUNK:
+        raise DamagedRecordError(f"it unpacks to {size} bytes; no chunk has more than {LARGEST_CHUNK}")
     content = _decompress(compression, data, size, body)
     if len(content) != size:
         raise DamagedRecordError(f"{len(content)} bytes after decompression, {size} are stated")
@@ -160,18 +177,29 @@ def open_chunk(body: bytes) -> bytes:
     return content
 
 
+def _size_inside(compression: bytes, data: memoryview, stated: int) -> int:
+    """What the compressed bytes say themselves that they unpack to; what the chunk states where they do not say."""
+    if compression == b"":
+        return len(data)
+    if compression != b"zstd":
+        return stated
+    try:
+        size = int(zstandard.frame_content_size(data))
+    except zstandard.ZstdError:
+        raise DamagedRecordError("it cannot be decompressed") from None
+    return size if size >= 0 else stated
+
+
 def _decompress(compression: bytes, data: memoryview, size: int, body: bytes) -> bytes:
     if compression == b"":
         return bytes(data)
     try:
         if compression == b"zstd":
-            if zstandard.frame_content_size(data) > _LARGEST_CHUNK:
-                raise DamagedRecordError("a zstd frame of absurd size")
             return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         stream, length = get_chunk_data_stream(parse(Chunk.read, body))
         return stream.read(length)
     except (zstandard.ZstdError, McapError, RuntimeError, MemoryError) as error:
-        raise DamagedRecordError(f"decompression failed: {error}") from error
+        raise DamagedRecordError("it cannot be decompressed") from error
 
 
 def segments(data: bytes) -> list[Segment]:
@@ -185,6 +213,8 @@ def segments(data: bytes) -> list[Segment]:
         size = HEAD_SIZE + length
         if position + size > len(data):
             raise DamagedRecordError("a record is longer than its chunk")
+        if opcode not in _IN_CHUNKS:
+            raise DamagedRecordError(f"{_title(opcode)} in a chunk, which holds schemas, channels and messages")
         segment = Segment(opcode, 0, position, size, 1)
         if opcode == Opcode.MESSAGE:
             if length < 22:

@@ -42,6 +42,7 @@ _ROS_TYPES = {
     "b1": "bool",
 }
 _NUMPY_TYPES = {ros: kind for kind, ros in _ROS_TYPES.items()} | {"byte": "u1", "char": "u1"}
+LONGEST_ARRAY = 65_536  # numbers in a field of a row
 _FIELD = re.compile(r"(?P<type>[\w/]+)(?:\[(?P<count>\d*)\])?\s+(?P<name>\w+)(?P<rest>.*)")
 _COMMENT = re.compile(r"\s*(?:\[(?P<unit>[^\]]*)\])?\s*(?P<meaning>.*)")
 
@@ -111,6 +112,8 @@ def layout_from_schema(text: str) -> RowLayout:
         names.append(field["name"])
         formats.append((scalar, (int(field["count"]),)) if field["count"] else scalar)
         offsets.append(end)
+        if int(field["count"] or 1) > LONGEST_ARRAY:
+            raise RecordingError(f"schema line {number}: {line.strip()!r} has more than {LONGEST_ARRAY} numbers")
         end += np.dtype(formats[-1]).itemsize
         note = _COMMENT.fullmatch(comment)
         units[field["name"]] = (note["unit"] if note else None) or "-"

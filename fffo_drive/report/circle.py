@@ -1,6 +1,6 @@
 """The report of a whole circle: what was found and adopted, and the tracking error before and after.
 
-report.json is the usual one; its `results` are `as_object`, format fffo_drive/circle/1.
+report.json is the usual one; its `results` are `as_object`, of the format `circle`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .. import formats
 from ..evaluation.metrics import ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
 from .document import Cell, Column, Provenance, Report, Row, Section, Standing, Table, Verdict, count, number
@@ -19,7 +20,6 @@ from .intervals import Interval, ratio_intervals
 from .page import ReportPaths, write_report
 
 KIND = "close-the-loop"
-FORMAT = "fffo_drive/circle/1"
 STRETCH_S = 1.0
 UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
 COLUMNS = {"measured": "velocity_rps", "true": "true_velocity_rps"}
@@ -125,7 +125,7 @@ def as_object(source: CircleSource) -> dict[str, Any]:
             for kind, pair in source.tracking.metrics.items()
         }
     return {
-        "format": FORMAT,
+        "format": formats.CIRCLE.word,
         "axis": source.axis,
         "verdict": source.verdict,
         "effects": list(source.effects),

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from .. import __version__
+from .. import __version__, formats
 from ..documents import Record
 from .figures import Figure
 
@@ -116,7 +116,7 @@ class FigureEntry(Record):
 class ReportFile(Record):
     """report.json."""
 
-    format: Literal["fffo_drive/report/1"] = "fffo_drive/report/1"
+    format: Annotated[str, formats.REPORT.key] = formats.REPORT.word
     kind: str
     title: str
     verdict: Verdict

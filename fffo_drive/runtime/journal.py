@@ -1,12 +1,16 @@
 """The log: structured fields to the journal's own socket where stderr is the journal's, else lines on stderr.
 
+A line on stderr is `TEXT [NAME=VALUE NAME="a value with blanks"]`: a value in quotes is a JSON string.
+
 Protocol of systemd's JOURNAL_NATIVE_PROTOCOL: a datagram of NAME=VALUE lines; a value with a line break stands as NAME,
 line break, length (uint64, little-endian), bytes, line break.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import socket
 import struct
 import sys
@@ -17,6 +21,7 @@ from ..recording.events import Level
 
 SOCKET = "/run/systemd/journal/socket"
 IDENTIFIER = "fffo-drive"
+_PLAIN = re.compile(r"[\w.,:;/@%+-]+", re.ASCII)  # needs no quotes
 LONGEST_VALUE = 16_384  # of a field; a datagram must not be refused
 PRIORITIES = {Level.DEBUG: 7, Level.INFO: 6, Level.WARNING: 4, Level.ERROR: 3, Level.FATAL: 2}  # syslog(3)
 
@@ -84,10 +89,16 @@ class Journal:
         prefix = f"<{priority}>" if "JOURNAL_STREAM" in os.environ else ""
         try:
             people = self._stream.isatty()  # the text has it all
-            extra = "" if people else " ".join(f"{key}={' '.join(value.split())}" for key, value in named.items())
+            fields = {} if people else {k: value for k, value in named.items() if " " not in value or value not in text}
+            extra = " ".join(f"{key}={quoted(value)}" for key, value in fields.items())
             print(f"{prefix}{' '.join(text.split())}{f' [{extra}]' if extra else ''}", file=self._stream, flush=True)
         except (OSError, ValueError):
             self.failures += 1
+
+
+def quoted(value: str) -> str:
+    """A value as it stands in a line: a JSON string, where it is more than one plain word."""
+    return value if _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=not value.isprintable())
 
 
 def _text(value: Any) -> str:

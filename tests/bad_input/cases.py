@@ -222,11 +222,13 @@ CASES = (
         changed(MODEL, "delay_s: {value: 0.00275", "delay_s: {value: 2.75"),
     ),
     Case(
-        "out of range", RUN, 78, (rf"{AXIS}:\d+: controller\.proportional_a_per_rps: .*greater than 0 \(got -1\)",),
+        "out of range", RUN, 78,
+        (rf"{AXIS}:\d+: controller\.proportional_a_per_rps: a number above 0 and up to 10000 is needed \(got -1\)",),
         changed(AXIS, "proportional_a_per_rps: 0.975", "proportional_a_per_rps: -1"),
     ),
     Case(
-        "node id out of range", RUN_ON_BUS, 78, (rf"{BUS_AXIS}:\d+: drive\.node_id: .*127 \(got 200\)",),
+        "node id out of range", RUN_ON_BUS, 78,
+        (rf"{BUS_AXIS}:\d+: drive\.node_id: a number from 1 to 127 is needed \(got 200\)",),
         changed(BUS_AXIS, "node_id: 1\n", "node_id: 200\n"),
     ),
     Case(
@@ -242,6 +244,37 @@ CASES = (
         "model edited by hand", RUN, 78,
         (rf"{MODEL}:\d+: content_hash: does not match .*edited by hand.*Remove the line to accept",),
         added(MODEL, "content_hash: 0123456789abcdef\n"),
+    ),
+    Case(
+        "a number in quotes", RUN, 78,
+        (rf"{AXIS}:\d+: controller\.current_limit_a: a number above 0 and up to 1000 is needed \(got '12'\)",),
+        changed(AXIS, "current_limit_a: 12", "current_limit_a: '12'"),
+    ),
+    Case(
+        "true in place of a number", (*CHECK, AXIS), 78,
+        (rf"{AXIS}:\d+: controller\.current_limit_a: a number above 0 and up to 1000 is needed \(got true\)",),
+        changed(AXIS, "current_limit_a: 12", "current_limit_a: true"),
+    ),
+    Case(
+        "a fraction or an exponent in place of a whole number", (*CHECK, BUS_AXIS), 78,
+        (rf"{BUS_AXIS}:\d+: drive\.bitrate_hz: a whole number from 10000 to 1000000 is needed: write 500000",),
+        drive_key("bitrate_hz: 5e5"),
+    ),
+    Case(
+        "an alias", (*CHECK, AXIS), 78, (rf"{AXIS}:\d+: the anchor &limit is not allowed",),
+        both(changed(AXIS, "current_limit_a: 12", "current_limit_a: &limit 12"),
+             changed(AXIS, "current_limit_a: 14", "current_limit_a: *limit")),
+    ),
+    Case("a list in itself", (*CHECK, AXIS), 78, (rf"{AXIS}:\d+: the anchor &a is not allowed",),
+         added(AXIS, "more: &a [*a]\n")),
+    Case(
+        "a file of a later version", RUN, 78,
+        (rf"{MODEL}:\d+: format: fffo_drive/model/7 is newer than what fffo-drive \S+ reads .*with a later one",),
+        changed(MODEL, "fffo_drive/model/1", "fffo_drive/model/7"),
+    ),
+    Case(
+        "a file of another kind", (*CHECK, MODEL), 78,
+        (rf"{MODEL}:\d+: format: fffo_drive/model/1 where fffo_drive/axis/1 is needed",),
     ),
     Case("text that is no YAML", RUN, 78, (rf"{AXIS}:\d+: not valid YAML",), added(AXIS, "recording: [\n")),
     Case("missing axis file", RUN, 78, (f"{AXIS}: cannot be read: No such file",), without(AXIS)),
@@ -266,6 +299,21 @@ CASES = (
         "velocity reference beyond the limit", RUN, 78,
         (rf"{AXIS}:\d+: profile: peak of 14\.\d+ rps is beyond envelope\.speed_limit_rps 10",),
         changed(AXIS, "speed_limit_rps: 25", "speed_limit_rps: 10"),
+    ),
+    Case(
+        "a reference of a day", (*CHECK, AXIS), 78,
+        (rf"{AXIS}:\d+: profile: lasts 86400 s, loop\.longest_profile_s is 600",),
+        changed(AXIS, "duration_s: 60", "duration_s: 86400"),
+    ),
+    Case(
+        "a reference of no duration", (*CHECK, AXIS), 78,
+        (rf"{AXIS}:\d+: profile: lasts 1e-06 s; at least 2 periods of the loop, 0\.001 s, are needed",),
+        changed(AXIS, "{kind: paper, duration_s: 60}", "{kind: points, points: [[0, 0], [1.0e-6, 0]]}"),
+    ),
+    Case(
+        "a chirp that goes nowhere", (*CHECK, AXIS), 78,
+        (rf"{AXIS}:\d+: profile: lowest_hz 10 must be below highest_hz 10",),
+        changed(AXIS, "{kind: paper, duration_s: 60}", "{kind: identify, lowest_hz: 10, highest_hz: 10}"),
     ),
     Case(
         "current reference beyond the limit", RUN, 78,

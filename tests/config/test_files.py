@@ -71,7 +71,7 @@ def test_an_unknown_key_names_its_line_and_the_nearest_one(tmp_path):
 
 def test_a_value_out_of_range_names_the_range(tmp_path):
     text = errors_of(write(tmp_path, AXIS.replace("proportional_a_per_rps: 0.975", "proportional_a_per_rps: -1")))
-    assert "controller.proportional_a_per_rps: Input should be greater than 0 (got -1)" in text
+    assert "controller.proportional_a_per_rps: a number above 0 and up to 10000 is needed (got -1)" in text
 
 
 def test_a_wrong_type_is_told(tmp_path):
@@ -93,7 +93,7 @@ def test_a_missing_file_and_broken_yaml_are_one_sentence(tmp_path):
 
 def test_the_drive_is_checked_by_its_kind(tmp_path):
     text = errors_of(write(tmp_path, BUS.replace("node_id: 1", "node_id: 200")))
-    assert "drive.node_id: Input should be less than or equal to 127 (got 200)" in text
+    assert "drive.node_id: a number from 1 to 127 is needed (got 200)" in text
     text = errors_of(write(tmp_path, BUS.replace("bus: loopback:29500", "bus: can0")))
     assert "drive.bus" in text
 
@@ -184,6 +184,33 @@ def test_schemas_are_json_and_describe_their_keys(record):
     schema = json.loads(json.dumps(record.model_json_schema()))
     assert schema["type"] == "object"
     assert schema["additionalProperties"] is False
+
+
+@pytest.mark.parametrize(
+    ("listen", "needed"),
+    [
+        ("8700", []),
+        ("127.0.0.1:8700", []),
+        ("127.0.0.5:8700", []),
+        ("'[::1]:8700'", ["AF_INET6"]),
+        ("192.0.2.7:8700", ["IPAddressAllow="]),
+        ("bench.lab:8700", ["IPAddressAllow="]),
+        ("'[2001:db8::1]:8700'", ["IPAddressAllow=", "AF_INET6"]),
+    ],
+)
+def test_an_address_that_the_units_sandbox_closes_is_told(tmp_path, capsys, listen, needed):
+    unit = (CONFIGS.parent / "systemd" / "fffo-drive@.service").read_text()
+    assert "\nIPAddressDeny=any\nIPAddressAllow=localhost\n" in unit
+    assert "\nRestrictAddressFamilies=AF_CAN AF_UNIX AF_INET\n" in unit
+    axis = AXIS.replace("file: simulated_drive.yaml", f"file: {CONFIGS / 'simulated_drive.yaml'}")
+    for key in ("scope", "foxglove"):
+        path = write(tmp_path, f"{axis}daemon: {{{key}: {listen}}}\n")
+        assert main(["config", "check", str(path)]) == 0
+        warnings = [line for line in capsys.readouterr().out.splitlines() if "closed by the sandbox" in line]
+        assert len(warnings) == bool(needed)
+        for line in warnings:
+            assert f"warning: daemon.{key}: " in line
+            assert [word for word in ("IPAddressAllow=", "AF_INET6") if word in line] == needed
 
 
 def test_numbers_are_yaml_1_2():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
 import socket
@@ -170,6 +171,44 @@ def test_elsewhere_it_is_lines_on_stderr():
     stream.close()
     log.write("state", Level.WARNING, "c", {})  # and a stderr that is gone is only counted
     assert log.failures == 1
+
+
+FIELD = re.compile(r'(?P<name>[A-Z0-9_]+)=(?P<value>"(?:[^"\\]|\\.)*"|[^\s"\[\]]+)(?: |$)')
+
+
+def parsed(line: str) -> tuple[str, dict[str, str]]:
+    """The text and the fields of a line on stderr."""
+    assert line.count("\n") == 1
+    assert line.endswith("]\n")
+    begin = line.index(" [FFFO_")
+    fields, rest = {}, line[begin + 2 : -2]
+    while rest:
+        match = FIELD.match(rest)
+        assert match is not None, rest
+        value = match["value"]
+        fields[match["name"]] = json.loads(value) if value.startswith('"') else value
+        rest = rest[match.end() :]
+    return line[:begin], fields
+
+
+@given(st.dictionaries(st.from_regex(r"[a-z][a-z0-9_]{0,10}", fullmatch=True), st.text(max_size=50), min_size=1))
+def test_a_line_on_stderr_is_parsed_back(fields):
+    stream = io.StringIO()
+    Journal({}, stream).write("state", Level.INFO, "what happened", fields)
+    line = stream.getvalue()
+    kept = {f"FFFO_{k.upper()}": v for k, v in fields.items() if " " not in v or v not in "what happened"}
+    assert (parsed(line) if kept else (line.rstrip("\n"), {})) == ("what happened", kept)
+
+
+def test_a_text_with_blanks_is_in_quotes_and_not_there_twice():
+    stream = io.StringIO()
+    log = Journal({}, stream)
+    data = {"axis": "can0", "name": "overspeed", "text": "26 rps at tick 9067", "tick": 9067, "device": 'the "new" one'}
+    log.write("fault", Level.ERROR, "fault: 26 rps at tick 9067", data)
+    assert stream.getvalue() == (
+        "fault: 26 rps at tick 9067 "
+        '[FFFO_AXIS=can0 FFFO_NAME=overspeed FFFO_TICK=9067 FFFO_DEVICE="the \\"new\\" one"]\n'
+    )
 
 
 def test_message_ids_are_distinct_and_well_formed():

@@ -99,7 +99,7 @@ def test_any_json_is_a_call_or_an_error(content):
 @given(st.one_of(st.text(), st.integers()), st.text(), st.dictionaries(st.text(), VALUES, max_size=4))
 def test_a_well_formed_call_comes_back_as_it_was(number, method, params):
     line = json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params})
-    if rpc._depth(line) <= DEEPEST:
+    if rpc._too_much(line.encode()) is None:
         assert only(line) == Call(number, method, params)
 
 
@@ -120,3 +120,72 @@ def test_numbers_that_json_lacks_become_null():
 def test_data_of_an_error_is_there_when_it_is_something():
     assert "data" not in error_of(1, RpcError(rpc.REFUSED, "no"))["error"]
     assert error_of(1, RpcError(rpc.REFUSED, "no", {"state": "fault"}))["error"]["data"] == {"state": "fault"}
+
+
+def depth(text: str) -> int:
+    """Deepest nesting of brackets, character by character, strings not told apart."""
+    deepest = now = 0
+    for character in text:
+        now = max(0, now + (character in "[{") - (character in "]}"))
+        deepest = max(deepest, now)
+    return deepest
+
+
+@given(
+    st.text("[]{}a", max_size=200) | st.lists(st.integers(1, 40)).map(lambda n: "".join("[" * k + "]" * k for k in n))
+)
+@example("[" * DEEPEST + "]" * DEEPEST)
+@example("[" * (DEEPEST + 1) + "]" * (DEEPEST + 1))
+@example("[]" * 1000 + "[" * (DEEPEST + 1))
+def test_the_depth_is_never_taken_for_less_than_it_is(text):
+    refused = rpc._too_much(text.encode()) is not None
+    assert refused or depth(text) <= DEEPEST
+    if refused:  # what closes before it opens, and what never closes, counts at most once more
+        assert depth(text) + text.count("[") + text.count("{") > DEEPEST
+
+
+def test_balanced_brackets_are_refused_exactly_beyond_the_limit():
+    for inner in (DEEPEST, DEEPEST + 1):
+        line = b"[" + b"[]," * 500 + b"[" * (inner - 1) + b"]" * (inner - 1) + b"]"
+        assert (rpc._too_much(line) is None) == (inner == DEEPEST)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[" + b",".join([b"1"] * rpc.MOST_VALUES) + b",1]",
+        b"[" + b",".join([b"[]"] * rpc.MOST_VALUES) + b"]",
+        b'{"jsonrpc":"2.0","method":"m","params":{"x":"' + b"[]" * 130_000 + b'"}}',
+    ],
+)
+def test_a_line_of_more_values_than_a_request_has_is_not_parsed(line, monkeypatch):
+    monkeypatch.setattr(rpc.json, "loads", lambda *_, **__: pytest.fail("parsed"))
+    assert only(line)["error"]["message"].startswith(f"more than {rpc.MOST_VALUES} values")
+
+
+def test_a_model_file_and_a_profile_of_thousands_of_points_pass():
+    points = [[0.01 * k, 1.5] for k in range(3000)]
+    assert only(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "start", "params": {"points": points}})).params
+    text = "effects: [{name: cogging, parameters: {order: {value: 6, sd: 0.1}}}]\n" * 800
+    assert only(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "model", "params": {"text": text}})).params
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        ('{"jsonrpc":"2.0","id":1,"method":"info","method":"stop"}', "method"),
+        ('{"jsonrpc":"2.0","id":1,"method":"set","params":{"key":"a","value":1,"value":2}}', "value"),
+        ('[{"jsonrpc":"2.0","id":1,"id":2,"method":"info"}]', "id"),
+        ('{"jsonrpc":"2.0","method":"m","params":{"a":{"b":[{"c":1,"c":1}]}}}', "c"),
+    ],
+)
+def test_a_key_that_stands_twice_refuses_the_whole_line(line, key):
+    item = only(line)
+    assert item["error"] == {"code": rpc.INVALID_REQUEST, "message": f"{key!r} is given twice in one object"}
+
+
+@pytest.mark.parametrize("text", ["9" * 5000, "-" + "9" * 5000, '{"a": NaN}', "[1e999999999"])
+def test_what_is_no_number_is_told_in_our_words(text):
+    message = only(text)["error"]["message"]
+    assert "set_int_max_str_digits" not in message
+    assert only(text)["error"]["code"] == rpc.PARSE_ERROR

@@ -104,7 +104,7 @@ def test_gains_and_toggle_change_while_a_profile_runs_and_the_model_does_not(tmp
         refused(lambda: client.call("set", key="controller.feedforward.inertia", value=True), "feed-forward")
         # a law that is not stable is refused, and the old one stays
         refused(lambda: client.call("set", key=key, value=50), "phase margin", code=BAD_DOCUMENT)
-        refused(lambda: client.call("set", key=key, value=-1), "greater than 0", code=BAD_DOCUMENT)
+        refused(lambda: client.call("set", key=key, value=-1), "a number above 0", code=BAD_DOCUMENT)
         wrong = "controller.observer.gain"
         refused(lambda: client.call("set", key=wrong, value=1), "gain_nm_per_rev", code=BAD_DOCUMENT)
         assert client.call("info")["keys"][key] == 0.9

@@ -61,7 +61,7 @@ def test_a_wait_is_a_number_in_its_range(name, value, told):
         ),
         (
             "start", {"profile": {"kind": "points", "points": [[0, 0], ["a", 1]]}},
-            'profile.points.1.0: wanted a number, got "a"',
+            'profile.points.1.0: wanted a number from 0 up to 86400, got "a"',
         ),
         (
             "start", {"profile": {"kind": "points", "points": [[0, 0], [0, 1]]}},

@@ -120,6 +120,20 @@ def test_the_highest_priority_of_an_axis_file_is_within_the_units_limit():
     assert int(settings("LimitRTPRIO")[0]) >= highest
 
 
+def test_what_one_axis_may_take_of_the_machine_is_bounded():
+    from fffo_drive.config.sections import DaemonSection
+
+    most_clients = DaemonSection.model_json_schema()["properties"]["clients"]["maximum"]
+    own_descriptors, own_threads, own_bytes = 28, 9, 365_000_000  # measured; the bytes while it compiles
+    assert int(settings("LimitNOFILE")[0]) > 2 * (own_descriptors + 2 * most_clients)  # of two sockets, and viewers
+    assert int(settings("TasksMax")[0]) > 2 * own_threads
+    (memory,) = settings("MemoryMax")
+    assert memory == "1G"
+    assert 2 * own_bytes < 1 << 30
+    # a standstill, then the drive's release: what SIGTERM asks for
+    assert int(settings("TimeoutStopSec")[0]) >= 5
+
+
 def test_a_bad_configuration_is_not_tried_again_and_a_crash_is():
     from fffo_drive.cli.exits import EXIT_BAD_INPUT, EXIT_NOT_PERMITTED, EXIT_UNAVAILABLE
 

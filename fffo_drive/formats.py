@@ -1,0 +1,178 @@
+"""Every kind of file that this program writes or reads, its number, and how an older file becomes one of today.
+
+A file says `format: fffo_drive/KIND/NUMBER`; one that says nothing is of number 1. The number rises only when an older
+program would misread the file, or today's an older one. Then a migration is added here: a pure function from the parsed
+document of one number to that of the next. A file with a `content_hash` is migrated together with it: the function
+checks the hash as its number had it, raises ValueError where it does not fit, and leaves the key out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from pydantic import Field
+
+from . import __version__
+
+Document = Mapping[str, Any]
+Migration = Callable[[Document], dict[str, Any]]
+
+_WORD = re.compile(r"fffo_drive/([a-z_]+)/([1-9][0-9]{0,5})")
+_VERSION = re.compile(r"fffo[-_]drive[ /](\d[\w.+-]*)")
+
+
+class FormatError(Exception):
+    """A file of another kind, or of a number that this program does not read; the text says which program does."""
+
+
+class Format(NamedTuple):
+    """One kind of file."""
+
+    kind: str
+    what: str
+    written_by: str
+    read_by: str
+    migrations: tuple[Migration, ...] = ()  # the first makes number 2 of number 1, and so on
+
+    @property
+    def newest(self) -> int:
+        """The number that is written."""
+        return 1 + len(self.migrations)
+
+    @property
+    def word(self) -> str:
+        """What a file of today says."""
+        return f"fffo_drive/{self.kind}/{self.newest}"
+
+    @property
+    def key(self) -> Any:
+        """The pydantic field of the key `format`."""
+        return Field(pattern=f"^{re.escape(self.word)}$", json_schema_extra={"const": self.word})
+
+
+HAND = "by hand"
+NOBODY = "programs of others"
+
+MODEL = Format("model", "model of an axis", f"identify, diagnose, {HAND}", "all that runs or fits an axis")
+AXIS = Format("axis", "an axis: drive, model, law, limits, profile", f"close-the-loop, {HAND}", "all that runs an axis")
+SIMULATED = Format("simulated", "a simulated drive", f"close-the-loop, {HAND}", "sim, run, evaluate, close-the-loop")
+SCENARIO = Format("scenario", "what is compared, on which axis", HAND, "evaluate")
+FACTS = Format("facts", "declared facts about a drive", f"close-the-loop, {HAND}", "identify, diagnose, close-the-loop")
+COMMISSIONING = Format("commissioning", "record of a commissioning", "commission", "run, serve, close-the-loop")
+ADOPTIONS = Format("adoptions", "models that an axis has had", "adopt, close-the-loop", "adopt")
+DIAGNOSIS = Format("diagnosis", "report.json of a diagnosis", "diagnose", "adopt, close-the-loop")
+IDENTIFICATION = Format("identification", "results in report.json of an identification", "identify", NOBODY)
+TUNING = Format("tuning", "results in report.json of a design", "tune", NOBODY)
+CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the-loop", NOBODY)
+REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
+
+FORMATS: dict[str, Format] = {
+    f.kind: f
+    for f in (
+        AXIS, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT, IDENTIFICATION, TUNING,
+        CIRCLE,
+    )
+}  # fmt: skip
+
+
+def kind_of(data: Any) -> str | None:
+    """The kind that a parsed file says it is of; None where it says none."""
+    match = _WORD.fullmatch(str(data.get("format"))) if isinstance(data, Mapping) else None
+    return None if match is None else match[1]
+
+
+def migrated(data: Document, kind: str) -> Document:
+    """The document as a file of today's number has it. Raises FormatError."""
+    wanted = FORMATS[kind]
+    said = data.get("format", f"fffo_drive/{kind}/1")
+    match = _WORD.fullmatch(said) if isinstance(said, str) else None
+    if match is None:
+        raise FormatError(f"{said!r} is no format of this program; write {wanted.word}")
+    if match[1] != kind:
+        raise FormatError(f"{said} where {wanted.word} is needed ({wanted.what}): this is another kind of file")
+    number = int(match[2])
+    if number > wanted.newest:
+        raise FormatError(_too_new(data, said, wanted))
+    for migrate in wanted.migrations[number - 1 :]:
+        try:
+            data = migrate(data)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise FormatError(f"{said} cannot be brought to {wanted.word}: {error}") from None
+    return data if number == wanted.newest else {**data, "format": wanted.word}
+
+
+def _too_new(data: Document, said: str, wanted: Format) -> str:
+    writer = writer_of(data)
+    whose = (
+        f"fffo-drive {writer} wrote it: read it with that version, or a later one"
+        if writer is not None
+        else "it does not say which version wrote it: read it with a later one"
+    )
+    return f"{said} is newer than what fffo-drive {__version__} reads ({wanted.word} and older); {whose}"
+
+
+def writer_of(data: Document) -> str | None:
+    """Version of the program that wrote a file, as far as the file says."""
+    provenance = data.get("provenance")
+    for place in (data, provenance if isinstance(provenance, Mapping) else {}):
+        match = _VERSION.search(str(place.get("tool", "")))
+        if match is not None:
+            return match[1]
+    return None
+
+
+def markdown() -> str:
+    """What is kept between versions of the program, as a page: every kind of file, the API, recordings."""
+    lines = [
+        _HEAD,
+        "| file | format | written by | read by | older numbers that are read |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for one in FORMATS.values():
+        older = ", ".join(str(number) for number in range(1, one.newest)) or "none yet"
+        lines.append(f"| {one.what} | `{one.word}` | {one.written_by} | {one.read_by} | {older} |")
+    return "\n".join([*lines, _REST])
+
+
+_HEAD = """\
+# What is kept between versions
+
+Made by `tools/versions` from the list in `fffo_drive/formats.py`; a test checks that it is current.
+
+## Files
+
+A file says `format: fffo_drive/KIND/NUMBER`; one that says nothing is of number 1. The number rises only when one
+version would misread the file of another. A file of an older number is brought up to date as it is read, step by
+step, and left as it is on the disk. One of a newer number is refused with the version of fffo-drive that wrote it,
+as far as it says so (`tool`, `provenance.tool`; what is written by hand does not): that version reads it, and later
+ones do.
+
+A key that a program does not know is an error, so that a mistyped limit is noticed: a file that uses a key of a
+later version is refused with that key. No key changes its meaning, unit or default without another number.
+"""
+_REST = """\
+
+`programs of others`: fffo-drive itself never reads it again. `/etc/fffo-drive/.installed.json` has no number: it
+lists what `fffo-drive install` has put in place, and later versions read it.
+
+Small files of each release are kept in `tests/releases/`; every one is read there by the program of today, and its
+values compared.
+
+## Recordings
+
+MCAP, profile `ros2`: rows are messages `fffo_drive_msgs/msg/Row` on `/fffo_drive/row`, events
+`fffo_drive_msgs/msg/Event` on `/fffo_drive/events`. Names, units and places of a row's fields come from the schema
+that the file carries, never from the program's own list: a file with more or fewer fields is read with the fields
+that it has, and a command that needs one which is not there names it. A field keeps its name as long as it keeps
+unit and meaning. The version that wrote a file stands in its metadata (`tool`, `fffo_drive`). The files in it
+(axis, model, record) are of the formats above.
+
+## API of the daemon
+
+`info` takes `protocol`: a version, or a list of those that the client speaks. It answers with the newest that both
+speak, or refuses and names its own; without the parameter it answers with its newest. Within a version methods,
+parameters and keys of answers are added, and none is taken away or changes its meaning: clients ignore keys that
+they do not know. The versions that this program speaks are `PROTOCOLS` in `fffo_drive/daemon/parameters.py`.
+"""
