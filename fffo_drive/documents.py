@@ -275,6 +275,15 @@ def key_of(error: ErrorDetails, data: Any) -> str:
     return ".".join(map(str, _keys_only(error, data))) or "(file)"
 
 
+def wrong_parameters(error: ValidationError, record: type[BaseModel], given: Any) -> list[str]:
+    """What is wrong with the parameters of a request, one sentence each."""
+    found = error.errors()
+    # a name or an object: of an object, only what is wrong as one
+    found = [e for e in found if e["type"] != "string_type" or not isinstance(e["input"], dict)] or found
+    texts = (f"{key_of(e, given)}: {what_is_wrong(e, record, given)}" for e in found)
+    return list(dict.fromkeys(text.replace("unknown key", "unknown parameter") for text in texts))
+
+
 def _limits(record: type[BaseModel], data: Any, location: Location) -> dict[str, float]:
     """The bounds of the number at a location by their names in pydantic: ge, gt, le, lt."""
     found: dict[str, float] = {}

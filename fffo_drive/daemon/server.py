@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from ..documents import DocumentError, key_of, what_is_wrong
+from ..documents import DocumentError, wrong_parameters
 from ..drive.port import DriveError
 from ..recording.events import Level
 from ..runtime.states import RefusedError
 from . import rpc
-from .clients import ENDING, Client, Clients, Line
+from .clients import ENDING, Clients
 from .methods import Api
+from .one_client import Client, Line
 from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
@@ -316,13 +317,6 @@ def _checked(parameters: type[BaseModel], given: dict[str, Any]) -> BaseModel:
     try:
         return parameters.model_validate(given)
     except ValidationError as error:
-        found = error.errors()
-        # a name or a profile: of an object, only what is wrong as a profile
-        found = [e for e in found if e["type"] != "string_type" or not isinstance(e["input"], dict)] or found
-        texts = [
-            f"{key_of(e, given)}: {what_is_wrong(e, parameters, given).replace('unknown key', 'unknown parameter')}"
-            for e in found
-        ]
-        unique = list(dict.fromkeys(texts))
+        wrong = wrong_parameters(error, parameters, given)
         known = ", ".join(parameters.model_fields) or "none"
-        raise RpcError(rpc.INVALID_PARAMS, f"{'; '.join(unique)} (parameters: {known})", {"errors": unique}) from None
+        raise RpcError(rpc.INVALID_PARAMS, f"{'; '.join(wrong)} (parameters: {known})", {"errors": wrong}) from None

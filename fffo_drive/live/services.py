@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 from pydantic import BaseModel, ValidationError
 
-from ..config.wording import sentences
+from ..documents import wrong_parameters
 from .foxglove_protocol import Service
 from .peer import is_key
 
@@ -96,7 +96,7 @@ class Services:
         try:
             self._methods[name].parameters.model_validate_json(json.dumps(given), strict=True)
         except ValidationError as error:
-            wrong = "; ".join(sentences(self._schemas[name], given, error))
+            wrong = "; ".join(wrong_parameters(error, self._methods[name].parameters, given))
             known = ", ".join(self._schemas[name].get("properties", ())) or "none"
             raise RefusedCallError(f"{name}: {wrong} (parameters: {known})") from None
         return Request(name, given, self.kind(name))

@@ -14,7 +14,7 @@ from daemon.rig import PATIENCE_S, Rig
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fffo_drive.daemon import clients, rpc
+from fffo_drive.daemon import clients, one_client, rpc
 from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
 from fffo_drive.daemon.methods import Api
 from fffo_drive.daemon.parameters import METHODS
@@ -141,7 +141,7 @@ def test_a_line_without_an_end_is_cut_off_with_a_message(rig):
     with raw(rig) as sock:
         try:
             for _ in range(64):
-                sock.sendall(b"x" * (clients.CONTROL_LIMITS.line_bytes // 16))
+                sock.sendall(b"x" * (one_client.CONTROL_LIMITS.line_bytes // 16))
         except OSError:
             pass
         said = answer(sock)

@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 from daemon.rig import PATIENCE_S, Rig
 
-from fffo_drive.daemon import clients, methods, rpc
+from fffo_drive.daemon import clients, methods, one_client, rpc
 from fffo_drive.daemon.client import CallError, DaemonClient
-from fffo_drive.daemon.clients import ENDING, Budget, SocketLimits
+from fffo_drive.daemon.clients import ENDING
+from fffo_drive.daemon.one_client import Budget, SocketLimits
 from fffo_drive.daemon.places import CONTROL, WATCH
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 
@@ -267,7 +268,7 @@ def test_a_wrong_stop_is_an_error_and_the_next_one_a_stop(rig):
 
 def test_lines_of_those_who_watch_are_short(rig):
     with raw(rig, WATCH) as sock:
-        sock.sendall(line_of("info", x="a" * clients.WATCH_LIMITS.line_bytes))
+        sock.sendall(line_of("info", x="a" * one_client.WATCH_LIMITS.line_bytes))
         assert "longer than 4096 bytes" in next(answers(sock))["error"]["message"]
 
 
@@ -288,11 +289,11 @@ def test_what_floods_cause_displaces_nothing(rig):
     assert any(event["text"] == "seen before the flood" for event in rig.events("drive"))
 
 
-@pytest.mark.parametrize("line_bytes", [1, clients.LINE_COST_BYTES, 4096])
+@pytest.mark.parametrize("line_bytes", [1, one_client.LINE_COST_BYTES, 4096])
 def test_a_budget_gives_what_its_rate_gives_and_never_more_than_a_burst(line_bytes):
     limits = SocketLimits(4096, 65536, 10_000.0, 20_000.0)
     budget = Budget(limits, 0.0)
-    cost = max(line_bytes, clients.LINE_COST_BYTES)
+    cost = max(line_bytes, one_client.LINE_COST_BYTES)
     paid = 0
     for tick in range(1000):  # ten seconds
         while budget.take(line_bytes, tick * 0.01):

@@ -14,7 +14,6 @@ from fffo_drive.live.services import ENDING, Kind, RefusedCallError, Services
 KEY = "k" * 32
 SERVICES = Services(METHODS, KEY)
 NUMBER = {service.name.removeprefix("/fffo_drive/"): service.id for service in SERVICES.offered()}
-PROFILE = "wanted name (see info: profiles), or a profile as in an axis file"
 
 
 def outcome(name, params):
@@ -35,39 +34,49 @@ def refusal(name, **params):
 @pytest.mark.parametrize("name", [*ENDING, "enable", "start", "reset_fault"])
 @pytest.mark.parametrize(
     ("value", "told"),
-    [("x", '"x"'), ("1", '"1"'), (True, "true"), (-1, "-1"), (601, "601"), (None, "null"), ([], "[]")],
+    [("x", "(got 'x')"), ("1", "(got '1')"), (True, "(got true)"), (-1, "(got -1)"), (601, "(got 601)"), ([], "")],
 )
 def test_a_wait_is_a_number_in_its_range(name, value, told):
     profile = {"profile": "default"} if name == "start" else {}
-    expected = f"{name}: wait_s: wanted a number from 0 up to 600, got {told} (parameters: "
+    expected = f"{name}: wait_s: a number from 0 to 600 is needed {told}".rstrip() + " (parameters: "
     assert refusal(name, wait_s=value, **profile).startswith(expected)
 
 
 @pytest.mark.parametrize(
     ("name", "params", "told"),
     [
-        ("stop", {"bogus": 1}, "bogus is no parameter"),
-        ("toggle", {"to": "x"}, 'to: wanted one of ff, fb, off, got "x"'),
-        ("toggle", {}, "to: wanted one of ff, fb, off, got nothing"),
-        ("events", {"limit": 0}, "limit: wanted a whole number from 1 up to 1000, got 0"),
-        ("enable", {"hold": 1}, "hold: wanted true or false, got 1"),
-        ("start", {}, f"profile: {PROFILE}, got nothing"),
-        ("start", {"profile": 3}, f"profile: {PROFILE}, got 3"),
-        ("start", {"profile": {"kind": "x"}}, f'profile: {PROFILE}, got {{"kind": "x"}}'),
+        ("stop", {"bogus": 1}, "bogus: unknown parameter"),
+        ("toggle", {"to": "x"}, "to: 'ff', 'fb' or 'off' is needed (got 'x')"),
+        ("toggle", {}, "to: missing"),
+        ("events", {"limit": 0}, "limit: a number from 1 to 1000 is needed (got 0)"),
+        ("enable", {"hold": 1}, "hold: true or false is needed (got 1)"),
+        ("start", {}, "profile: missing"),
+        (
+            "start", {"profile": 3},
+            "profile: text is needed (in quotes, where it looks like something else) (got 3); "
+            "profile: a mapping of keys to values is needed (got 3)",
+        ),
+        (
+            "start", {"profile": {"kind": "x"}},
+            "profile: 'kind' 'x' is none of 'paper', 'sine', 'points', 'identify', 'frf', 'recipe', 'decide'",
+        ),
         (
             "start", {"profile": {"kind": "sine", "duration_s": 1e6, "amplitude": 1}},
-            "profile.duration_s: wanted a number above 0 up to 86400, got 1000000.0; "
-            "profile.frequency_hz: wanted a number above 0 up to 1000, got nothing",
+            "profile.duration_s: a number above 0 and up to 86400 is needed (got 1000000.0); "
+            "profile.frequency_hz: missing",
         ),
         (
             "start", {"profile": {"kind": "points", "points": [[0, 0], ["a", 1]]}},
-            'profile.points.1.0: wanted a number from 0 up to 86400, got "a"',
+            "profile.points.1.0: a number is needed (got 'a')",
         ),
         (
             "start", {"profile": {"kind": "points", "points": [[0, 0], [0, 1]]}},
             "profile.points: times must start at 0 and rise from point to point",
         ),
-        ("set", {"key": "a", "value": "x"}, 'value: wanted number, or true or false for a switch, got "x"'),
+        (
+            "set", {"key": "a", "value": "x"},
+            "value: a number is needed (got 'x'); value: true or false is needed (got 'x')",
+        ),
     ],
 )  # fmt: skip
 def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, told):
