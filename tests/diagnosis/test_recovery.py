@@ -54,15 +54,21 @@ def fitted_on(records, name):
     return data, polished(data, beside(data, matrix, base, trials[0])), base
 
 
+def found_of(found):
+    """Numbers of the effect that was fitted, and what the data determine of them."""
+    effect = found.effects[0]
+    values = effect.values(0) | ({"size": effect.sizes()[0]} if effect.waves else {})
+    if effect.name == "current_lag":
+        lagging_s = values["share"] * values["tau_s"]
+        values |= {"lagging_s": lagging_s, "late_s": float(found.physical[NAMES.index("delay_s")]) + lagging_s}
+    return values
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTED)
 def test_the_numbers_of_an_effect_are_found_as_they_were_put_in(name):
     _, found, base = fitted(name, name)
-    effect = found.effects[0]
-    values = effect.values(0) | ({"size": effect.sizes()[0]} if effect.waves else {})
-    if name == "current_lag":
-        lagging_s = values["share"] * values["tau_s"]
-        values |= {"lagging_s": lagging_s, "late_s": found.physical[NAMES.index("delay_s")] + lagging_s}
+    values = found_of(found)
     for parameter, (truth, tolerance) in PLANTED[name][1].items():
         assert values[parameter] == pytest.approx(truth, rel=tolerance), parameter
     assert found.loss < 0.4 * base.loss
