@@ -16,7 +16,7 @@ from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.drive.simulated.parameters import EffectConfig
 
 # What the plant is given, and what the law has to find of it: (value, relative error). The limits hold for any noise of
-# the sensor, with a third and more to spare over six seeds of it: a closed loop on a resolver turns a last digit into
+# the sensor, with a quarter and more to spare over six seeds of it: a closed loop on a resolver turns a last digit into
 # other noise. A lag and the delay that stands beside it are told apart by little, so that what is asked for is the time
 # constant, what lags of the torque times it, and the whole of lag and delay (1.678 ms of this plant).
 PLANTED = {
