@@ -19,8 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from numerics.jobs import JOBS
+from numerics.jobs import JOBS, chosen, vector_features
 
 TINY = 1e-12  # in the unit of a number: below, a difference is none
 SHOWN = 12  # differences of a job that are printed
@@ -39,7 +38,7 @@ class Difference(NamedTuple):
 def plain_processor() -> dict[str, str]:
     """The environment in which a process sees a plain processor."""
     found = {
-        "NPY_DISABLE_CPU_FEATURES": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
+        "NPY_DISABLE_CPU_FEATURES": " ".join(vector_features()),
         "NUMBA_CPU_NAME": "generic",
         "NUMBA_CPU_FEATURES": "",
     }
@@ -97,6 +96,8 @@ def _ended(*processes: subprocess.Popen[bytes]) -> None:
 
 def main(words: list[str]) -> int:
     """Run the jobs whose names have one of the words in them (no words: all) on both; 1 when something differs."""
+    if not chosen(words):
+        raise SystemExit(f"no job has one of {' '.join(words)} in its name; there are: {'; '.join(JOBS)}")
     environment = plain_processor()
     with tempfile.TemporaryDirectory() as directory:
         records, here, plain = (Path(directory) / name for name in ("records", "here.json", "plain.json"))

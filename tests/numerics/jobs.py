@@ -11,7 +11,7 @@ import json
 import pickle
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -181,6 +181,11 @@ JOBS = {
 }
 
 
+def chosen(words: Sequence[str]) -> dict[str, Job]:
+    """The jobs whose names have one of the words in them; no words: all."""
+    return {name: job for name, job in JOBS.items() if not words or any(word in name for word in words)}
+
+
 def vector_features() -> list[str]:
     """Features of the processor that NumPy uses beyond its baseline."""
     return list(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
@@ -201,10 +206,9 @@ def main(command: str, records: str, answers: str = "", *words: str) -> None:
         return
     given = pickle.loads(Path(records).read_bytes())
     begin_s = time.monotonic()
-    chosen = {name: job for name, job in JOBS.items() if not words or any(word in name for word in words)}
     found = {
         "features": vector_features(),
-        "answers": {name: job.answer(given) for name, job in chosen.items()},
+        "answers": {name: job.answer(given) for name, job in chosen(words).items()},
         "seconds": time.monotonic() - begin_s,
     }
     Path(answers).write_text(json.dumps(found, default=_plain))
