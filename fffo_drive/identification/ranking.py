@@ -13,7 +13,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-EQUAL = 1e-6  # relative: tools/numerics sees scores move by 1e-11, and no data tell apart what is nearer than this
+EQUAL = 1e-6  # relative: tools/numerics sees scores move by 1e-10, and no data tell apart what is nearer than this
 
 
 def lower(one: float, other: float) -> bool:
