@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.ranking import lower
 from .evidence import whiten
 from .fitting import Data, Fitted, consistent_scenes, cost, effect_jacobian, refit, slots_of
 
@@ -25,7 +26,7 @@ def merged_datum(data: Data, matrix: Floats, fitted: Fitted) -> Fitted:
         effects = list(fitted.effects)
         effects[number] = replace(effect, strengths=common, per_run=frozenset())
         trial = refit(data, matrix, fitted.physical, effects)
-        if cost(trial, data) < cost(fitted, data) or trial.loss < 1.02 * fitted.loss:
+        if lower(cost(trial, data), cost(fitted, data)) or trial.loss < 1.02 * fitted.loss:
             fitted = trial
     return fitted
 

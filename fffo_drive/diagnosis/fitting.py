@@ -270,21 +270,35 @@ def from_start(data: Data, effects: Sequence[Effect]) -> Fitted:
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
-    """Sensitivities of the base with effects on it: a change of level grows with the level. (m, len(BASE))"""
+    """Sensitivities of the base with effects on it. (m, len(BASE))
+
+    A change of level grows with the level, and what acts on the command comes as late as the torque does.
+    """
     matrix = sensitivities(data.stretches, physical, data.rows)
-    carried = [e for e in effects if law_of(e.name).follows_model]
-    if not carried:
-        return matrix
+    delay = BASE.index("delay_s")
+    others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
+    for columns, carried in (
+        ([delay], [e for e in effects if e.name in COMMANDED]),
+        (others, [e for e in effects if law_of(e.name).follows_model]),
+    ):
+        if carried:
+            matrix[:, columns] += _load_slopes(data, physical, effects, carried, columns)
+    return matrix
+
+
+def _load_slopes(
+    data: Data, physical: Floats, effects: Sequence[Effect], carried: Sequence[Effect], columns: Sequence[int]
+) -> Floats:
+    """d(torque of the `carried` effects)/d(each of these coordinates of BASE). (m, columns)"""
     before = load_rows(data, consistent_scenes(data, physical, effects), carried)
 
-    def column(k: int) -> None:
+    def slope(k: int) -> Floats:
         step = step_of(BASE[k], data.rows.filter.period_s)
         scenes = consistent_scenes(data, moved(physical, BASE[k], step), effects)
-        matrix[:, k] += (load_rows(data, scenes, carried) - before) / step
+        return (load_rows(data, scenes, carried) - before) / step
 
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(column, [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]))
-    return matrix
+        return np.stack(list(pool.map(slope, columns)), axis=1)
 
 
 def polished(data: Data, fitted: Fitted, rounds: int = 4, settled: float = 0.01) -> Fitted:
@@ -328,10 +342,10 @@ def stepped(physical: Floats, step: Floats) -> Floats:
 
 
 def cost(fitted: Fitted, data: Data) -> float:
-    """Deviance: rows times log loss, plus what the free numbers cost. Smaller is better."""
+    """Loss, raised by what the free numbers cost: exp of the penalised deviance over the rows. Smaller is better."""
     q = fitted.white.size
     free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
-    return float(q * np.log(max(fitted.loss, 1e-12)) + PENALTY * free * np.log(q))
+    return float(max(fitted.loss, 1e-12) * np.exp(PENALTY * free * np.log(q) / q))
 
 
 def best_gain(before: Fitted, after: Fitted) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.prediction import THREADS
+from ..identification.ranking import lower, ranked
 from ..model.effects import slots
 from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND
 from .candidates import Columns, Scene, effect_of
@@ -60,9 +61,9 @@ def free_trials(evidence: Evidence, scenes: Sequence[Scene]) -> list[Trial]:
     found += [response_trial(evidence, scenes), wound_trial(evidence, scenes)]
     best: dict[str, Trial] = {}
     for trial in found:
-        if trial is not None and (trial.name not in best or trial.explained > best[trial.name].explained):
+        if trial is not None and (trial.name not in best or lower(-trial.explained, -best[trial.name].explained)):
             best[trial.name] = trial
-    return sorted(best.values(), key=lambda t: -t.explained)
+    return ranked(best.values(), key=lambda t: -t.explained)
 
 
 def _trial(evidence: Evidence, scenes: Sequence[Scene], axis: Axis) -> Trial | None:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.ranking import first_best
 from ..model.effects.laws.lookup import BRAKE, FRICTION, KNOTS, PLAIN, UNKNOWN, across_word, code_of
 from .candidates import Scene
 from .curves import Axis, abscissa, factor, hats
@@ -147,7 +148,7 @@ def bent_knots(evidence: Evidence, scenes: Sequence[Scene], places: Sequence[Flo
     fine = np.linspace(low, high, FINE)
     columns = hats(at, fine, 0.0)
     weights = [np.concatenate([factor(s, kind)[::step] for s in scenes])[:, None] for kind in (PLAIN, FRICTION, BRAKE)]
-    best = max((score(evidence, columns * weight) for weight in weights), key=lambda found: found.explained)
+    best = first_best((score(evidence, columns * weight) for weight in weights), key=lambda found: -found.explained)
     bend = np.abs(np.diff(best.strengths, 2, prepend=best.strengths[0], append=best.strengths[-1]))
     bend = np.minimum(bend, STEEPEST * float(np.median(bend))) if bend.any() else np.ones(FINE)
     density = np.sqrt(np.convolve(bend, np.full(3, 1.0 / 3.0), mode="same"))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.ranking import ranked
 from .fitting import Data, Fitted, best_gain, raw_share, refit
 from .transfer import LEAST_TRANSFER, datum_holds, of_one_size, transfer
 
@@ -27,7 +28,7 @@ def backward(
     while fitted.effects:
         without = [_without(data, matrix, fitted, number) for number in range(len(fitted.effects))]
         gains = [best_gain(one, fitted) for one in without]
-        order = sorted(range(len(gains)), key=gains.__getitem__)
+        order = ranked(range(len(gains)), key=gains.__getitem__)
         significant = [probabilities[number] <= rate for number in left]
         companions = [gain < COMPANION_SHARE * max(gains) for gain in gains]
         failed = next(

@@ -9,7 +9,6 @@ model/effects, run along the filtered motion.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -19,6 +18,7 @@ from scipy import signal
 
 from ..identification.dataset import Record
 from ..identification.kinematics import central_difference, low_pass
+from ..identification.ranking import first_best
 from ..identification.rigid import RigidSettings, rigid_regressors
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
@@ -143,7 +143,7 @@ def longest_rest_s(run: RigidRun) -> float:
 def cycle_rows(velocity: Floats) -> int | None:
     """Length of a motion that repeats, in rows; None where it does not."""
     centred = velocity - velocity.mean()
-    size = 1 << math.ceil(math.log2(2 * centred.size))
+    size = 1 << (2 * centred.size - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
     correlation = np.fft.irfft(spectrum)[: centred.size // 2]
     overlap = np.arange(centred.size, centred.size - correlation.size, -1) / centred.size
@@ -151,7 +151,11 @@ def cycle_rows(velocity: Floats) -> int | None:
     below = np.flatnonzero(correlation < 0.0)
     if not below.size:
         return None
-    later = int(below[0]) + int(np.argmax(correlation[below[0] :]))
+    # a motion that repeats is like itself after two cycles as well: the first of equal peaks is the cycle
+    peaks = int(below[0]) + signal.argrelmax(correlation[below[0] :])[0]
+    if not peaks.size:
+        return None
+    later = first_best(peaks.tolist(), key=lambda lag: -correlation[lag])
     return later if correlation[later] > REPEATS else None
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, stats
 
+from ..identification.ranking import first_best, lower, ranked
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS
 from .rigid_data import RigidRun, cycle_rows, effect_columns, longest_rest_s
@@ -100,12 +101,12 @@ def _peaks(along: Floats, residual: Floats, highest: float) -> tuple[float, ...]
     reach = float(np.ptp(along))
     bins = math.ceil(FINE_BINS * highest * reach)
     place = np.minimum(((along - along.min()) / reach * bins).astype(np.int64), bins - 1)
-    size = 1 << math.ceil(math.log2(4 * bins))
+    size = 1 << (4 * bins - 1).bit_length()
     power = np.abs(np.fft.rfft(np.bincount(place, residual, bins), size)) ** 2
     grid = np.arange(power.size) * bins / (reach * size)
     inner = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])) + 1
     inner = inner[(grid[inner] > 2.0 / reach) & (grid[inner] < highest)]
-    return tuple(float(grid[k]) for k in inner[np.argsort(power[inner])[::-1][:PEAKS]])
+    return tuple(float(grid[k]) for k in ranked(inner.tolist(), key=lambda k: -power[k])[:PEAKS])
 
 
 def candidates(run: RigidRun, context: SearchContext, kept: Kept) -> list[RigidTerm]:
@@ -281,7 +282,7 @@ def search(run: RigidRun, gear_ratio: float | None = None, seed: int = 1) -> Rig
         known = matrix_of(run, found.terms)
         scores = _screen(run, known, trials, generator)
         passed = np.where(scores.probabilities <= FALSE_ALARMS, scores.gains, 0.0)
-        chosen = int(np.argmax(passed))
+        chosen = first_best(range(passed.size), key=lambda k: -passed[k])
         left = float(residual @ residual)
         if passed[chosen] <= 0.0:
             break
@@ -348,14 +349,14 @@ def rivals(
         direction = _orthonormal(left)
         errors = residual - direction @ (direction.T @ residual)
         loss = float(errors @ errors)
-        if trial.name not in best or loss < best[trial.name][0]:
+        if trial.name not in best or lower(loss, best[trial.name][0]):
             force = own @ (own.T @ residual)
             alike = float(np.linalg.norm(direction.T @ force)) / max(float(np.linalg.norm(force)), 1e-300)
             best[trial.name] = (loss, alike, errors)
-    ranked = []
+    found_rivals = []
     base = float(errors_own @ errors_own)
     for name, (loss, alike, errors) in best.items():
         pieces = np.bincount(run.window, errors**2 - errors_own**2)
         drawn = generator.choice(pieces, (RESAMPLES, pieces.size)).sum(axis=1)
-        ranked.append(Rival(name, loss / base, alike, alike > ALIKE and bool(np.quantile(drawn, 0.05) < 0.0)))
-    return sorted(ranked, key=lambda rival: rival.loss_ratio)
+        found_rivals.append(Rival(name, loss / base, alike, alike > ALIKE and bool(np.quantile(drawn, 0.05) < 0.0)))
+    return ranked(found_rivals, key=lambda rival: rival.loss_ratio)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
+from ..identification.ranking import lower, ranked
 from ..model.effects.law import SearchContext
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS
@@ -118,10 +119,10 @@ def screen(
             if found.rank == 0:
                 continue
             surrogates.take(found)
-            if name not in best or found.explained > best[name].explained:
+            if name not in best or lower(-found.explained, -best[name].explained):
                 effect = effect_of(name, shape, columns, found.strengths, runs)
                 best[name] = Trial(name, dict(shape), found.explained, found.rank, effect, found.window_scores, columns)
-    trials = sorted(best.values(), key=lambda t: -penalised(t, evidence))
+    trials = ranked(best.values(), key=lambda t: -penalised(t, evidence))
     maxima = surrogates.maxima
     threshold = float(np.quantile(maxima, 1.0 - false_alarm_rate)) if work else np.inf
     return Screening(tuple(trials), threshold, np.sort(maxima), len(work))

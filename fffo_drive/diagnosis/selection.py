@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
+from ..identification.ranking import first_best, lower, ranked
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
@@ -192,7 +193,8 @@ def contend(
     if not results:
         return Contest("", {}, {}), None
     losses = [r.loss if within_reason(data, r, len(r.effects) - 1) else np.inf for r in results]
-    first = [k for k in np.argsort(losses) if losses[k] < UNSETTLED * min(losses)][:POLISHED]
+    by_loss = ranked(range(len(losses)), key=losses.__getitem__)
+    first = [k for k in by_loss if losses[k] < UNSETTLED * min(losses)][:POLISHED]
     with ThreadPoolExecutor(THREADS) as pool:
         for k, result in zip(first, pool.map(lambda k: polished(data, results[k]), first), strict=True):
             results[k] = result
@@ -207,11 +209,11 @@ def contend(
         gains[picked[k].name] = 0.0
     if not np.isfinite(min(costs)):
         return Contest("", gains, {}), None
-    order = int(np.argmin(costs[:laws])) if laws else 0
+    order = first_best(range(laws), key=costs.__getitem__) if laws else 0
     if len(picked) > laws:
-        curve = laws + int(np.argmin(costs[laws:]))
+        curve = first_best(range(laws, len(picked)), key=costs.__getitem__)
         own = gains[picked[order].name] if laws else 0.0
-        if costs[curve] < costs[order] and own < CURVE_MARGIN * gains[picked[curve].name]:
+        if lower(costs[curve], costs[order]) and own < CURVE_MARGIN * gains[picked[curve].name]:
             order = curve
     found = {t.name: replace_effect(t, r.effects[-1]) for t, r in zip(picked, results, strict=True)}
     return Contest(picked[order].name, gains, found), results[order]
@@ -233,7 +235,7 @@ def beside(data: Data, matrix: Floats, fitted: Fitted, trial: Trial) -> Fitted:
     if promised < MUCH_PROMISED or 1.0 - found.loss / fitted.loss > KEPT_PROMISE * promised:
         return found
     again = from_start(data, [*fitted.effects, trial.effect])
-    return again if again.loss < found.loss else found
+    return again if lower(again.loss, found.loss) else found
 
 
 def replace_effect(trial: Trial, effect: Effect) -> Trial:
@@ -304,7 +306,7 @@ def _left(
 def renewed(data: Data, base: Fitted, fitted: Fitted) -> tuple[Data, Fitted, Fitted, Floats]:
     """Noise model and sensitivities at the new model, refitted until it stays; and the plain base beside it."""
     unbent = from_start(data, fitted.effects)
-    fitted = unbent if unbent.loss < fitted.loss else fitted
+    fitted = unbent if lower(unbent.loss, fitted.loss) else fitted
     for _ in range(RENEWALS):
         data = at_rest(data, fitted.physical, fitted.effects)
         data = noise_model(data, fitted.physical, fitted.residual_nm)
@@ -342,9 +344,9 @@ def exchange(data: Data, matrix: Floats, fitted: Fitted, contests: list[Contest]
             trials[t.name] = replace_effect(t, r.effects[number])
         trials[contest.chosen] = replace_effect(trials[contest.chosen], fitted.effects[number])
         costs = [cost(r, data) for r in results]
-        k = int(np.argmin(costs)) if costs else 0
+        k = first_best(range(len(costs)), key=costs.__getitem__) if costs else 0
         margin = CURVE_MARGIN if contest.chosen.startswith(UNKNOWN) else 0.0
-        better = bool(costs) and min(costs) < cost(fitted, data)
+        better = bool(costs) and lower(costs[k], cost(fitted, data))
         if better or (costs and margin and gains[rivals[k].name] > margin * gains[contest.chosen]):
             fitted = results[k]
             contests[number] = Contest(rivals[k].name, gains, trials)
@@ -359,4 +361,4 @@ def family(contest: Contest) -> list[str]:
     near = [(g, name) for name, g in contest.gains.items() if name != contest.chosen and g >= FAMILY_SHARE * own]
     if not contest.chosen.startswith(UNKNOWN):
         near = [(g, name) for g, name in near if not name.startswith(UNKNOWN)]
-    return [name for _, name in sorted(near, reverse=True)[:2]]
+    return [name for _, name in ranked(near, key=lambda one: -one[0])[:2]]

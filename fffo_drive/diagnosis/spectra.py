@@ -8,12 +8,14 @@ filter leaves in each. Phases of different runs are not compared: the datum may 
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from ..identification.ranking import ranked
 from .paths import Rows
 
 Floats = npt.NDArray[np.float64]
@@ -59,7 +61,7 @@ def slow_orders(rows: Rows, values: Floats) -> tuple[float, ...]:
 def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Floats]:
     """Orders up to HIGHEST_ORDER, and the power of each, the mean over the runs."""
     bins_per_turn = BINS_PER_TURN
-    length = min(LONGEST_BINS, 1 << int(np.ceil(np.log2(2.0 * turns * bins_per_turn))))
+    length = min(LONGEST_BINS, 1 << (math.ceil(2.0 * turns * bins_per_turn) - 1).bit_length())
     orders = np.asarray(np.fft.rfftfreq(length, 1.0 / bins_per_turn), dtype=np.float64)
     use = orders <= HIGHEST_ORDER
     power = np.zeros(int(use.sum()))
@@ -107,7 +109,7 @@ def frequency_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
     """Strongest frequencies of values (m,) over time."""
     period_s = rows.filter.row_period_s
     longest = max(end - begin for begin, end in rows.bounds)
-    length = 1 << int(np.ceil(np.log2(4 * longest)))
+    length = 1 << (4 * longest - 1).bit_length()
     frequency = np.asarray(np.fft.rfftfreq(length, period_s), dtype=np.float64)
     power = np.zeros(frequency.size)
     for begin, end in rows.bounds:
@@ -133,4 +135,4 @@ def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak
     ratio = np.where(places >= least, power / level, 0.0)
     top = (ratio == ndimage.maximum_filter1d(ratio, 2 * NEIGHBOURS + 1)) & (ratio > OUTSTANDING)
     found = [Peak(float(places[k]), float(ratio[k])) for k in np.flatnonzero(top)]
-    return sorted(found, key=lambda p: -p.strength)[:count]
+    return ranked(found, key=lambda p: -p.strength)[:count]

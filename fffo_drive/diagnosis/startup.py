@@ -13,6 +13,7 @@ from ..identification.dataset import DataError, Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
 from ..identification.prediction import THREADS
+from ..identification.ranking import first_best
 from ..identification.regression import regression_start, start_problems
 from .base import NAMES, along, balanced, residual_rows, sensitivities
 from .evidence import estimate_whitening, noise_classes
@@ -47,7 +48,7 @@ def start_physical(records: Sequence[Record], facts: DriveFacts, stretches: Sequ
 
     with ThreadPoolExecutor(THREADS) as pool:
         losses = list(pool.map(loss, candidates))
-    return candidates[int(np.argmin(losses))]
+    return candidates[first_best(range(len(losses)), losses.__getitem__)]
 
 
 def presliding_rev(physical: Floats) -> float:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..identification.prediction import THREADS
+from ..identification.ranking import first_best, lower, ranked
 from ..model.effects.laws.lookup import UNKNOWN
 from .candidates import Scene
 from .evidence import Evidence, score
@@ -71,11 +72,12 @@ def with_table(selected: Selection, rate: float, told: Callable[[float], None]) 
     everything = tuple(range(len(fitted.effects)))
     ways = {(), everything, *(tuple(k for k in everything if k != out) for out in everything)}
     tables = coarse_tables(data.rows, evidence_of(data, matrix, selected.base)[1])
-    for number, kept in enumerate(sorted(ways, key=len)):  # with the fewest laws beside it first
+    fewest_laws_first = sorted(ways, key=lambda way: (len(way), way))
+    for number, kept in enumerate(fewest_laws_first):
         told(number / len(ways))
-        best = min(_offers(selected, kept, tables, rate), key=lambda offer: cost(offer.fitted, data), default=None)
-        if best is not None:
-            return _accepted(selected, best)
+        offers = list(_offers(selected, kept, tables, rate))
+        if offers:
+            return _accepted(selected, first_best(offers, key=lambda offer: cost(offer.fitted, data)))
     return selected
 
 
@@ -108,7 +110,7 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
             continue
         better = polished(data, result, rounds=2)
         offer = offer._replace(trial=replace_effect(trial, better.effects[-1]), fitted=better)
-        if cost(better, data) >= cost(fitted, data):
+        if not lower(cost(better, data), cost(fitted, data)):
             continue
         if not transfer(data, matrix, better, without).carries(LEAST_CARRIED):
             continue
@@ -145,11 +147,11 @@ def _promising(
             and one.explained >= TOGETHER * whole[k].explained
             and whole[k].explained >= COARSE_SHARE * wanted
         ]
-        able = sorted(able, key=lambda k: -whole[k].explained)[:FINE_TABLES]
+        able = ranked(able, key=lambda k: -whole[k].explained)[:FINE_TABLES]
         trials = list(pool.map(lambda k: table_trial(evidence, scenes, tables[k].pair), able))
     least = max(wanted, MATERIAL_SHARE * evidence.energy)
     found = [trial for trial in trials if trial is not None and trial.explained >= least]
-    return sorted(found, key=lambda trial: -trial.explained)[:REFITTED]
+    return ranked(found, key=lambda trial: -trial.explained)[:REFITTED]
 
 
 def _probability(selected: Selection, offer: Offer, tables: Sequence[Coarse]) -> float:

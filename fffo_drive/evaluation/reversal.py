@@ -18,6 +18,7 @@ Mask = npt.NDArray[np.bool_]
 
 THRESHOLD_RPS = 0.05  # some four standard deviations of a 15-bit resolver's velocity
 FARTHEST_S = 0.1  # a reversal that comes later than this was missed
+SAME_SAMPLE = 1e-6  # a moment that is nearer than this share of a sample to one is at it, whatever its last digits
 
 
 class Reversals(NamedTuple):
@@ -91,8 +92,8 @@ def reversal_lag(reference: Reversals, axis: Reversals) -> ReversalLag:
 def near_reversals(reversals: Reversals, samples: int, period_s: float, within_s: float) -> Mask:
     """Mask (samples,) of what is within `within_s` of a reversal."""
     edges = np.zeros(samples + 1, np.int64)
-    starts = np.clip(np.floor((reversals.time_s - within_s) / period_s).astype(np.int64), 0, samples)
-    ends = np.clip(np.ceil((reversals.time_s + within_s) / period_s).astype(np.int64) + 1, 0, samples)
+    starts = np.clip(np.floor((reversals.time_s - within_s) / period_s + SAME_SAMPLE).astype(np.int64), 0, samples)
+    ends = np.clip(np.ceil((reversals.time_s + within_s) / period_s - SAME_SAMPLE).astype(np.int64) + 1, 0, samples)
     np.add.at(edges, starts, 1)
     np.add.at(edges, ends, -1)
     return np.asarray(np.cumsum(edges[:-1]) > 0)

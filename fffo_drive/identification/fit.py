@@ -22,6 +22,7 @@ from .dataset import DataError, Record
 from .kinematics import low_pass
 from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
+from .ranking import first_best, ranked
 from .regression import TorqueStart, regression_start, start_problems
 from .solver import Solution, huber_cost, refine, robust_scale, solve
 from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of
@@ -142,17 +143,13 @@ def _best_start(
     ]
     errors = residuals(part, candidates)
     scale = min(robust_scale(e) for e in errors)
-    order = np.argsort([huber_cost(e, scale) for e in errors])
-    best: tuple[float, Floats] | None = None
+    order = ranked(range(len(candidates)), lambda k: huber_cost(errors[k], scale))
+    improved = []
     for k in order[:starts]:
         space = coordinates(candidates[k], records[0].period_s, free)
         found = solve(part, space, to_coordinates(candidates[k], space.scale), START_ITERATIONS)
-        errors_k = residuals(part, [to_physical(found.values, space.scale)])[0]
-        loss = huber_cost(errors_k, scale)
-        if best is None or loss < best[0]:
-            best = (loss, to_physical(found.values, space.scale))
-    assert best is not None
-    return best[1]
+        improved.append(to_physical(found.values, space.scale))
+    return first_best(improved, lambda physical: huber_cost(residual(part, physical), scale))
 
 
 def mean_of_fits(

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from .dataset import DataError, Record
 from .kinematics import Motion, acting_torque_nm, motion_of, sliding_mask, travel_since_reversal_rev
+from .ranking import lower
 
 Floats = npt.NDArray[np.float64]
 
@@ -132,7 +133,7 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
             bump = np.sign(stack.velocity_rps) * np.exp(-((speed / velocity) ** exponent))
             solution, cost = _solve(stack, [bump])
             plausible = solution[2] > 0.0 and solution[3] > 0.0 and solution[1] > 0.0
-            if plausible and cost < best[0]:
+            if plausible and lower(cost, best[0]):
                 best = (cost, float(velocity), exponent, solution)
     if not np.isfinite(best[0]):
         solution, cost = _solve(stack, [])

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from .coordinates import LOG_SPAN, Coordinates, physical_slope
 from .prediction import Problem, jacobian
+from .ranking import ranked
 from .solver import Solution, huber_weights
 
 Floats = npt.NDArray[np.float64]
@@ -168,9 +169,9 @@ def _doubts(
         if name not in ADVICE or space.high[k] <= space.low[k]:
             continue
         unknown = total[k] > UNKNOWN_SD or total[k] == 0.0
-        partners = tuple(
-            space.names[j] for j in np.argsort(-np.abs(correlation[k]))[:4] if j != k and abs(correlation[k, j]) > 0.95
-        )
+        alike = np.abs(correlation[k]).tolist()
+        nearest = ranked(range(len(alike)), key=[-share for share in alike].__getitem__)[:4]
+        partners = tuple(space.names[j] for j in nearest if j != k and alike[j] > 0.95)
         rare = 0.0 < moments[k] < FEWEST_MOMENTS
         if unknown or rare or (inflation[k] > COLLINEAR_VIF and partners and total[k] > COLLINEAR_SD):
             reason, excitation = ADVICE[name]

@@ -4,53 +4,95 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis.test_tables import FACTS, axis_with
+from diagnosis.test_tables import FACTS, base_on, records_with
 from identification.synthetic import PERIOD_S
 from scipy import signal
 
+from fffo_drive.diagnosis.base import BASE, NAMES, moved
 from fffo_drive.diagnosis.current_side import LEAST_SHARE, shortage, shown_share
-from fffo_drive.diagnosis.fitting import polished
+from fffo_drive.diagnosis.fitting import evaluate, loaded_sensitivities, polished
 from fffo_drive.diagnosis.screening import screen, search_context
 from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.drive.simulated.parameters import EffectConfig
 
-# what the plant is given, and what the law has to find of it: (value, relative error)
+# What the plant is given, and what the law has to find of it: (value, relative error). The limits hold for any noise of
+# the sensor, with a quarter and more to spare over six seeds of it: a closed loop on a resolver turns a last digit into
+# other noise. A lag and the delay that stands beside it are told apart by little, so that what is asked for is the time
+# constant, what lags of the torque times it, and the whole of lag and delay (1.678 ms of this plant).
 PLANTED = {
     "coulomb_drift": ({"share": 0.6, "time_constant_s": 30.0}, {"share": (0.6, 0.06), "tau_s": (30.0, 0.06)}),
     "elasticity": (
         {"load_share": 0.4, "frequency_hz": 25.0, "damping": 0.06},
         {"share": (0.4, 0.04), "frequency_hz": (25.0, 0.02), "damping": (0.06, 0.1)},
     ),
-    "dead_zone": ({"width_a": 0.2}, {"width_a": (0.2, 0.03), "lost_nm": (0.2 * 0.148, 0.03)}),
+    "dead_zone": ({"width_a": 0.2}, {"width_a": (0.2, 0.045), "lost_nm": (0.2 * 0.148, 0.045)}),
     "torque_ripple": ({"share": 0.15, "order": 6.0}, {"size": (0.15, 0.03), "order": (6.0, 0.001)}),
-    "current_lag": ({"time_constant_s": 0.007}, {"share": (1.0, 0.15), "tau_s": (0.007, 0.05)}),
+    "current_lag": (
+        {"time_constant_s": 0.007},
+        {"tau_s": (0.007, 0.02), "lagging_s": (0.007, 0.15), "late_s": (0.007 + 0.001678, 0.006)},
+    ),
     "position_dependent_friction": (
         {"period_rev": 22.0, "wave_share": 0.4, "window_share": 0.0},
         {"size": (0.4, 0.05), "period_rev": (22.0, 0.01)},
     ),
-    "friction_ripple": ({"share": 0.5, "order": 8.0}, {"size": (0.5, 0.06), "order": (8.0, 0.001)}),
+    "friction_ripple": ({"share": 0.5, "order": 8.0}, {"size": (0.5, 0.1), "order": (8.0, 0.001)}),
 }
 
 
 @cache
 def fitted(planted, name):
-    """(data, fit with this law) on a plant with an effect in it, at the best place of the law's own search."""
-    data, base, matrix = axis_with(EffectConfig(planted, PLANTED[planted][0]))
+    """(data, fit with this law, base) on a plant with an effect in it."""
+    return fitted_on(records_with(EffectConfig(planted, PLANTED[planted][0])), name)
+
+
+def fitted_on(records, name):
+    """(data, fit with this law, base) on runs, at the best place of the law's own search."""
+    data, base, matrix = base_on(records)
     evidence, scenes = evidence_of(data, matrix, base)
     context = search_context(data.rows, scenes, base.physical, base.residual_nm, FACTS)
     trials = screen(evidence, scenes, context, False, 0.01, names={name}).trials
     return data, polished(data, beside(data, matrix, base, trials[0])), base
 
 
+def found_of(found):
+    """Numbers of the effect that was fitted, and what the data determine of them."""
+    effect = found.effects[0]
+    values = effect.values(0) | ({"size": effect.sizes()[0]} if effect.waves else {})
+    if effect.name == "current_lag":
+        lagging_s = values["share"] * values["tau_s"]
+        values |= {"lagging_s": lagging_s, "late_s": float(found.physical[NAMES.index("delay_s")]) + lagging_s}
+    return values
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTED)
 def test_the_numbers_of_an_effect_are_found_as_they_were_put_in(name):
     _, found, base = fitted(name, name)
-    effect = found.effects[0]
-    values = effect.values(0) | ({"size": effect.sizes()[0]} if effect.waves else {})
+    values = found_of(found)
     for parameter, (truth, tolerance) in PLANTED[name][1].items():
         assert values[parameter] == pytest.approx(truth, rel=tolerance), parameter
     assert found.loss < 0.4 * base.loss
+
+
+@pytest.mark.slow
+def test_the_sensitivity_of_the_delay_is_that_of_the_residual_where_a_lag_stands_behind_it():
+    data, found, _ = fitted("current_lag", "current_lag")
+    delay, step_s = BASE.index("delay_s"), 0.2 * PERIOD_S
+    residuals = [
+        evaluate(data, moved(found.physical, "delay_s", sign * step_s), found.effects)[0].residual_nm
+        for sign in (-1.0, 1.0)
+    ]
+    slope = (residuals[0] - residuals[1]) / (2.0 * step_s)
+    error = loaded_sensitivities(data, found.physical, found.effects)[:, delay] - slope
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(slope**2))
+
+
+@pytest.mark.slow
+def test_a_fit_of_a_lag_is_carried_on_to_its_end():
+    data, found, _ = fitted("current_lag", "current_lag")
+    further = polished(data, found, settled=0.0)
+    assert further.effects[0].strengths["share"] == pytest.approx(found.effects[0].strengths["share"], rel=0.01)
+    assert further.loss == pytest.approx(found.loss, rel=1e-3)
 
 
 def measured(data, tau_s):

@@ -24,15 +24,23 @@ FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3, gear_rat
 RATE = 0.01
 
 
-def axis_with(*effects):
-    """Two runs of an axis, and the base fitted to them: (data, base, sensitivities)."""
+def records_with(*effects):
+    """Two runs of an axis."""
     plant = replace(random_plant(5), roughness_nm=2e-4, effects=effects)
-    runs = [
+    return [
         record(plant, identification_sequence(16.0, PERIOD_S, 0.5, 1.1, 0.1, 10.0), "identify"),
         record(plant, separating_recipe(PERIOD_S, 12.0, 80.0, 1), "recipe"),
     ]
-    stretches, rows, start = prepared(runs, FACTS, None)
-    return fit_base(stretches, rows, start, len(runs))
+
+
+def base_on(records):
+    """The base fitted to runs: (data, base, sensitivities)."""
+    return fit_base(*prepared(records, FACTS, None), len(records))
+
+
+def axis_with(*effects):
+    """Two runs of an axis, and the base fitted to them: (data, base, sensitivities)."""
+    return base_on(records_with(*effects))
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fffo_drive.evaluation.campaign import cut
 from fffo_drive.evaluation.effort import control_effort
 from fffo_drive.evaluation.measures import Yardstick, measure
-from fffo_drive.evaluation.reversal import find_reversals, near_reversals, reversal_lag
+from fffo_drive.evaluation.reversal import Reversals, find_reversals, near_reversals, reversal_lag
 from fffo_drive.evaluation.trace import Trace, trace_of
 from fffo_drive.signals import ROW
 
@@ -66,6 +66,17 @@ def test_the_neighbourhood_of_reversals_has_the_expected_length():
     near = near_reversals(reversals, TIME_S.size, PERIOD_S, 0.01)
     inner = np.count_nonzero((reversals.time_s > 0.01) & (reversals.time_s < TIME_S[-1] - 0.01))
     assert near.sum() * PERIOD_S == pytest.approx(0.02 * inner, rel=0.1)
+
+
+def test_a_reversal_at_a_sample_has_the_same_neighbourhood_whatever_its_last_digit_is():
+    moments_s = np.array([100.0, 300.5, 700.0]) * PERIOD_S
+    masks = [
+        near_reversals(Reversals(moments_s + rounding_s, np.ones(3)), 1000, PERIOD_S, 20 * PERIOD_S)
+        for rounding_s in (-1e-15, 0.0, 1e-15)
+    ]
+    assert np.flatnonzero(masks[1])[0] == 80
+    assert (masks[0] == masks[1]).all()
+    assert (masks[2] == masks[1]).all()
 
 
 @pytest.mark.parametrize(("frequency_hz", "high", "noise"), [(20.0, 0.0, 0.0), (150.0, 1.0, 0.05), (600.0, 1.0, 1.0)])
