@@ -110,6 +110,21 @@ def test_the_stream_is_read_by_three_clients():
     assert facts.get("pictures a second in the browser", 1.0) > 0.0
 
 
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_nothing_moves_after_a_stop_on_any_way_and_hostile_clients_end_no_motion():
+    facts = sample("stops")
+    assert facts["races of a start with a stop that was acknowledged"] > 12
+    assert facts["of them, the axis moved or ran afterwards"] == 0, facts["wrong"]
+    assert "abandoned" not in facts["faults"]
+    facts = sample("hostile")
+    assert facts["faults `abandoned`"] == 0
+    assert facts["rows lost in the ring or on the disk"] == 0
+    assert facts["events of before the load that were displaced"] == 0
+    assert facts["what the hostile clients did a second (median)"] > 100
+
+
 @pytest.mark.parametrize("name", NEED_C)
 def test_a_machine_without_a_c_compiler_gets_one_clear_message(name):
     done = python(str(BENCHMARKS / f"{name}.py"), "--sample", CC="no-such-compiler")

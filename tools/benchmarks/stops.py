@@ -393,6 +393,7 @@ def run() -> int:
             until(client, "ready")
             table, wrong = races(daemon, count)
             witness = Witness(bus)
+            quick_stops(daemon, witness, 1, fresh=False)  # frames from before time stamps were asked for are gone then
             with shown("quick stops") as progress:
                 for number in range(passes):
                     for variant in ("quiet", "hostile") if number % 2 == 0 else ("hostile", "quiet"):
