@@ -52,7 +52,14 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
         kind_of = float if info.annotation is float else int
-        command.add_argument(flag, dest=name, type=kind_of, default=None, metavar="N", help=f"{text} ({info.default})")
+        command.add_argument(
+            flag,
+            dest=name,
+            type=kind_of,
+            default=None,
+            metavar="N",
+            help=text if info.default is None else f"{text} ({info.default})",
+        )
 
 
 def _choices(choices: tuple[Any, ...] | None) -> str:

@@ -78,6 +78,9 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         profile = tmp_path / "gentle.yaml"
         profile.write_text("kind: sine\nduration_s: 0.5\namplitude: 0.5\nfrequency_hz: 2\n")
         assert run(capsys, *sockets, "start", str(profile), "--wait-s", "60")[0] == 0
+        code, _, error = run(capsys, *sockets, "start", "default", "--epoch", "7")
+        assert code == 70
+        assert "was asked for in epoch 7" in error
         code, _, error = run(capsys, *sockets, "start", "no_such")
         assert code == 78
         assert "known: default" in error

@@ -304,3 +304,17 @@ def test_a_budget_gives_what_its_rate_gives_and_never_more_than_a_burst(line_byt
     while budget.take(line_bytes, 1e6):
         paid += cost
     assert paid <= limits.burst_bytes
+
+
+def test_who_comes_to_be_in_charge_or_goes_begins_an_epoch(rig):
+    other = rig.client()
+    before = other.call("status")["epoch"]
+    with raw(rig) as holder:
+        holder.sendall(line_of("enable", hold=True))
+        assert next(answers(holder))["result"]["state"] == "enabled"
+        held = other.call("status")
+        assert held["held_by"] is not None
+        assert held["epoch"] > before
+        refused(lambda: other.call("start", profile="default", epoch=before), "epoch")
+    rig.until("ready")  # the axis hung on the connection: daemon.client_loss
+    assert other.call("status")["epoch"] > held["epoch"]
