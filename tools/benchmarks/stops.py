@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -330,7 +331,8 @@ def ends(directory: Path, bus: str) -> list[tuple[str, float]]:
     with SimulatedProcess(DRIVE, bus) as node, Daemon(directory, bus) as daemon, daemon.client() as client:
         until(client, "ready")
         start(client)
-        node.process.kill()  # type: ignore[attr-defined]
+        assert node._process is not None
+        node._process.kill()
         time.sleep(1.0)
         found.append(("fault, drive gone", ended_s(daemon)))
     with (
@@ -378,20 +380,21 @@ def beside(variant: str, daemon: Streaming) -> Iterator[None]:
 def run() -> int:
     """The command."""
     options = parser(NAME, __doc__ or "", 4, 1)
-    options.add_argument("--races", type=int, help=f"of a start with a stop (default {RACES})")
+    options.add_argument("--races", action="store_true", help=f"only the races of a start with a stop ({RACES})")
     chosen = options.parse_args()
+    if chosen.races:
+        return run_races(chosen)
     passes = chosen.passes or chosen.default_passes[1 if chosen.sample else 0]
     rounds = SAMPLE_ROUNDS if chosen.sample else max(1, ROUNDS // (2 * passes))
-    count = chosen.races if chosen.races is not None else SAMPLE_RACES if chosen.sample else RACES
     report = Report(NAME, "A stop at 2 kHz on the loopback bus, the simulated drive in a process of its own.")
     bus = f"loopback:{free_loopback_port()}"
     latency: dict[tuple[str, str], dict[str, list[float]]] = {}
     with tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name:
         directory = Path(name)
         directory.chmod(0o755)
-        with SimulatedProcess(DRIVE, bus), Streaming(directory, bus) as daemon, daemon.client() as client:
-            until(client, "ready")
-            table, wrong = races(daemon, count)
+        with SimulatedProcess(DRIVE, bus), Streaming(directory, bus) as daemon:
+            with daemon.client() as client:
+                until(client, "ready")
             witness = Witness(bus)
             quick_stops(daemon, witness, 1, fresh=False)  # frames from before time stamps were asked for are gone then
             with shown("quick stops") as progress:
@@ -406,36 +409,12 @@ def run() -> int:
                     if progress is not None:
                         progress((number + 1) / passes)
             witness.close()
-            faults = [e for e in client.call("events", limit=1000)["events"] if e["kind"] == "fault"]
+            faults = faults_of(daemon)
         last = [] if chosen.sample else ends(directory, bus)
-    _add(report, latency, table, wrong, last)
-    report.facts |= {"faults": Counter(event["data"]["name"] for event in faults), "wrong": wrong}
-    report.notes += [
-        f"Hostile: {COUNT} clients, those of the watching socket without any right, and {VIEWERS} viewers without the "
-        "key that ask for a stop which is refused, without a pause; all on the same cores.",
-        "Commanded: the first frame to the drive that no longer asks for Operation Enabled, heard on the bus; told: "
-        "the first statusword that says so. Both by the kernel's time stamps of the frames. The axis turned.",
-        "A race: `start` on one connection, then what ends it, a random 0 to 100 ms later, on another; 100 ms after "
-        "the acknowledgement the state and the shaft are looked at. The page's stop is always `disable` and does not "
-        "wait for standstill: the race does. `enable` after a stop goes the same way, by the page over the control "
-        "socket.",
-        f"Faults by load: {dict(report.facts['faults']) or 'none'}.",
-    ]
-    return finish(report, chosen)
-
-
-def _add(
-    report: Report, latency: dict[tuple[str, str], dict[str, list[float]]],
-    table: list[tuple[str, str, int, int, int]], wrong: list[str], last: list[tuple[str, float]],
-) -> None:  # fmt: skip
-    total, moved = (sum(row[place] for row in table) for place in (2, 4))
-    report.figure("races of a start with a stop that was acknowledged", total, "", digits=4)
-    report.figure("of them, the axis moved or ran afterwards", moved, "", 0.0)
     for way, words in (("open", "on an open connection"), ("new", "on a new connection")):
         quiet, busy = (np.array(latency[variant, way]["commanded"]) for variant in ("quiet", "hostile"))
-        beyond = float(busy.max() - np.median(quiet))
-        report.figure(f"quick stop {words}: worst of {busy.size} beside {COUNT} hostile clients, over the quiet median",
-                      beyond, "ms", BEYOND_QUIET_MS)  # fmt: skip
+        text = f"quick stop {words}: worst of {busy.size} beside {COUNT} hostile clients, over the quiet median"
+        report.figure(text, float(busy.max() - np.median(quiet)), "ms", BEYOND_QUIET_MS)
     if last:
         report.figure("SIGTERM to the end of the process, slowest state", max(s for _, s in last), "s", LONGEST_END_S)
     report.table(
@@ -445,15 +424,60 @@ def _add(
             for (variant, way), found in latency.items() for what, v in found.items()
         ],
     )  # fmt: skip
+    if last:
+        report.table(("SIGTERM while", "s"), [(state, f"{seconds:.2f}") for state, seconds in last])
+    report.table(("hostile clients", "socket", "what they do"), described())
+    report.facts["faults"] = faults
+    report.notes += [
+        f"Hostile: {COUNT} clients, those of the watching socket without any right, and {VIEWERS} viewers without the "
+        "key that ask for a stop which is refused, without a pause; all on the same cores. The daemon is as nice as "
+        "its unit has it.",
+        "Commanded: the first frame to the drive that no longer asks for Operation Enabled, heard on the bus; told: "
+        "the first statusword that says so. Both by the kernel's time stamps of the frames. The axis turned.",
+        f"Faults by load: {faults or 'none'}.",
+    ]
+    return finish(report, chosen)
+
+
+def run_races(chosen: argparse.Namespace) -> int:
+    """The races, with a table of their own."""
+    count = SAMPLE_RACES if chosen.sample else RACES
+    report = Report("races", "A start and what ends it a moment later, at 2 kHz on the loopback bus.")
+    bus = f"loopback:{free_loopback_port()}"
+    with (
+        tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name,
+        SimulatedProcess(DRIVE, bus),
+        Streaming(Path(name), bus) as daemon,
+    ):
+        with daemon.client() as client:
+            until(client, "ready")
+        table, wrong = races(daemon, count)
+        faults = faults_of(daemon)
+    total, moved = (sum(row[place] for row in table) for place in (2, 4))
+    report.figure("races of a start with a stop that was acknowledged", total, "", digits=4)
+    report.figure("of them, the axis moved or ran afterwards", moved, "", 0.0)
     report.table(
         ("stop over", "what ended it", "races", "start refused", "moved afterwards"),
         [tuple(map(str, row)) for row in table],
     )
     if wrong:
         report.table(("not as it should be, or not counted",), [(text,) for text in wrong])
-    if last:
-        report.table(("SIGTERM while", "s"), [(state, f"{seconds:.2f}") for state, seconds in last])
-    report.table(("hostile clients", "socket", "what they do"), described())
+    report.facts |= {"faults": faults, "wrong": wrong}
+    report.notes += [
+        "A race: `start` on one connection, then what ends it, a random 0 to 100 ms later, on another; 100 ms after "
+        "the acknowledgement the state and the shaft are looked at. The page's stop is always `disable` and does not "
+        "wait for standstill: the race does. `enable` after a stop goes the same way, by the page over the control "
+        "socket. Profiles are named and inline in turn.",
+        f"Faults by load: {faults or 'none'}.",
+    ]
+    return finish(report, chosen)
+
+
+def faults_of(daemon: Daemon) -> dict[str, int]:
+    """Names of the axis' faults so far, and how often."""
+    with daemon.client() as client:
+        events = client.call("events", limit=1000)["events"]
+    return dict(Counter(event["data"]["name"] for event in events if event["kind"] == "fault"))
 
 
 if __name__ == "__main__":
