@@ -23,7 +23,7 @@ from ..system.findings import Finding, Level, Wanted
 from ..system.host import Host
 
 if TYPE_CHECKING:
-    from ..system.company import Company
+    from ..system.bus_masters import BusMasters
 
 EXIT_FAILURES = 1
 
@@ -50,9 +50,9 @@ def execute(options: argparse.Namespace) -> int:
     host = Host(options.root)
     findings = examine(host, wanted)
     if host.live:
-        company = company_of(options.axis, options.bus, options.seconds)  # hears while lateness is measured
+        masters = bus_masters_of(options.axis, options.bus, options.seconds)  # hears while lateness is measured
         findings += _of_this_process(wanted, options.seconds)
-        findings += company.findings() if company is not None else []
+        findings += masters.findings() if masters is not None else []
     if options.record:
         host.write_record(Path(options.record))
     print(as_json(findings) if options.json else as_text(findings))
@@ -79,12 +79,12 @@ def wanted_of(path: str | None, bus: str | None) -> Wanted:
     )
 
 
-def company_of(path: str | None, bus: str | None, seconds: float) -> Company | None:
+def bus_masters_of(path: str | None, bus: str | None, seconds: float) -> BusMasters | None:
     """Begin to listen to the bus of an axis file; None where it has none. Raises DocumentError, MappingError."""
     if path is None:
         return None
     from ..config.axis import CanopenDriveSection, read_axis
-    from ..system.company import Company
+    from ..system.bus_masters import BusMasters
     from ..units import NS_PER_S
 
     axis = read_axis(path)
@@ -92,7 +92,7 @@ def company_of(path: str | None, bus: str | None, seconds: float) -> Company | N
         return None
     no_scale = 1.0  # who is who takes identifiers alone
     config = axis.drive.drive_config(no_scale, NS_PER_S // axis.loop.rate_hz, bus)
-    return Company(config, max(seconds, config.listen_s))
+    return BusMasters(config, max(seconds, config.listen_s))
 
 
 def _of_this_process(wanted: Wanted, seconds: float) -> list[Finding]:

@@ -64,7 +64,7 @@ class CanopenDrive:
             self._leave()
             raise BusUnavailableError(str(error)) from error
 
-    def _refuse_company(self) -> None:
+    def _refuse_other_masters(self) -> None:
         """Raise BusOccupiedError when somebody was heard who is in the way of a master."""
         if self._listening is None:
             self.listen()
@@ -87,7 +87,7 @@ class CanopenDrive:
         loop_timeout_ns = max(LOOP_TIMEOUT_PERIODS * config.period_ns, LOOP_TIMEOUT_MINIMUM_NS)
         queue = ServiceQueue(loop_timeout_ns)
         try:
-            self._refuse_company()
+            self._refuse_other_masters()
             link = open_link(config.bus, filters=service_filters(config.node_id))
             self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts)
             identity = bring_up(self._service, config)

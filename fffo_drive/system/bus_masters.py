@@ -11,7 +11,7 @@ from .findings import Finding, failure, ok, warning
 SUBJECT = "bus master"
 
 
-class Company:
+class BusMasters:
     """Hears from its making until `findings` is asked for, and for `listen_s` at least."""
 
     def __init__(self, config: CanopenDriveConfig, listen_s: float) -> None:
