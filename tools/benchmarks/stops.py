@@ -41,6 +41,7 @@ ROUNDS, SAMPLE_ROUNDS = 100, 3
 BEYOND_QUIET_MS, LONGEST_END_S = 100.0, 5.0
 STANDSTILL_RPS, WATCHED_S = 0.05, 0.1
 INLINE = {"kind": "sine", "duration_s": 20, "amplitude": 2, "frequency_hz": 0.5}
+LONG_TO_PREPARE = {"kind": "paper", "duration_s": 60}  # takes tens of milliseconds: a stop falls into that time
 ENDINGS = (("stop",), ("disable",), ("disable", "enable"), ("quick_stop",))
 
 
@@ -213,7 +214,7 @@ def races(daemon: Streaming, count: int) -> tuple[list[tuple[str, str, int, int,
         for number in range(count):
             channel = ("control", "ctl", "page", "viewer")[number % 4]
             ending = ENDINGS[number // 4 % len(ENDINGS)]
-            profile = "default" if number // 16 % 2 else INLINE
+            profile = "default" if number // 16 % 2 else LONG_TO_PREPARE
             one_race(
                 channels, client, starter, (channel, ending, profile, draw.uniform(0.0, LONGEST_DELAY_S)), tally, wrong
             )
@@ -467,7 +468,7 @@ def run_races(chosen: argparse.Namespace) -> int:
         "A race: `start` on one connection, then what ends it, a random 0 to 100 ms later, on another; 100 ms after "
         "the acknowledgement the state and the shaft are looked at. The page's stop is always `disable` and does not "
         "wait for standstill: the race does. `enable` after a stop goes the same way, by the page over the control "
-        "socket. Profiles are named and inline in turn.",
+        "socket. Profiles are named and inline (60 s of the paper's reference) in turn.",
         f"Faults by load: {faults or 'none'}.",
     ]
     return finish(report, chosen)
