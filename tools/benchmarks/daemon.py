@@ -230,7 +230,7 @@ def run() -> int:
     report.facts["passes"] = passes
     report.notes += [
         f"{passes} passes of {seconds:g} s each with {CLIENTS} clients that ask for the status without a pause and "
-        f"without them; {rate_hz:.0f} requests a second were answered (each client is read at 50 a second).",
+        f"without them; {rate_hz:.0f} requests a second were answered (those who watch share a budget).",
         f"First tick: the first SYNC on the bus after the command, bring-up included. {len(starts)} starts.",
         "CPU: of the whole process (loop, recorder, supervisor, API), the axis running and recorded. The simulated"
         " drive and the clients are other processes on the same cores.",

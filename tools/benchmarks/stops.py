@@ -328,6 +328,8 @@ def ends(directory: Path, bus: str) -> list[tuple[str, float]]:
     ]
     with Unconnected(directory, f"loopback:{free_loopback_port()}") as daemon:
         time.sleep(1.0)
+        with daemon.client() as client:
+            client.call("status")  # it lives
         found.append(("connecting, no drive", ended_s(daemon)))
     with SimulatedProcess(DRIVE, bus) as node, Daemon(directory, bus) as daemon, daemon.client() as client:
         until(client, "ready")
@@ -356,7 +358,8 @@ class Unconnected(Daemon):
         import subprocess
 
         self._log = (self._directory / "log").open("a")
-        environment = {**os.environ, "STATE_DIRECTORY": str(self._directory), **self._more}
+        inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        environment = {**inherited, "STATE_DIRECTORY": str(self._directory), **self._more}
         command = ["nice", "-n", str(nice_of_unit()), *self._command]
         self.process = subprocess.Popen(command, stderr=self._log, env=environment)
         deadline_s = time.monotonic() + PATIENCE_S
