@@ -111,7 +111,7 @@ def run() -> int:
     late = times_s > SETTLED * times_s[-1]
     slope = float(np.polyfit(times_s[late] / 3600.0, mb[late], 1)[0])
     report.figure("slope of the resident memory after the first quarter", slope, "MB an hour", LARGEST_SLOPE_MB_PER_H)
-    report.figure("memory at the beginning, after a quarter, at the end", float(mb[0]), "MB")
+    report.figure("memory at the beginning", float(mb[0]), "MB")
     report.table(
         ("share of the time", "memory"),
         [(f"{100 * q:.0f} %", f"{mb[min(mb.size - 1, int(q * mb.size))]:.1f} MB") for q in (0.0, 0.25, 0.5, 0.75, 1.0)],
