@@ -164,10 +164,11 @@ values compared.
 
 MCAP, profile `ros2`: rows are messages `fffo_drive_msgs/msg/Row` on `/fffo_drive/row`, events
 `fffo_drive_msgs/msg/Event` on `/fffo_drive/events`, what was in force and asked for `fffo_drive_msgs/msg/Record` on
-`/fffo_drive/records` (recordings of 0.1.0 have none: they are replayed with the axis file and model in them). Names, units and places of a row's fields come from the schema
-that the file carries, never from the program's own list: a file with more or fewer fields is read with the fields
-that it has, and a command that needs one which is not there names it. A field keeps its name as long as it keeps
-unit and meaning. The version that wrote a file stands in its metadata (`tool`, `fffo_drive`). The files in it
+`/fffo_drive/records` (recordings of 0.1.0 have none: they are replayed with the axis file and model in them). Names,
+units and places of a row's fields come from the schema that the file carries, never from the program's own list: a
+file with more or fewer fields is read with the fields that it has, and a command that needs one which is not there
+names it. A field keeps its name as long as it keeps unit and meaning. The version that wrote a file stands in its
+metadata (`tool`, `fffo_drive`). The files in it
 (axis, model, record) are of the formats above.
 
 ## API of the daemon

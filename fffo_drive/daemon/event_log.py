@@ -13,9 +13,9 @@ from ..recording.events import Level, utc_text
 from ..runtime.journal import Journal
 
 KEPT = 1000
-PER_SECOND = 20  # events of a kind that clients can cause; more are counted
-# kinds that clients can cause as often as they like; they are kept apart, so that they displace nothing else
-CAUSED_BY_CLIENTS = frozenset({"client", "command", "parameters"})
+# kinds that clients can cause as often as they like, and how many are told in a second; more are counted. They are kept
+# apart, so that they displace nothing else.
+CAUSED_BY_CLIENTS = {"client": 1, "command": 20, "parameters": 20}
 
 Listener = Callable[[dict[str, Any]], None]
 
@@ -53,7 +53,7 @@ class EventLog:
             self.turn()
             if kind in CAUSED_BY_CLIENTS:
                 self._told[kind] += 1
-                if self._told[kind] > PER_SECOND:
+                if self._told[kind] > CAUSED_BY_CLIENTS[kind]:
                     self._untold[kind] = text
                     return
             self._add(kind, text, level, data)
@@ -67,7 +67,7 @@ class EventLog:
             told, untold = self._told, self._untold
             self._second_s, self._told, self._untold = now_s, Counter(), {}
             for kind, last in untold.items():
-                count = told[kind] - PER_SECOND
+                count = told[kind] - CAUSED_BY_CLIENTS[kind]
                 self._add(kind, f"{count} more in a second, the last: {last}", Level.WARNING, {"count": count})
 
     def _add(self, kind: str, text: str, level: Level, data: Mapping[str, Any] | None) -> None:
@@ -86,8 +86,10 @@ class EventLog:
             listener(event)
 
     def since(self, number: int, limit: int) -> list[dict[str, Any]]:
-        """The newest `limit` events after `number`, oldest first."""
+        """The newest `limit` events after `number`, oldest first; what clients caused fills half, or what is left."""
         with self._lock:
-            together = heapq.merge(self._events, self._caused, key=lambda event: int(event["number"]))
-            newer = [event for event in together if event["number"] > number]
-        return newer[-limit:]
+            others = [event for event in self._events if event["number"] > number][-limit:]
+            caused = [event for event in self._caused if event["number"] > number]
+        caused = caused[max(0, len(caused) - max(limit // 2, limit - len(others))) :]
+        others = others[max(0, len(others) - (limit - len(caused))) :]
+        return list(heapq.merge(others, caused, key=lambda event: int(event["number"])))
