@@ -272,23 +272,6 @@ def test_lines_of_those_who_watch_are_short(rig):
         assert "longer than 4096 bytes" in next(answers(sock))["error"]["message"]
 
 
-def test_what_floods_cause_displaces_nothing(rig):
-    """Connections by the hundred: what happened before is still told, and they are told in a few lines."""
-    rig.do(lambda: rig.supervisor.log.add("drive", "seen before the flood"))
-    last = rig.client(watching=True).call("events")["last"]
-    for _ in range(20):
-        with ExitStack() as held:
-            for _ in range(60):
-                sock = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
-                sock.setblocking(False)
-                if sock.connect_ex(str(rig.sockets / WATCH)):
-                    break
-    watching = rig.client()
-    found = watching.call("events", since=last, limit=1000)["events"]
-    assert len([event for event in found if event["kind"] == "client"]) <= 1000
-    assert any(event["text"] == "seen before the flood" for event in rig.events("drive"))
-
-
 @pytest.mark.parametrize("line_bytes", [1, one_client.LINE_COST_BYTES, 4096])
 def test_a_budget_gives_what_its_rate_gives_and_never_more_than_a_burst(line_bytes):
     limits = SocketLimits(4096, 65536, 10_000.0, 20_000.0)
