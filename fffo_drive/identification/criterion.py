@@ -1,0 +1,142 @@
+"""The one criterion by which an effect is kept: what it explains of rows that the fit did not see.
+
+Rows are dealt in blocks into folds; each fold's loss comes from a fit of the others. The gain G is the fall of that loss
+by an effect, its standard deviation comes from the blocks, because neighbouring rows are not independent. Whether an
+effect is there at all is asked of the windows' scores by Hotelling's T2 (Hotelling, 1931): no surrogates, which grow
+with the effect that is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+FOLDS = 5
+BLOCK_S = 2.0  # blocks are independent pieces of evidence; two in a row go into one fold ...
+BLOCKS = 50  # ... and a short log has at least so many
+SHORTEST_BLOCK_S = 0.2
+WINDOWS_A_BLOCK = 4
+SDS = 2.0  # of the gain, below which it may be chance
+HUBER = 3.0  # standard deviations beyond which the loss grows linearly
+RIDGE = 1e-8  # of a column's squared norm
+SMALLEST_P = 1e-12  # nothing is known of a tail beyond
+LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
+
+
+class Folds(NamedTuple):
+    """Which fold, block and window each row belongs to, (m,) each."""
+
+    fold: Integers
+    block: Integers
+    window: Integers
+
+
+class Gain(NamedTuple):
+    """What an effect explains of rows that the fit did not see, in nats."""
+
+    value: float
+    sd: float
+    blocks: Floats  # (blocks,) their parts of `value`
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is more than chance."""
+        return self.value > SDS * self.sd
+
+
+def folds_of(bounds: Sequence[tuple[int, int]], row_period_s: float) -> Folds:
+    """Deal the rows of stretches (begin, end) into folds."""
+    size = bounds[-1][1] if bounds else 0
+    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, size * row_period_s / BLOCKS))
+    window = max(1, round(block_s / WINDOWS_A_BLOCK / row_period_s))
+    fold, block, windows = (np.zeros(size, np.int64) for _ in range(3))
+    blocks = 0
+    for begin, end in bounds:
+        own = np.arange(end - begin) // window
+        windows[begin:end] = own + blocks * WINDOWS_A_BLOCK
+        block[begin:end] = own // WINDOWS_A_BLOCK + blocks
+        blocks = int(block[end - 1]) + 1 if end > begin else blocks
+        blocks += blocks % 2  # a fold's two blocks are of one stretch
+    fold[:] = block // 2 % FOLDS
+    return Folds(fold, block, windows)
+
+
+def levels(residual: Floats, kept: npt.NDArray[np.bool_], classes: Integers) -> Floats:
+    """Weight of each row: one over the robust level of noise of its class; 0 where it is not kept. (m,)"""
+    weight = np.zeros(residual.size)
+    for number in np.unique(classes):
+        inside = kept & (classes == number)
+        sample = inside if inside.sum() >= LEAST_IN_LEVEL else kept
+        level = 1.4826 * float(np.median(np.abs(residual[sample]))) if sample.any() else 1.0
+        weight[inside] = 1.0 / max(level, 1e-300)
+    return weight
+
+
+def huber(white: Floats) -> Floats:
+    """Negative log-likelihood of each row in nats, unit variance, linear beyond HUBER. Shapes (m,)."""
+    size = np.abs(white)
+    inner = np.minimum(size, HUBER)
+    return np.asarray(inner * (size - 0.5 * inner))
+
+
+def clipped(white: Floats) -> Floats:
+    """The score of `huber`: residuals pulled in to HUBER."""
+    return np.asarray(np.clip(white, -HUBER, HUBER))
+
+
+def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | float = 0.0) -> Floats:
+    """Loss of each row (m,) by least squares of `target` on `columns` (m, p), both white, on the other folds.
+
+    `ridge` (p,) or scalar: prior, as a share of each column's squared norm, on top of RIDGE. Outliers are pulled in
+    before the fit.
+    """
+    if not columns.shape[1]:
+        return huber(target)
+    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    pulled = clipped(target)
+    parts = [folds.fold == k for k in range(FOLDS)]
+    squares = [scaled[p].T @ scaled[p] for p in parts]
+    products = [scaled[p].T @ pulled[p] for p in parts]
+    prior = np.diag(np.broadcast_to(RIDGE + np.asarray(ridge), norms.shape))
+    whole, right = sum(squares) + prior, sum(products)
+    left = np.empty(target.size)
+    for p, square, product in zip(parts, squares, products, strict=True):
+        if p.any():
+            left[p] = target[p] - scaled[p] @ np.linalg.solve(whole - square, right - product)
+    return huber(left)
+
+
+def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bool_] | None = None) -> Gain:
+    """G from the losses of the rows (m,) of two models, each fitted on the other folds."""
+    fall = without - with_it
+    used = np.ones(fall.size, bool) if kept is None else kept
+    sums = np.bincount(folds.block[used], fall[used])
+    sums = sums[np.bincount(folds.block[used]) > 0]
+    count = sums.size
+    if count < 2:
+        return Gain(float(sums.sum()), float("inf"), sums)
+    return Gain(float(sums.sum()), float(np.sqrt(count * sums.var(ddof=1))), sums)
+
+
+def hotelling_p(scores: Floats, tried: int = 1) -> float:
+    """Chance that noise alone has windows' scores (W, k) of this mean, times the number of candidates tried."""
+    scores = scores[np.any(scores != 0.0, axis=1)]
+    count, rank = scores.shape
+    if count <= rank + 2:
+        return 1.0
+    mean = scores.mean(axis=0)
+    spread = (scores - mean).T @ (scores - mean) / (count - 1)
+    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    statistic = count * float(
+        mean / scale @ np.linalg.pinv(spread / np.outer(scale, scale), rcond=1e-10) @ (mean / scale)
+    )
+    tail = float(stats.f.sf(statistic * (count - rank) / (rank * (count - 1)), rank, count - rank))
+    return min(1.0, max(SMALLEST_P, tail * tried))
