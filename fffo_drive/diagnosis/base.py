@@ -20,12 +20,16 @@ from ..identification.kinematics import low_pass
 from ..identification.prediction import THREADS
 from ..model.axis import AxisConfig
 from .kernels import friction_along
-from .paths import Rows, Stretch, second_difference, thinning
+from .rows import Rows, Stretch, second_difference
 
 Floats = npt.NDArray[np.float64]
 
 BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # what is refitted with every effect; no offset: that is an effect
 NAMES = tuple(PARAMETERS)
+# how far a parameter may be from its start where the data say nothing of it: standard deviation, by its logarithm where
+# it is positive, in s and s2 where it is not
+PRIOR_SD = {"delay_s": 0.003, "stribeck_exponent": 1.0, "sensor_lag_s2": 1e-4}
+PRIOR_LOG_SD = 2.0
 RELATIVE_STEP = 0.02  # of the numeric sensitivities: of a positive parameter, by its logarithm
 EXPONENT_STEP = 0.02
 BALANCE_HZ = 30.0
@@ -76,6 +80,17 @@ def residual_rows(
     lag = _value(physical, "sensor_lag_s2")
     inertia = _value(physical, "inertia_nm_s2_per_rev")
     return np.asarray(joined - inertia * (rows.acceleration_rps2 + lag * snap_rows(rows)))
+
+
+def prior_sds() -> Floats:
+    """Prior standard deviations of BASE in its coordinates. (len(BASE),)"""
+    return np.array([PRIOR_SD.get(name, PRIOR_LOG_SD) for name in BASE])
+
+
+def distance(physical: Floats, start: Floats) -> Floats:
+    """How far parameters are from others, in the coordinates of BASE. (len(BASE),)"""
+    pairs = [(name, _value(physical, name), _value(start, name)) for name in BASE]
+    return np.array([np.log(new / old) if PARAMETERS[name][0] else new - old for name, new, old in pairs])
 
 
 def snap_rows(rows: Rows) -> Floats:
@@ -154,8 +169,7 @@ def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:
         torque = stretch.torque_constant_nm_per_a * delayed(stretch.current_a, axis.delay_s / stretch.period_s)
         inertia = axis.inertia_nm_s2_per_rev * stretch.acceleration_rps2
         cutoff_hz = min(BALANCE_HZ, 0.2 / stretch.period_s)
-        thin = thinning(stretch.period_s)
-        smooth = low_pass(torque, cutoff_hz, stretch.period_s)[::thin]
+        smooth = low_pass(torque, cutoff_hz, stretch.period_s)[:: stretch.thin]
         balance = smooth - low_pass(inertia, cutoff_hz, stretch.law_period_s)
         found.append(stretch._replace(balance_nm=np.ascontiguousarray(balance)))
     return found

@@ -1,8 +1,13 @@
-"""Curves and tables of the `lookup` law along a motion: where on their axes it is, and what each value gives."""
+"""What has no name: free curves over one axis, tables over two, a response over frequency, springs along the travel.
+
+Each is a table of the library's `lookup` law: what is found here is refitted, written to a model file and, over an axis
+that a feed-forward knows, compensated like any other effect. Knots lie where the data are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,22 +17,38 @@ from ..model.effects import slots
 from ..model.effects.laws.lookup import (
     BRAKE,
     FRICTION,
+    KNOTS,
     PLAIN,
     RESPONSE,
     UNKNOWN,
     VISCOUS,
     WOUND,
     across_axis,
+    across_word,
+    code_of,
     is_table,
     values_of,
 )
 from ..model.effects.registry import axis_of_effect
-from .candidates import Scene, load_along
-from .paths import Filter
+from .rows import Filter, Rows
+from .scenes import Scene, load_along
 
 Floats = npt.NDArray[np.float64]
 
 FAR = 1e6
+CURVE_KNOTS = 12
+FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of an angle
+MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
+PERIODS = 3.0  # that a motion passes at least, for an angle to be an axis
+ANGLES = ("motor_angle", "output_angle")
+SCALELESS = ("dwell", "travel_since_reversal")
+RESPONSE_KNOTS = 7
+LOWEST_HZ = 0.5
+HIGHEST_SHARE = 0.4  # of the rate of the rows, that a response reaches
+LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is near it
+COARSE = 5  # knots of each axis of a coarse table
+LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fine table
+INNER = (0.002, 0.998)  # quantiles between which knots lie
 
 
 class Axis(NamedTuple):
@@ -37,6 +58,178 @@ class Axis(NamedTuple):
     kind: float  # of the lookup
     scale: float  # period of an angle in rev, or time constant of a memory in s
     of_current: float = 0.0  # a memory of the squared current, not of the speed
+
+
+SPEED = Axis("memory", FRICTION, 0.0)  # a memory without a length
+TABLE_AXES = (  # the finer of a pair first
+    Axis("motor_angle", PLAIN, 1.0), Axis("output_angle", PLAIN, 0.0), Axis("velocity", PLAIN, 0.0),
+    Axis("travel_since_reversal", FRICTION, 0.0), Axis("time", FRICTION, 0.0), Axis("current", PLAIN, 0.0),
+    Axis("memory", FRICTION, 3.0), Axis("acceleration", PLAIN, 0.0),
+)  # fmt: skip
+OVER_SPEED = ("motor_angle", "output_angle", "travel_since_reversal", "time", "memory")
+
+
+class Pair(NamedTuple):
+    """A table over two axes; the first is the finer."""
+
+    along: Axis
+    across: Axis
+
+    @property
+    def name(self) -> str:
+        """As a channel is called."""
+        drag = " (drag)" if self.along.kind == BRAKE else ""
+        return f"{self.along.word} x {across_word(self.shapes)}{drag}"
+
+    @property
+    def shapes(self) -> dict[str, float]:
+        """The axes as the law of its table takes them."""
+        return {
+            "kind": self.along.kind, "scale": self.along.scale,
+            "across": code_of(self.across.word), "across_scale": self.across.scale,
+        }  # fmt: skip
+
+
+class Curve(NamedTuple):
+    """A curve, or a table with what its axes give one by one, at the rows."""
+
+    name: str  # unknown:AXIS
+    shapes: dict[str, float]
+    columns: Floats  # (m, k)
+    beside: Floats | None = None  # (m, j) of a table: its two curves
+    pair: Pair | None = None
+
+
+def axes_of(turns: float) -> list[Axis]:
+    """All axes that a motion over so many turns allows."""
+    found = [
+        Axis("time", FRICTION, 0.0), Axis("velocity", PLAIN, 0.0), Axis("acceleration", PLAIN, 0.0),
+        Axis("current", PLAIN, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
+        Axis("memory", FRICTION, 0.5), Axis("memory", FRICTION, 3.0), Axis("memory", FRICTION, 12.0),
+        Axis("direction", PLAIN, 0.0), Axis("torque", FRICTION, 0.0),
+    ]  # fmt: skip
+    found += [Axis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
+    for period_rev in MOTOR_PERIODS_REV:
+        if turns > PERIODS * period_rev:
+            found += [Axis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION, BRAKE)]
+    found += [Axis("output_angle", kind, 0.0) for kind in (PLAIN, FRICTION, BRAKE)]
+    found += [Axis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
+    found += [Axis("memory", VISCOUS, 3.0), Axis("memory", VISCOUS, 12.0)]
+    return found
+
+
+def curves(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+    """A curve over every axis, springs along the travel, and a response over frequency.
+
+    Thinned, not filtered, to the rows: a curve changes slowly.
+    """
+    for axis in axes_of(rows.turns):
+        knots = knots_of(_moving(scenes, abscissa(scenes, axis)), axis)
+        if knots.size >= 4:
+            shapes = {**_shapes(axis.kind, knots), "scale": axis.scale, "of_current": axis.of_current}
+            at = rows.joined(abscissa(scenes, axis))
+            weight = rows.joined(factor(scene, axis.kind) for scene in scenes)
+            yield Curve(UNKNOWN + axis.word, shapes, hats(at, knots) * weight[:, None])
+    yield from _with_states(rows, scenes)
+
+
+def _with_states(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+    travel = np.concatenate([s.motion[s.moving > 0.0, slots.TRAVEL_REV] for s in scenes])
+    furthest_rev = 0.5 * float(np.quantile(travel, 0.99)) if travel.size else 0.0
+    found = {"frequency": _shapes(RESPONSE, np.geomspace(LOWEST_HZ, HIGHEST_SHARE / rows.filter.row_period_s, 7))}
+    if furthest_rev >= 4.0 * LEAST_REACH_REV:
+        found["memory"] = _shapes(WOUND, np.geomspace(LEAST_REACH_REV, furthest_rev, CURVE_KNOTS))
+    for word, shapes in found.items():
+        parts = [curve_columns(scene, UNKNOWN + word, shapes, rows.laws) for scene in scenes]
+        yield Curve(UNKNOWN + word, shapes, np.concatenate(parts))
+
+
+def pairs_of(turns: float) -> list[Pair]:
+    """All pairs that are tried: torque over the velocity, friction and drag over its size, either over the others."""
+    axes = {axis.word: axis for axis in TABLE_AXES if axis.word != "motor_angle" or turns > PERIODS}
+    found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
+    found += [Pair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+    return found + [Pair(axes[word]._replace(kind=BRAKE), SPEED) for word in ANGLES if word in axes]
+
+
+def _pair(first: Axis, second: Axis) -> Pair:
+    frictional = FRICTION in (first.kind, second.kind) and "velocity" not in (first.word, second.word)
+    return Pair(first._replace(kind=FRICTION if frictional else PLAIN), second)
+
+
+def coarse_tables(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+    """A coarse table of every pair over which the data move."""
+    hat: dict[tuple[str, float], Floats | None] = {}
+    for pair in pairs_of(rows.turns):
+        for axis in pair:
+            if (axis.word, axis.scale) not in hat:
+                at = rows.joined(abscissa(scenes, axis))
+                knots = np.unique(np.quantile(at[rows.kept], np.linspace(0.01, 0.99, COARSE)))
+                hat[axis.word, axis.scale] = hats(np.clip(at, knots[0], knots[-1]), knots) if knots.size >= 3 else None
+        first, second = (hat[axis.word, axis.scale] for axis in pair)
+        if first is not None and second is not None:
+            weight = rows.joined(factor(scene, pair.along.kind) for scene in scenes)[:, None]
+            table = (first[:, :, None] * second[:, None, :]).reshape(first.shape[0], -1)
+            beside = np.concatenate([first, second], axis=1)
+            yield Curve(UNKNOWN + pair.along.word, pair.shapes, table * weight, beside * weight, pair)
+
+
+def fine_table(rows: Rows, scenes: Sequence[Scene], pair: Pair) -> Curve | None:
+    """A fine table over a pair, as the lookup law has it."""
+    places = [abscissa(scenes, axis) for axis in pair]
+    knots = knots_of(_moving(scenes, places[0]), pair.along)
+    if knots.size > KNOTS:
+        knots = knots[np.unique(np.rint(np.linspace(0, knots.size - 1, KNOTS)).astype(int))]
+    levels = np.unique(np.quantile(_moving(scenes, places[1]), LEVEL_SHARES))
+    if knots.size < 4 or levels.size < 2:
+        return None
+    name = UNKNOWN + pair.along.word
+    shapes = {**pair.shapes, "count": float(knots.size), "levels": float(levels.size)}
+    shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    shapes |= {f"z{k:02d}": float(z) for k, z in enumerate(levels)}
+    parts = [curve_columns(scene, name, shapes, rows.laws) for scene in scenes]
+    return Curve(name, shapes, np.concatenate(parts), pair=pair)
+
+
+def kind_of_curve(curve: Curve) -> str:
+    """What a search without a kind of curve leaves out: the channel of a table, `kind(axis)` of a curve."""
+    if curve.pair is not None:
+        return curve.pair.name
+    kinds = {PLAIN: "torque", FRICTION: "friction", VISCOUS: "viscous", RESPONSE: "response", WOUND: "wound", BRAKE: "drag"}
+    current = ", current" if curve.shapes.get("of_current", 0.0) else ""
+    turns = curve.shapes.get("scale", 0.0)
+    period = f", {turns:g}" if curve.name.removeprefix(UNKNOWN) in ANGLES and turns > 1.0 else ""
+    return f"{kinds[curve.shapes['kind']]}({curve.name.removeprefix(UNKNOWN)}{current}{period})"
+
+
+def _moving(scenes: Sequence[Scene], places: Sequence[Floats]) -> Floats:
+    return np.concatenate([p[s.moving > 0.0] for p, s in zip(places, scenes, strict=True)])
+
+
+def _shapes(kind: float, knots: Floats) -> dict[str, float]:
+    return {"kind": kind, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+
+
+def knots_of(places: Floats, axis: Axis) -> Floats:
+    """Knots where the data are: between even steps of the range and even shares of the samples."""
+    if not places.size:
+        return np.zeros(0)
+    low, high = (float(x) for x in np.quantile(places, INNER))
+    if not high > low:
+        return np.zeros(0)
+    if axis.scale > 0.0 and axis.word in ANGLES:
+        return np.linspace(0.0, axis.scale, FINE_KNOTS)
+    shares = np.linspace(0.0, 1.0, CURVE_KNOTS)
+    if axis.word in SCALELESS:
+        small = max(float(np.quantile(places[places > 0.0], 0.05)), 1e-3 * high) if (places > 0.0).any() else low
+        found = np.geomspace(small, high, FINE_KNOTS)
+    else:
+        found = 0.5 * (np.quantile(places, INNER[0] + (INNER[1] - INNER[0]) * shares) + low + (high - low) * shares)
+    distinct = [float(found[0])]
+    for x in found[1:]:
+        if x - distinct[-1] > (0.0 if axis.word in SCALELESS else 0.01 * (high - low)):
+            distinct.append(float(x))
+    return np.array(distinct)
 
 
 def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[Axis, Floats]]:
@@ -93,9 +286,4 @@ def abscissa(scenes: Sequence[Scene], axis: Axis) -> list[Floats]:
         "kind": PLAIN, "scale": axis.scale, "of_current": axis.of_current, "count": 2.0,
         "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,
     }  # fmt: skip
-    return [
-        load_along(
-            Scene(s.stretch, s.motion, s.commanded, s.axis, np.ones(s.moving.size)), UNKNOWN + axis.word, identity
-        )
-        for s in scenes
-    ]
+    return [load_along(s._replace(moving=np.ones(s.moving.size)), UNKNOWN + axis.word, identity) for s in scenes]

@@ -1,7 +1,6 @@
-"""Refit of everything together: base parameters, strengths and shapes of all effects, on the rows in torque.
+"""Fit of everything together: base parameters, strengths and shapes of all effects, on the rows in torque.
 
-Gauss-Newton with damping on the white residual. The sensitivities of the base change little between rivals and are
-shared; those of the effects are made anew at every step, and the model's torque that laws see follows the fit.
+Gauss-Newton with damping on residuals of unit variance, Huber's loss, a wide prior on what the data do not determine.
 """
 
 from __future__ import annotations
@@ -15,28 +14,40 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
+from ..identification.criterion import HUBER, clipped, huber, levels, unseen_loss
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
-from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
-from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of
+from .base import (
+    BASE,
+    NAMES,
+    Along,
+    along,
+    balanced,
+    distance,
+    models_along,
+    moved,
+    prior_sds,
+    residual_rows,
+    sensitivities,
+    step_of,
+)
 from .curves import curve_columns
-from .evidence import Whitening, whiten
-from .paths import Rows, Stretch
+from .rows import Rows, Stretch
+from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes_of
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
-FIXED = frozenset({"pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count"})  # shapes that stay
-JOINTS = frozenset({"elasticity", "backlash"})  # their torque is made from the motion; fed back it would run away
 LOOKUP = "lookup"  # a free curve: its knots stay
-HUBER = 4.0
+CURVE_PRIOR = 1e-3  # of the squared norm of a curve's column
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
-STARTED = 2  # rounds of a fit from the start, its sensitivities made anew in each
 STEADY = 0.02  # ... and at which the effects' sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
-PENALTY = 2.0  # on the logarithm of the number of rows, a free number
 LARGEST_LOG = 0.5  # of a positive parameter in one step
+SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits of the classes of noise, in shares of the top speed
+PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so many 1/K of travel
 
 
 class Data(NamedTuple):
@@ -44,9 +55,20 @@ class Data(NamedTuple):
 
     stretches: Sequence[Stretch]
     rows: Rows
-    whitening: Whitening
+    weight: Floats  # (m,) one over the level of noise; 0: not kept
     runs: int
-    start: Floats  # base parameters where the first fit began
+    start: Floats  # base parameters where the fits begin; the centre of the prior
+
+    @property
+    def used(self) -> Integers:
+        """Rows that count. (q,)"""
+        return np.flatnonzero(self.weight)
+
+    def white(self, values: Floats) -> Floats:
+        """Values (m,) or (m, k) at the rows that count, at unit variance. (q,) or (q, k)"""
+        used = self.used
+        weight = self.weight[used]
+        return np.asarray(values[used] * (weight if values.ndim == 1 else weight[:, None]))
 
 
 class Fitted(NamedTuple):
@@ -54,9 +76,14 @@ class Fitted(NamedTuple):
 
     physical: Floats
     effects: tuple[Effect, ...]
-    loss: float  # mean Huber loss of the white residual
+    loss: float  # mean loss of the white residual, nats
     residual_nm: Floats  # (m,)
     white: Floats  # (q,)
+
+    @property
+    def energy(self) -> float:
+        """Sum of squares of the white residual, outliers pulled in."""
+        return float(np.sum(clipped(self.white) ** 2))
 
 
 class Slot(NamedTuple):
@@ -67,18 +94,6 @@ class Slot(NamedTuple):
     run: int  # -1: no datum per run
     step: float  # of the numeric derivative
     logarithmic: bool
-
-
-def huber_loss(white: Floats) -> float:
-    """Mean Huber loss at unit variance."""
-    return float(np.mean(huber_terms(white)))
-
-
-def huber_terms(white: Floats) -> Floats:
-    """Huber loss of each row at unit variance. Shapes (q,)."""
-    magnitude = np.abs(white)
-    inner = np.minimum(magnitude, HUBER)
-    return np.asarray(inner * (2.0 * magnitude - inner))
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
@@ -98,14 +113,43 @@ def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[F
     residual = residual_rows(data.stretches, physical, data.rows, models)
     scenes = _scenes(data, physical, effects, models)
     if effects:
-        residual = residual - load_rows(data, scenes, effects)
-    white = whiten(data.rows, data.whitening, residual)
-    return Fitted(physical, tuple(effects), huber_loss(white), residual, white), scenes
+        residual = residual - torque_of(data, scenes, effects)
+    white = data.white(residual)
+    return Fitted(physical, tuple(effects), float(huber(white).mean()), residual, white), scenes
 
 
-def load_rows(data: Data, scenes: Sequence[Scene], effects: Sequence[Effect]) -> Floats:
+def torque_of(data: Data, scenes: Sequence[Scene], effects: Sequence[Effect]) -> Floats:
     """Torque of effects at the rows. (m,)"""
-    return np.concatenate([data.rows.laws.rows(load) for load in loads_of(scenes, effects)])
+    found = np.zeros(data.rows.time_s.size)
+    for effect in effects:
+        found += load_rows(data.rows, scenes, effect)
+    return found
+
+
+def with_levels(data: Data, fitted: Fitted) -> Data:
+    """The data with the levels of noise of this model's residual: by speed, presliding apart."""
+    speed = np.abs(data.rows.velocity_rps)
+    top = max(float(np.quantile(speed, 0.99)), 1e-12)
+    classes = np.searchsorted(np.array([share * top for share in SPEED_CLASSES]), speed) + 1
+    travel = data.rows.joined(along(stretch, fitted.physical).travel_rev for stretch in data.stretches)
+    classes[travel < PRESLIDING_LENGTHS / fitted.physical[NAMES.index("stiffness_per_rev")]] = 0
+    return data._replace(weight=levels(fitted.residual_nm, data.rows.kept, classes))
+
+
+def jacobian(data: Data, fitted: Fitted) -> Floats:
+    """White sensitivities of everything that is fitted: base, then the numbers of the effects. (q, p)"""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    numbers = slots_of(fitted.effects, data.rows.turns)
+    own = effect_jacobian(data, fitted.effects, numbers, scenes)
+    return data.white(np.concatenate([loaded_sensitivities(data, fitted.physical, fitted.effects), own], axis=1))
+
+
+def unseen(data: Data, fitted: Fitted, matrix: Floats | None = None) -> Floats:
+    """Loss of each row (q,) in nats by a fit of the other folds: one step from the fit of all."""
+    matrix = jacobian(data, fitted) if matrix is None else matrix
+    used = data.used
+    folds = data.rows.folds
+    return unseen_loss(fitted.white, matrix, type(folds)(*(part[used] for part in folds)))
 
 
 def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -> list[Scene]:
@@ -115,7 +159,7 @@ def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -
 
 def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Sequence[Along]) -> list[Scene]:
     scenes = scenes_of(data.stretches, physical, models)
-    carried = [e for e in effects if e.name not in JOINTS and law_of(e.name).feedforward is None]
+    carried = [e for e in effects if not law_of(e.name).joint and law_of(e.name).feedforward is None]
     if not carried or not any(law_of(e.name).feedforward is not None for e in effects):
         return scenes
     return scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
@@ -124,7 +168,7 @@ def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Seq
 def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
     """The data with the torque that friction balances at rest: motor torque less inertia and effects."""
     data = data._replace(stretches=balanced(data.stretches, physical))
-    acting = [effect for effect in effects if not law_of(effect.name).level and effect.name not in JOINTS]
+    acting = [effect for effect in effects if not law_of(effect.name).level and not law_of(effect.name).joint]
     if not acting:
         return data
     found = []
@@ -134,16 +178,16 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
         motion[:, slots.CURRENT_A] = scene.commanded_thinned
         terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
         load_nm, _ = effects_along(
-            [term for term in terms if term.name not in COMMANDED], motion, scene.axis, stretch.law_period_s
+            [term for term in terms if law_of(term.name).acts_on != "command"], motion, scene.axis, stretch.law_period_s
         )
-        on_command = [term for term in terms if term.name in COMMANDED]
+        on_command = [term for term in terms if law_of(term.name).acts_on == "command"]
         if on_command:
             load_nm = load_nm + commanded_load(scene, on_command)
         found.append(stretch._replace(balance_nm=stretch.balance_nm - np.nan_to_num(load_nm)))
     return data._replace(stretches=found)
 
 
-def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot]:
+def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> list[Slot]:
     """Every number of the effects that is fitted."""
     found = []
     for number, effect in enumerate(effects):
@@ -155,7 +199,7 @@ def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot
                 found += [Slot(number, p.name, run, 0.05 * p.typical, False) for run in runs]
         for p in law.shapes if shapes and law.name != LOOKUP else ():
             value = effect.shapes.get(p.name, 0.0)
-            if (value == 0.0 and p.name != "centre_rev") or p.name in FIXED:
+            if (value == 0.0 and p.name != "centre_rev") or p.held:
                 continue
             if p.name == "order":
                 found.append(Slot(number, p.name, -1, 0.01 / max(turns, 1.0), False))
@@ -189,84 +233,96 @@ def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:
 
 def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slot], scenes: Sequence[Scene]) -> Floats:
     """d(torque of the effects)/d(each number) at the rows. (m, slots)"""
-    matrix = np.zeros((data.rows.time_s.size, len(numbers)))
-    filter_ = data.rows.laws
-    base: dict[tuple[int, int], Floats] = {}
-    curves = {k for k, effect in enumerate(effects) if law_of(effect.name).name == LOOKUP}
-    for k in curves:
-        own = [column for column, slot in enumerate(numbers) if slot.effect == k]
-        parts = [curve_columns(scene, effects[k].name, effects[k].shapes, filter_) for scene in scenes]
-        matrix[:, own] = np.concatenate(parts)
-    for column, slot in enumerate(numbers):
-        if slot.effect in curves:
-            continue
-        moved_effect = changed(effects, slot, slot.step)[slot.effect]
-        for (begin, end), (number, scene) in zip(data.rows.bounds, enumerate(scenes), strict=True):
-            run = scene.stretch.run
-            if slot.run >= 0 and slot.run != run:
-                continue
-            key = (slot.effect, number)
-            if key not in base:
-                effect = effects[slot.effect]
-                base[key] = load_along(scene, effect.name, effect.values(run))
-            difference = load_along(scene, moved_effect.name, moved_effect.values(run)) - base[key]
-            matrix[begin:end, column] = filter_.rows(difference / slot.step)
+    rows = data.rows
+    matrix = np.zeros((rows.time_s.size, len(numbers)))
+    base: dict[int, Floats] = {}
+    for k, effect in enumerate(effects):
+        if law_of(effect.name).name == LOOKUP:
+            own = [column for column, slot in enumerate(numbers) if slot.effect == k]
+            parts = [curve_columns(scene, effect.name, effect.shapes, rows.laws) for scene in scenes]
+            matrix[:, own] = np.concatenate(parts)
+        else:
+            base[k] = load_rows(rows, scenes, effect)
+
+    def column(place: int) -> None:
+        slot = numbers[place]
+        if slot.effect in base:
+            moved_effect = changed(effects, slot, slot.step)[slot.effect]
+            matrix[:, place] = (load_rows(rows, scenes, moved_effect) - base[slot.effect]) / slot.step
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(column, range(len(numbers))))
     return matrix
 
 
-def refit(
-    data: Data, sensitivities: Floats, start: Floats, effects: Sequence[Effect], iterations: int = 4,
+def fit(
+    data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, base: Floats | None = None,
     shapes: bool = True, free_base: bool = True,
 ) -> Fitted:  # fmt: skip
-    """Fit base and effects from a start. `sensitivities` (m, len(BASE)) may be those of a near model."""
+    """Fit base and effects from a start. `base` (m, len(BASE)): sensitivities of a near model, made where not given."""
     best, scenes = evaluate(data, start, effects)
-    turns = float(np.ptp(data.rows.position_rev))
-    numbers = slots_of(effects, shapes, turns)
-    base_white = whiten(data.rows, data.whitening, sensitivities) if free_base else np.zeros((best.white.size, 0))
-    damping, fall = 1e-4, np.inf
+    turns = data.rows.turns
+    numbers = slots_of(effects, turns, shapes)
+    if not free_base:
+        base_white = np.zeros((best.white.size, 0))
+    else:
+        base_white = data.white(loaded_sensitivities(data, start, effects) if base is None else base)
+    count = base_white.shape[1]
+    precision = 1.0 / prior_sds()[:count] ** 2
+    damping, change = 1e-4, np.inf
     matrix = base_white
+    penalty = _penalty(data, best, precision)
     for _ in range(iterations):
-        if fall > STEADY:
-            columns = whiten(data.rows, data.whitening, effect_jacobian(data, best.effects, numbers, scenes))
-            matrix = np.concatenate([base_white, columns], axis=1)
+        if change > STEADY:
+            own = data.white(effect_jacobian(data, best.effects, numbers, scenes))
+            matrix = np.concatenate([base_white, own], axis=1)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
         gradient = matrix.T @ (weight * best.white)
         hessian = matrix.T @ (weight[:, None] * matrix)
+        gradient[:count] -= precision * distance(best.physical, data.start)[:count]
+        hessian[np.arange(count), np.arange(count)] += precision
+        _curve_prior(hessian, gradient, best.effects, numbers, count)
         accepted = None
         for _ in range(4):
             step = _solve(hessian, gradient, damping)
-            physical = stepped(best.physical, step[: base_white.shape[1]]) if free_base else best.physical
+            physical = stepped(best.physical, step[:count]) if free_base else best.physical
             moved_effects: Sequence[Effect] = best.effects
-            for slot, size in zip(numbers, step[base_white.shape[1] :], strict=True):
+            for slot, size in zip(numbers, step[count:], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf
                 if slot.name == "order":
                     limit = 0.25 / max(turns, 1.0)
                 moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
             trial, trial_scenes = evaluate(data, physical, moved_effects)
-            if np.isfinite(trial.loss) and trial.loss < best.loss:
+            trial_penalty = _penalty(data, trial, precision)
+            if np.isfinite(trial.loss) and trial.loss + trial_penalty < best.loss + penalty:
                 accepted = trial
                 break
             damping = max(1e-3, 30.0 * damping)
         if accepted is None:
             break
-        fall = (best.loss - accepted.loss) / best.loss
-        best, scenes = accepted, trial_scenes
+        change = (best.loss - accepted.loss) / best.loss
+        best, scenes, penalty = accepted, trial_scenes, trial_penalty
         damping = max(1e-6, 0.1 * damping)
-        if fall < CONVERGED:
+        if change < CONVERGED:
             break
     return best
 
 
-def from_start(data: Data, effects: Sequence[Effect]) -> Fitted:
-    """Base and effects fitted from where the first fit began.
+def _penalty(data: Data, fitted: Fitted, precision: Floats) -> float:
+    """Of the prior, in nats a row."""
+    away = distance(fitted.physical, data.start)[: precision.size]
+    return 0.5 * float(np.sum(precision * away * away)) / max(1, fitted.white.size)
 
-    A base that was fitted without an effect bends to take it in, and may not find back from where that led.
-    """
-    found = evaluate(data, data.start, effects)[0]
-    for _ in range(STARTED):
-        matrix = loaded_sensitivities(data, found.physical, found.effects)
-        found = refit(data, matrix, found.physical, found.effects)
-    return found
+
+def _curve_prior(
+    hessian: Floats, gradient: Floats, effects: Sequence[Effect], numbers: Sequence[Slot], first: int
+) -> None:
+    """Values of free curves are drawn towards nothing where the motion hardly goes."""
+    for place, slot in enumerate(numbers, first):
+        if law_of(effects[slot.effect].name).name == LOOKUP:
+            precision = CURVE_PRIOR * hessian[place, place]
+            gradient[place] -= precision * float(effects[slot.effect].strengths[slot.name][0])
+            hessian[place, place] += precision
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
@@ -278,7 +334,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
     delay = BASE.index("delay_s")
     others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
-        ([delay], [e for e in effects if e.name in COMMANDED]),
+        ([delay], [e for e in effects if law_of(e.name).acts_on == "command"]),
         (others, [e for e in effects if law_of(e.name).follows_model]),
     ):
         if carried:
@@ -290,27 +346,15 @@ def _load_slopes(
     data: Data, physical: Floats, effects: Sequence[Effect], carried: Sequence[Effect], columns: Sequence[int]
 ) -> Floats:
     """d(torque of the `carried` effects)/d(each of these coordinates of BASE). (m, columns)"""
-    before = load_rows(data, consistent_scenes(data, physical, effects), carried)
+    before = torque_of(data, consistent_scenes(data, physical, effects), carried)
 
     def slope(k: int) -> Floats:
         step = step_of(BASE[k], data.rows.filter.period_s)
         scenes = consistent_scenes(data, moved(physical, BASE[k], step), effects)
-        return (load_rows(data, scenes, carried) - before) / step
+        return (torque_of(data, scenes, carried) - before) / step
 
     with ThreadPoolExecutor(THREADS) as pool:
         return np.stack(list(pool.map(slope, columns)), axis=1)
-
-
-def polished(data: Data, fitted: Fitted, rounds: int = 4, settled: float = 0.01) -> Fitted:
-    """A fit carried on with sensitivities of its own: a base that was bent by a missing effect is far from home."""
-    for _ in range(rounds):
-        matrix = loaded_sensitivities(data, fitted.physical, fitted.effects)
-        again = refit(data, matrix, fitted.physical, fitted.effects)
-        done = 1.0 - again.loss / fitted.loss < settled
-        fitted = again
-        if done:
-            break
-    return fitted
 
 
 def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:
@@ -341,19 +385,14 @@ def stepped(physical: Floats, step: Floats) -> Floats:
     return found
 
 
-def cost(fitted: Fitted, data: Data) -> float:
-    """Loss, raised by what the free numbers cost: exp of the penalised deviance over the rows. Smaller is better."""
-    q = fitted.white.size
-    free = len(slots_of(fitted.effects, True, float(np.ptp(data.rows.position_rev))))
-    return float(max(fitted.loss, 1e-12) * np.exp(PENALTY * free * np.log(q) / q))
-
-
-def best_gain(before: Fitted, after: Fitted) -> float:
-    """Fall of the white loss times the number of rows."""
-    return (before.loss - after.loss) * before.white.size
-
-
-def raw_share(data: Data, before: Fitted, after: Fitted) -> float:
-    """Share of the squared torque residual that is gone."""
-    kept = data.rows.kept
-    return 1.0 - float(np.sum(after.residual_nm[kept] ** 2)) / max(float(np.sum(before.residual_nm[kept] ** 2)), 1e-300)
+def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None) -> Floats:
+    """Standard deviations (sandwich over windows) of BASE in its coordinates, then of the effects' numbers. (p,)"""
+    matrix = jacobian(data, fitted) if matrix is None else matrix
+    norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", matrix, matrix)), 1e-300)
+    scaled = matrix / norms
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
+    block = data.rows.folds.block[data.used]
+    products = scaled * clipped(fitted.white)[:, None]
+    scores = np.stack([np.bincount(block, products[:, k]) for k in range(products.shape[1])], axis=1)
+    spread = inverse @ (scores.T @ scores) @ inverse
+    return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0)) / norms)

@@ -15,7 +15,7 @@ from .candidates import Effect, Scene
 from .curves import Axis as FreeAxis
 from .curves import abscissa
 from .fitting import Data, Fitted, consistent_scenes, loads_of
-from .paths import Rows, Stretch
+from .rows import Rows, Stretch
 from .results import Ceiling, Curve, Picture, RunFigure
 
 Floats = npt.NDArray[np.float64]

@@ -16,12 +16,12 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from ..identification.ranking import ranked
-from .paths import Rows
+from .rows import Rows
 
 Floats = npt.NDArray[np.float64]
 
 BINS_PER_TURN = 128
-HIGHEST_ORDER = 50.0
+HIGHEST_ORDER = 50.0  # of the periodogram; whole orders beyond it are tried one by one
 SPEED_CLASSES = 8
 LEVEL_BLOCKS = 16  # in which the level of a spectrum is taken
 NEIGHBOURS = 40  # bins to each side that are the same line

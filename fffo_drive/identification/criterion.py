@@ -1,6 +1,6 @@
 """The one criterion by which an effect is kept: what it explains of rows that the fit did not see.
 
-Rows are dealt in blocks into folds; each fold's loss comes from a fit of the others. The gain G is the fall of that loss
+Rows are dealt in blocks into folds; the loss of each fold comes from a fit of the others. The gain G is its fall
 by an effect, its standard deviation comes from the blocks, because neighbouring rows are not independent. Whether an
 effect is there at all is asked of the windows' scores by Hotelling's T2 (Hotelling, 1931): no surrogates, which grow
 with the effect that is there.

@@ -60,6 +60,7 @@ class Record:
     warnings: tuple[str, ...] = ()
     measured_current_a: Floats | None = None
     begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
+    good: npt.NDArray[np.bool_] | None = None  # (n,) measured; False: filled in across a short gap. None: all
 
     @property
     def samples(self) -> int:

@@ -35,6 +35,14 @@ class Parameter(NamedTuple):
     meaning: str
     needs: str = ""  # a shape without which, at zero, this strength does nothing
 
+    @property
+    def held(self):
+        return self.name in ("pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count")
+
+    @property
+    def plausible(self):
+        return {"tau_s": (0.0, 0.005) if self.meaning == "time constant" else None, "damping": (0.001, 0.5)}.get(self.name)
+
 
 class SearchContext(NamedTuple):
     """Facts of the data that a search is laid over, all in the units of the model. None: not declared."""
@@ -89,6 +97,34 @@ class Law:
     level: bool = False  # it changes the level of the friction
 
     @property
+    def acts_on(self):
+        return "command" if self.name in ("voltage_limit", "delay", "current_lag", "dead_zone") else "motion"
+
+    @property
+    def wave(self):
+        return {"cogging": "plain", "unbalance": "plain", "torque_ripple": "torque", "friction_ripple": "friction"}.get(self.name, "")
+
+    @property
+    def joint(self):
+        return self.name in ("elasticity", "backlash")
+
+    @property
+    def shown_by_current(self):
+        return self.name in ("voltage_limit", "current_lag")
+
+    @property
+    def needs_current(self):
+        return self.name in ("voltage_limit",)
+
+    @property
+    def in_base(self):
+        return self.name == "delay"
+
+    @property
+    def rung(self):
+        return {"torque_offset": 0, "asymmetric_coulomb": 0, "unbalance": 1, "cogging": 2, "lookup": 4}.get(self.name, 3)
+
+    @property
     def follows_model(self) -> bool:
         """Whether its torque changes with the parameters of the axis, and not only with the motion."""
         return self.level or self.feedforward is not None
@@ -130,7 +166,7 @@ def motor_orders(context: SearchContext, half: bool = False, slow: Sequence[floa
 
     With `half` also halves. An order needs to be passed twice, and its period to last four samples at top speed.
     """
-    highest = 0.25 / (context.period_s * max(context.highest_rps, 1e-9))
+    highest = 0.25 / (context.period_s * max(context.lowest_rps, 1e-9))
     orders = {float(k) for k in range(1, 25)}
     if half:
         orders |= {k + 0.5 for k in range(8)}

@@ -8,13 +8,14 @@ the filter: filter and difference commute.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, signal
 
+from ..identification.criterion import Folds, folds_of
 from ..identification.dataset import Record
 from ..identification.kinematics import low_pass
 from .kernels import filter_rows, play_path
@@ -23,15 +24,19 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-CUTOFF_HZ = 45.0  # of the filter that all signals share
+CUTOFF_HZ = 45.0  # of the filter that all signals share, where the machine also moves slowly
+HIGHEST_ORDER = 200.0  # periods a turn that are looked for at most
+HIGHEST_SHARE = 0.15  # of the record's rate, that a higher cut-off may be
+SLOW_QUANTILE = 0.1  # of the speed in motion: what slow motion is
 ROW_SHARE = 2.8  # rows a second over the cut-off
+RESPONSE_POINTS = 512
 TAPS_PERIODS = 1.9  # half length of the filter, in periods of the cut-off
-LAW_HZ = 500.0  # at which friction and effects are evaluated
+LAW_HZ = 500.0  # at which friction and effects are evaluated, or so many times the cut-off where that is more
+LAW_RATIO = 5.0
 PATH_HZ = 200.0  # of the position that friction and effects are evaluated on
 PLAY_LSB = 0.2
-WINDOW_S = 0.5  # what is inside one window counts as one piece of evidence
 EDGE_S = 0.15  # at the ends of a stretch, where filters see no data
-SHORTEST_S = 2.0
+SHORTEST_S = 0.6  # of a stretch: four times its edges
 REST_S = 0.1  # rest: the low-pass position stays for so long ...
 REST_LSB = 20.0  # ... within so many counts
 
@@ -43,6 +48,8 @@ class Filter(NamedTuple):
     step: int
     cutoff_hz: float
     period_s: float
+    law_period_s: float
+    response: Floats  # what is left of a sine, over frequencies up to half the rate
 
     @property
     def row_period_s(self) -> float:
@@ -57,24 +64,29 @@ class Filter(NamedTuple):
 
     def thinned(self) -> Filter:
         """The same filter for signals at the rate of the laws."""
-        thin = thinning(self.period_s)
+        thin = round(self.law_period_s / self.period_s)
         if thin == 1:
             return self
         half = self.taps.size // 2 // thin
-        taps = signal.firwin(2 * half + 1, self.cutoff_hz, fs=1.0 / (thin * self.period_s), window="hamming")
-        return Filter(np.asarray(taps, dtype=np.float64), self.step // thin, self.cutoff_hz, thin * self.period_s)
+        taps = signal.firwin(2 * half + 1, self.cutoff_hz, fs=1.0 / self.law_period_s, window="hamming")
+        period_s = self.law_period_s
+        return _filter(taps, self.step // thin, self.cutoff_hz, period_s, period_s)
 
     def gain(self, frequency_hz: Floats) -> Floats:
         """What is left of a sine, by its frequency."""
-        k = np.arange(self.taps.size) - self.taps.size // 2
-        grid = np.linspace(0.0, 0.5 / self.period_s, 512)
-        response = np.cos(2.0 * math.pi * np.outer(grid, k) * self.period_s) @ self.taps
-        return np.asarray(np.interp(np.abs(frequency_hz), grid, response))
+        return np.interp(np.abs(frequency_hz), np.linspace(0.0, 0.5 / self.period_s, RESPONSE_POINTS), self.response)
 
 
-def thinning(period_s: float) -> int:
-    """Samples to one of the laws: friction and effects are evaluated at `LAW_HZ`, however fast the record is."""
-    return max(1, round(1.0 / (LAW_HZ * period_s)))
+def _filter(taps: Floats, step: int, cutoff_hz: float, period_s: float, law_period_s: float) -> Filter:
+    k = np.arange(taps.size) - taps.size // 2
+    grid = np.linspace(0.0, 0.5 / period_s, RESPONSE_POINTS)
+    response = np.cos(2.0 * math.pi * np.outer(grid, k) * period_s) @ taps
+    return Filter(np.asarray(taps, dtype=np.float64), step, cutoff_hz, period_s, law_period_s, np.asarray(response))
+
+
+def thinning(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
+    """Samples to one of the laws."""
+    return max(1, int(1.0 / (max(LAW_HZ, LAW_RATIO * cutoff_hz) * period_s) + 1e-9))
 
 
 def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
@@ -82,9 +94,23 @@ def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
     cutoff_hz = min(cutoff_hz, 0.2 / period_s)
     half = max(2, round(TAPS_PERIODS / (cutoff_hz * period_s)))
     taps = signal.firwin(2 * half + 1, cutoff_hz, fs=1.0 / period_s, window="hamming")
-    thin = thinning(period_s)
+    thin = thinning(period_s, cutoff_hz)
     step = thin * max(1, int(1.0 / (ROW_SHARE * cutoff_hz * period_s * thin) + 1e-9))
-    return Filter(np.asarray(taps, dtype=np.float64), step, cutoff_hz, period_s)
+    return _filter(taps, step, cutoff_hz, period_s, thin * period_s)
+
+
+def slow_rps(records: Sequence[Record]) -> float:
+    """The speed that a tenth of the motion stays below."""
+    speeds = []
+    for record in records:
+        for part in record.segments():
+            position = record.position_rev[part]
+            if position.size * record.period_s < SHORTEST_S:
+                continue
+            speed = np.abs(np.gradient(low_pass(position - position[0], CUTOFF_HZ, record.period_s), record.period_s))
+            speeds.append(speed[speed > REST_LSB * record.lsb_rev / REST_S])
+    moving = np.concatenate(speeds) if speeds else np.zeros(0)
+    return float(np.quantile(moving, SLOW_QUANTILE)) if moving.size else 0.0
 
 
 class Stretch(NamedTuple):
@@ -105,6 +131,7 @@ class Stretch(NamedTuple):
     velocity_rps: Floats  # (l,) its derivative; zero at rest
     acceleration_rps2: Floats  # (l,)
     path_rev: Floats  # (l,) behind a play: moves where the axis moves
+    good: Mask  # (l,) measured; False: filled in across a gap
     rest: Mask  # (l,) no motion that the sensor is sure of
     balance_nm: Floats  # (l,) motor torque minus inertia, by the base model at hand: what friction is at rest
 
@@ -113,18 +140,23 @@ class Stretch(NamedTuple):
         """Number of samples at the laws' rate."""
         return int(self.smooth_rev.size)
 
+    @property
+    def thin(self) -> int:
+        """Samples of the record to one of the laws."""
+        return round(self.law_period_s / self.period_s)
 
-def stretches_of(records: Sequence[Record]) -> list[Stretch]:
+
+def stretches_of(records: Sequence[Record], filter_: Filter) -> list[Stretch]:
     """All stretches that are long enough, in the order of the records."""
     return [
-        _stretch(number, record, part)
+        _stretch(number, record, part, round(filter_.law_period_s / filter_.period_s))
         for number, record in enumerate(records)
         for part in record.segments()
         if (part.stop - part.start) * record.period_s >= SHORTEST_S
     ]
 
 
-def _stretch(number: int, record: Record, part: slice) -> Stretch:
+def _stretch(number: int, record: Record, part: slice, thin: int) -> Stretch:
     origin = record.position_rev[part.start]
     period_s = record.period_s
     position = np.ascontiguousarray(record.position_rev[part])
@@ -135,7 +167,7 @@ def _stretch(number: int, record: Record, part: slice) -> Stretch:
     acceleration = np.gradient(velocity, period_s)
     rest = resting(smooth, record.lsb_rev, period_s)
     velocity[rest] = 0.0
-    thin = thinning(period_s)
+    good = np.ones(smooth.size, bool) if record.good is None else record.good[part]
 
     def cut(values: Floats | None) -> Floats | None:
         return None if values is None else np.ascontiguousarray(values[part])
@@ -147,7 +179,7 @@ def _stretch(number: int, record: Record, part: slice) -> Stretch:
         number, record.name, record.begin_s + part.start * period_s, period_s, record.torque_constant_nm_per_a,
         record.lsb_rev, position, np.ascontiguousarray(record.current_a[part]), cut(record.measured_current_a),
         cut(record.reference_rps), thin * period_s, slow(smooth), slow(velocity), slow(acceleration), slow(path),
-        np.ascontiguousarray(rest[::thin]), np.zeros(-(-smooth.size // thin)),
+        np.ascontiguousarray(good[::thin]), np.ascontiguousarray(rest[::thin]), np.zeros(-(-smooth.size // thin)),
     )  # fmt: skip
 
 
@@ -158,36 +190,39 @@ class Rows(NamedTuple):
     laws: Filter  # the same for signals at the laws' rate
     bounds: tuple[tuple[int, int], ...]  # rows of each stretch
     run: Integers
-    window: Integers  # rising
     time_s: Floats  # on the clock of the log
     velocity_rps: Floats
     acceleration_rps2: Floats
     position_rev: Floats
-    kept: Mask  # neither at rest nor at the ends
+    kept: Mask  # neither at rest, nor at the ends, nor near a gap
+    folds: Folds
+
+    def joined(self, parts: Iterable[Floats]) -> Floats:
+        """Signals of all stretches at the laws' rate (l,), thinned to the rows without a filter. (m,)"""
+        return np.concatenate([part[:: self.laws.step] for part in parts])
 
     @property
-    def windows(self) -> int:
-        """Number of windows."""
-        return int(self.window[-1]) + 1 if self.window.size else 0
+    def turns(self) -> float:
+        """Range of the angle, rev."""
+        return float(np.ptp(self.position_rev))
 
 
 def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
     """Labels and kinematics of the rows."""
     laws = filter_.thinned()
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
-    bounds, begin, window = [], 0, 0
-    length = max(1, round(WINDOW_S / filter_.row_period_s))
+    bounds, begin = [], 0
+    edge = round(EDGE_S / filter_.row_period_s)
+    reach = filter_.taps.size // 2 * 2 // (round(filter_.law_period_s / filter_.period_s) * 2)
     for stretch in stretches:
         position = filter_.rows(stretch.position_rev)
         count = position.size
-        number = np.arange(count) // length
-        edge = round(EDGE_S / filter_.row_period_s)
-        kept = ~stretch.rest[:: laws.step]
+        clean = ndimage.minimum_filter1d(stretch.good.astype(np.int8), 2 * reach + 1) > 0
+        kept = (clean & ~stretch.rest)[:: laws.step]
         kept[:edge] = False
         kept[count - edge :] = False
         for name, values in (
             ("run", np.full(count, stretch.run)),
-            ("window", window + number),
             ("time_s", stretch.begin_s + np.arange(count) * filter_.row_period_s),
             ("velocity_rps", laws.rows(stretch.velocity_rps)),
             ("acceleration_rps2", filter_.rows(second_difference(stretch.position_rev, stretch.period_s))),
@@ -197,9 +232,8 @@ def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
             columns.setdefault(name, []).append(values)
         bounds.append((begin, begin + count))
         begin += count
-        window += int(number[-1]) + 1
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return Rows(filter_, laws, tuple(bounds), **joined)
+    return Rows(filter_, laws, tuple(bounds), folds=folds_of(bounds, filter_.row_period_s), **joined)
 
 
 def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:

@@ -1,4 +1,8 @@
-"""Effects along the measured motion: torque columns of laws at the rows, filtered like everything else."""
+"""Effects along the measured motion: torque of laws at the rows, filtered like everything else.
+
+A wave of the angle has its column in closed form, at any order: the filter leaves g(N v) of what passes N v times a
+second. Its kernel, evaluated at the laws' rate, would alias.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +21,10 @@ from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import Along, axis_config
 from .kernels import contact_levels
-from .paths import Filter, Rows, Stretch, second_difference, thinning
+from .rows import Rows, Stretch, second_difference
 
 Floats = npt.NDArray[np.float64]
+Factors = dict[str, Floats]  # what waves are times, by kind: the same for all orders
 
 
 @dataclass(frozen=True)
@@ -60,10 +65,7 @@ class Effect:
 
 
 KEPT_BAND = 0.7  # of what a thinned command can carry
-
-# These act between command and torque and see the command itself, the residual in it too. The measured current tells
-# whether a lag or a limit is real; inside a dead zone the residual explains itself: little of the motion may lie there.
-COMMANDED = frozenset({"voltage_limit", "delay", "current_lag", "dead_zone"})
+SAMPLES_A_WAVE = 8.0  # of a kernel at the laws' rate, at top speed: fewer alias
 
 
 class Scene(NamedTuple):
@@ -83,7 +85,7 @@ class Scene(NamedTuple):
     @property
     def commanded_thinned(self) -> Floats:
         """The command at the laws' rate. (n,)"""
-        return thinned(self.commanded, thinning(self.stretch.period_s))
+        return thinned(self.commanded, self.stretch.thin)
 
 
 def scenes_of(
@@ -133,7 +135,7 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
     """What an effect adds to the torque residual of one stretch, at the laws' rate: E, -J e'' of a sensor's error."""
     period_s = scene.stretch.law_period_s
     terms = [Term(name, values)]
-    if name in COMMANDED:
+    if law_of(name).acts_on == "command":
         load_nm, sensor_rev = commanded_load(scene, terms), np.zeros(0)
     else:
         load_nm, sensor_rev = effects_along(terms, scene.motion, scene.axis, period_s, feedforward=True)
@@ -147,7 +149,7 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
 def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
     """What acts on the command, at the rate of the record: a limit cuts noise as well, and a lag takes it away. (n,)"""
     stretch, size = scene.stretch, scene.commanded.size
-    thin = thinning(stretch.period_s)
+    thin = stretch.thin
     motion = np.zeros((size, slots.N_MOTION))
     places, laws = np.arange(size) / thin, np.arange(stretch.samples)
     motion[:, slots.VELOCITY_RPS] = np.interp(places, laws, stretch.velocity_rps)
@@ -156,14 +158,70 @@ def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
     return thinned(load_nm, thin)
 
 
-def torque_rows(scene: Scene, name: str, values: Mapping[str, float], filter_: Filter) -> Floats:
-    """`load_along` at the rows."""
-    return filter_.rows(load_along(scene, name, values))
-
-
-def effect_rows(scenes: Sequence[Scene], effect: Effect, filter_: Filter) -> Floats:
+def load_rows(rows: Rows, scenes: Sequence[Scene], effect: Effect) -> Floats:
     """What an effect adds to the torque residual at all rows. (m,)"""
-    return np.concatenate([torque_rows(s, effect.name, effect.values(s.stretch.run), filter_) for s in scenes])
+    if not in_closed_form(rows, effect.name, effect.shapes):
+        parts = [load_along(scene, effect.name, effect.values(scene.stretch.run)) for scene in scenes]
+        return np.concatenate([rows.laws.rows(part) for part in parts])
+    found = np.zeros(rows.time_s.size)
+    columns = wave_columns(rows, scenes, effect.name, effect.shapes)
+    for strength, column in zip(law_of(effect.name).strengths, columns.T, strict=True):
+        values = effect.strengths.get(strength.name, np.zeros(1))
+        found += column * (values[rows.run] if values.size > 1 else values[0])
+    return found
+
+
+def in_closed_form(rows: Rows, name: str, shapes: Mapping[str, float]) -> bool:
+    """Whether a wave's column is made in closed form: that of friction, where its kernel would have too few samples."""
+    wave = law_of(name).wave
+    if wave != "friction":
+        return bool(wave)
+    passed_hz = wave_order(shapes) * float(np.abs(rows.velocity_rps).max())
+    return passed_hz * rows.laws.period_s * SAMPLES_A_WAVE > 1.0
+
+
+def wave_order(shapes: Mapping[str, float]) -> float:
+    """Periods of a wave in a motor turn."""
+    return shapes["order"] if "order" in shapes else 1.0 / shapes["ratio"]
+
+
+def wave_columns(
+    rows: Rows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
+) -> Floats:
+    """Cosine and sine of a wave at the rows, per unit of strength, as the filter leaves them. (m, 2)
+
+    Friction follows its level over the travel level/B (5): a wave of the level arrives smaller and later.
+    """
+    wave, order = law_of(name).wave, wave_order(shapes)
+    factors = {} if factors is None else factors
+    if wave not in factors:
+        factors[wave] = wave_factor(rows, scenes, wave)
+    height = rows.filter.gain(order * rows.velocity_rps) * factors[wave]
+    angle = 2.0 * np.pi * order * rows.position_rev
+    if wave == "friction":
+        lag_rev = np.abs(factors[wave]) / scenes[0].axis.friction.attraction_nm_per_rev
+        late = 2.0 * np.pi * order * lag_rev
+        height = height / np.sqrt(1.0 + late * late)
+        angle = angle - np.arctan(late) * np.sign(rows.velocity_rps)
+    return np.stack([height * np.cos(angle), height * np.sin(angle)], axis=1)
+
+
+def wave_factor(rows: Rows, scenes: Sequence[Scene], wave: str) -> Floats:
+    """What a wave is times: one, the model's torque, or the friction without its viscous part. (m,)"""
+    if wave == "torque":
+        return np.concatenate([rows.laws.rows(_torque_nm(scene)) for scene in scenes])
+    if wave == "friction":
+        return np.concatenate([rows.laws.rows(_contact_nm(scene)) for scene in scenes])
+    return rows.joined(scene.moving for scene in scenes)
+
+
+def _torque_nm(scene: Scene) -> Floats:
+    return np.asarray(scene.motion[:, slots.CURRENT_A] * scene.axis.torque_constant_nm_per_a * scene.moving)
+
+
+def _contact_nm(scene: Scene) -> Floats:
+    viscous_nm = scene.axis.friction.viscous_nm_per_rps * scene.motion[:, slots.VELOCITY_RPS]
+    return np.asarray((scene.motion[:, slots.FRICTION_NM] - viscous_nm) * scene.moving)
 
 
 class Columns(NamedTuple):
@@ -175,35 +233,34 @@ class Columns(NamedTuple):
 
 
 def strength_columns(
-    scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], rows: Rows, absolute: bool
+    rows: Rows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
 ) -> Columns:
-    """Regressors of a law at a shape, strength by strength; one column a run for what has a datum per run."""
+    """Regressors of a law at a shape, strength by strength, one datum in all runs."""
     law = law_of(name)
-    runs = sorted({scene.stretch.run for scene in scenes})
-    names: list[str] = []
-    numbers: list[int] = []
-    columns: list[Floats] = []
+    if in_closed_form(rows, name, shapes):
+        names = tuple(p.name for p in law.strengths)
+        return Columns(names, (-1,) * len(names), wave_columns(rows, scenes, name, shapes, factors))
+    found: dict[str, Floats] = {}
     for strength in law.strengths:
         if strength.needs and shapes.get(strength.needs, 0.0) <= 0.0:
             continue
-        probe = strength.typical
-        parts = [torque_rows(scene, name, {**shapes, strength.name: probe}, rows.laws) / probe for scene in scenes]
-        column = np.concatenate(parts)
-        if not column.any():
-            continue
-        if strength.name in law.per_run and not absolute and len(runs) > 1:
-            for run in runs:
-                inside = np.where(rows.run == run, column, 0.0)
-                if inside.any():
-                    names.append(strength.name)
-                    numbers.append(run)
-                    columns.append(inside)
-        else:
-            names.append(strength.name)
-            numbers.append(-1)
-            columns.append(column)
-    values = np.stack(columns, axis=1) if columns else np.zeros((rows.time_s.size, 0))
-    return Columns(tuple(names), tuple(numbers), values)
+        probe = Effect(name, dict(shapes), {strength.name: np.array([strength.typical])})
+        column = load_rows(rows, scenes, probe) / strength.typical
+        if column.any():
+            found[strength.name] = column
+    values = np.stack(list(found.values()), axis=1) if found else np.zeros((rows.time_s.size, 0))
+    return Columns(tuple(found), (-1,) * len(found), values)
+
+
+def with_datum(columns: Columns, name: str, rows: Rows) -> Columns:
+    """The same with a datum of its own in each run."""
+    names, runs, values = [], [], []
+    for label, column in zip(columns.names, columns.values.T, strict=True):
+        for run in np.unique(rows.run) if label in law_of(name).per_run else (-1,):
+            names.append(label)
+            runs.append(int(run))
+            values.append(column if run < 0 else np.where(rows.run == run, column, 0.0))
+    return Columns(tuple(names), tuple(runs), np.stack(values, axis=1))
 
 
 def effect_of(name: str, shapes: Mapping[str, float], columns: Columns, strengths: Floats, runs: int) -> Effect:

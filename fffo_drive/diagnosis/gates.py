@@ -1,0 +1,131 @@
+"""What a machine cannot be: an axis that shrinks, a shape at a bound, a lag that the measured current does not show.
+
+A law that acts on the command, or a spring, may swallow half of the command; inertia and friction then shrink with it,
+and the residual falls on any run. The axis of the ladder's first rungs is therefore the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.effects.law import SHAPE
+from ..model.effects.registry import law_of
+from .base import BASE, NAMES, delayed, models_along
+from .fitting import Data, Fitted, consistent_scenes, standard_deviations, torque_of
+from .scenes import Effect, load_along
+
+Floats = npt.NDArray[np.float64]
+
+INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
+NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
+DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
+AT_BOUND = 0.01  # of a bound, relative: a shape that ends there is none of a machine
+SHOWN_SHARE = 0.5  # of what the measured current is short of its command, that an effect has to account for
+LONGEST_SAMPLES = 20  # between command and measured current
+FINENESS = 2  # delays tried a sample
+
+
+class Reference(NamedTuple):
+    """The axis by the first rungs of the ladder."""
+
+    inertia_nm_s2_per_rev: float
+    inertia_sd: float  # of its logarithm
+    needed_nm: float  # rms torque: J a, friction, and what these rungs have found
+
+    @classmethod
+    def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> Reference:
+        """From a fit of the first rungs."""
+        sd = standard_deviations(data, fitted, matrix)[BASE.index("inertia_nm_s2_per_rev")]
+        inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
+        return cls(inertia, float(sd), needed_rms_nm(data, fitted))
+
+
+def needed_rows(data: Data, fitted: Fitted) -> Floats:
+    """Torque that the axis needs by a model: J a, friction, and effects that do not act on the command. (m,)"""
+    models = models_along(data.stretches, fitted.physical)
+    inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
+    friction = np.concatenate([data.rows.laws.rows(model.friction_nm) for model in models])
+    load = [effect for effect in fitted.effects if law_of(effect.name).acts_on != "command"]
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    return np.asarray(inertia * data.rows.acceleration_rps2 + friction + torque_of(data, scenes, load))
+
+
+def needed_rms_nm(data: Data, fitted: Fitted) -> float:
+    """Rms of `needed_rows` over the rows that count."""
+    return float(np.sqrt(np.mean(needed_rows(data, fitted)[data.used] ** 2)))
+
+
+def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
+    """Why the last effect of a model is not believed; empty where nothing speaks against it."""
+    effect = fitted.effects[-1]
+    shape = "" if "shapes" in ablate else _shape_objection(data, effect)
+    if shape:
+        return shape
+    if law_of(effect.name).shown_by_current and "current" not in ablate:
+        shown = shown_share(data, fitted, effect)
+        if shown is None and law_of(effect.name).needs_current:
+            return "it acts on the command, which has the residual in it: a log with the measured current would tell"
+        if shown is not None and shown < SHOWN_SHARE:
+            return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
+    if reference is None or "shrink" in ablate:
+        return ""
+    ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
+    if reference.inertia_sd < DETERMINED_SD and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
+        return f"it buys its error with another axis: the inertia would be {ratio:.2g} times that without it"
+    needed = needed_rms_nm(data, fitted) / reference.needed_nm
+    if needed < NEEDED_SHARE:
+        return f"it buys its error by shrinking the axis: {100.0 * needed:.0f} % of the torque would be needed"
+    return ""
+
+
+def _shape_objection(data: Data, effect: Effect) -> str:
+    values = effect.values(0)
+    measured = all(stretch.measured_a is not None for stretch in data.stretches)
+    for parameter in law_of(effect.name).parameters:
+        if parameter.plausible is None or parameter.name not in values:
+            continue
+        if law_of(effect.name).shown_by_current and measured and parameter.kind == SHAPE:
+            continue  # the current shows whether it is so
+        low, high = parameter.plausible
+        value = values[parameter.name]
+        if value <= low * (1.0 + AT_BOUND) or value >= high * (1.0 - AT_BOUND):
+            return (
+                f"no machine is so: {parameter.name} {value:.3g} {parameter.unit} is outside of "
+                f"{low:g} to {high:g}"
+            )
+    return ""
+
+
+def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:
+    """Share of what the measured current is short of its command that an effect accounts for; None: not measured.
+
+    1 for what acts on the command, 0 or less for others. The delay of the measurement is free on both sides: a delay
+    alone takes in much of a lag.
+    """
+    if any(stretch.measured_a is None for stretch in data.stretches):
+        return None
+    acts_s = float(fitted.physical[NAMES.index("delay_s")])
+    kept = data.rows.kept
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    loads = [
+        (np.arange(s.stretch.samples) * s.stretch.law_period_s, load_along(s, effect.name, effect.values(s.stretch.run)))
+        for s in scenes
+    ]  # fmt: skip
+    errors, without = [], []
+    for samples in np.arange(0, LONGEST_SAMPLES * FINENESS) / FINENESS:
+        short, moved = [], []
+        for stretch, (time_s, load) in zip(data.stretches, loads, strict=True):
+            assert stretch.measured_a is not None
+            short_a = delayed(stretch.current_a, float(samples)) - stretch.measured_a
+            short.append(data.rows.filter.rows(stretch.torque_constant_nm_per_a * short_a))
+            # the effect acts with the torque, the current is measured at a time of its own
+            at_s = time_s - samples * data.rows.filter.period_s + acts_s
+            moved.append(data.rows.laws.rows(np.interp(at_s, time_s, load)))
+        short_nm, moved_nm = np.concatenate(short)[kept], np.concatenate(moved)[kept]
+        without.append(float(np.sum(short_nm**2)))
+        errors.append(float(np.sum((short_nm - moved_nm) ** 2)))
+    return 1.0 - min(errors) / max(min(without), 1e-300)

@@ -1,0 +1,285 @@
+"""Every effect at every shape, scored on what the model at hand leaves: explained likelihood, and how sure that is.
+
+The base and what is accepted are projected out of residual and columns alike (Frisch and Waugh, 1933), so that nothing
+is proposed that a refit of them could explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.criterion import Folds, clipped, hotelling_p
+from ..identification.facts import DriveFacts
+from ..identification.prediction import THREADS
+from ..model.effects import slots
+from ..model.effects.law import SearchContext, Shape
+from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.registry import LAWS, law_of
+from .base import NAMES
+from .curves import Curve, coarse_tables, curves, fine_table, kind_of_curve
+from .fitting import Data, Fitted, consistent_scenes
+from .rows import HIGHEST_ORDER, SLOW_QUANTILE
+from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
+from .spectra import frequency_peaks, order_peaks, slow_orders
+
+Floats = npt.NDArray[np.float64]
+
+PEAKS = 4  # of each spectrum that become shapes
+DISTINCT = 1e-3  # share of a column's square that must be left once the base is projected out
+COLLINEAR = 1e-8  # eigenvalue over the largest, below which columns of one candidate are one
+GRAVITY_RUNG, WAVE_RUNG, LAW_RUNG = 1, 2, 3
+INSIDE_SHARE = 0.2  # of the motion that may lie inside a dead zone: there the residual explains itself
+
+
+class Evidence(NamedTuple):
+    """White residual with everything that is refitted anyway projected out; what a candidate is scored against."""
+
+    residual: Floats  # (q,)
+    basis: Floats  # (q, b) orthonormal
+    folds: Folds  # of the rows that count, (q,) each
+
+    @property
+    def energy(self) -> float:
+        """Sum of squares that is left to explain."""
+        return float(self.residual @ self.residual)
+
+
+class Score(NamedTuple):
+    """What columns explain."""
+
+    explained: float  # fall of the sum of squares
+    strengths: Floats  # (k,) by least squares
+    rank: int
+    p: float  # chance of it, as if nothing else had been tried
+
+
+class Proposal(NamedTuple):
+    """An effect at a shape."""
+
+    name: str
+    kind: str  # what counts as one and the same: the law, or the kind of curve
+    rung: int
+    effect: Effect
+    columns: Floats  # (m, k) at the rows
+    score: Score
+
+    @property
+    def worth(self) -> float:
+        """What it explains, less what as many free numbers explain of noise (BIC)."""
+        numbers = self.score.rank + sum(not p.held for p in law_of(self.name).shapes if p.name in self.effect.shapes)
+        return self.score.explained - numbers * 10.0
+
+
+def evidence_of(data: Data, fitted: Fitted, known: Floats) -> Evidence:
+    """`known` (q, b): white sensitivities of everything that is refitted anyway."""
+    basis = orthonormal(known)
+    residual = clipped(fitted.white)
+    residual = residual - basis @ (basis.T @ residual)
+    return Evidence(residual, basis, Folds(*(part[data.used] for part in data.rows.folds)))
+
+
+def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
+    """Orthonormal basis of the columns (q, k), without those that are (nearly) combinations of others. (q, <=k)"""
+    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    use = norms > 0.0
+    if not use.any():
+        return np.zeros((columns.shape[0], 0))
+    scaled = columns[:, use] / norms[use]
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    good = values > tolerance * values[-1]
+    return np.asarray(scaled @ (vectors[:, good] / np.sqrt(values[good])))
+
+
+def score(evidence: Evidence, white: Floats, chance: bool = True) -> Score:
+    """Score white columns (q, k). Without `chance` p is not computed."""
+    squares = np.einsum("ij,ij->j", white, white)
+    white = white - evidence.basis @ (evidence.basis.T @ white)
+    left = np.einsum("ij,ij->j", white, white)
+    use = (left > DISTINCT * squares) & (left > 0.0)
+    strengths = np.zeros(white.shape[1])
+    if not use.any():
+        return Score(0.0, strengths, 0, 1.0)
+    norms = np.sqrt(left[use])
+    scaled = white[:, use] / norms
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    good = values > COLLINEAR * values[-1]
+    turn = vectors[:, good] / np.sqrt(values[good])
+    axes = scaled @ turn
+    total = evidence.residual @ axes
+    strengths[use] = (turn @ total) / norms
+    p = 1.0
+    if chance:
+        products = axes * evidence.residual[:, None]
+        sums = [np.bincount(evidence.folds.window, products[:, k]) for k in range(products.shape[1])]
+        p = hotelling_p(np.stack(sums, axis=1))
+    return Score(float(total @ total), strengths, int(good.sum()), p)
+
+
+def beyond(evidence: Evidence, white: Floats, beside: Floats) -> Score:
+    """What white columns explain beyond others (q, j) that are fitted anyway."""
+    more = orthonormal(beside - evidence.basis @ (evidence.basis.T @ beside))
+    left = evidence.residual - more @ (more.T @ evidence.residual)
+    return score(evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1)), white)
+
+
+class Search:
+    """All candidates of one data set, round by round: what does not follow the model is made once."""
+
+    def __init__(self, facts: DriveFacts, without: frozenset[str], first_rungs_only: bool = False) -> None:
+        self.facts = facts
+        self.without = without
+        self.first_rungs_only = first_rungs_only
+        self.tried = 0  # candidates of the last round
+        self._kept: dict[tuple[str | float, ...], Columns] = {}
+
+    def proposals(
+        self, data: Data, fitted: Fitted, evidence: Evidence, rung: int, told: Callable[[float], None]
+    ) -> list[Proposal]:
+        """The best shape of every law, and every curve, up to a rung; beyond the waves all compete."""
+        scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+        context = search_context(data, fitted, scenes, self.facts)
+        work = list(self._shapes(context, rung))
+        best: dict[str, Proposal] = {}
+        factors: Factors = {}
+        with ThreadPoolExecutor(THREADS) as pool:
+            scored = pool.map(lambda item: self._scored(data, evidence, scenes, factors, *item), work)
+            for number, found in enumerate(scored):
+                told((number + 1) / len(work))
+                if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
+                    best[found.kind] = found
+        self.tried = len(work)
+        chosen = [
+            more for found in best.values() for more in (found, *self._with_datum(data, evidence, found))
+        ]
+        if rung > LAW_RUNG - 1:
+            chosen += self._curves(data, evidence, scenes)
+        # the scores were compared without their chance: it is wanted of the best alone
+        return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
+
+    def _shapes(self, context: SearchContext, rung: int) -> Iterator[tuple[str, Shape]]:
+        """Laws and their shapes. Below the rung of the laws waves are of the machine's own orders."""
+        for name, law in LAWS.items():
+            if name in self.without or law.in_base or law.name == "lookup" or law.rung > rung:
+                continue
+            shapes = law.search(context)
+            if law.rung == WAVE_RUNG and rung == WAVE_RUNG:
+                own = machine_orders(self.facts)
+                shapes = [shape for shape in shapes if shape["order"] in own]
+            yield from ((name, shape) for shape in shapes)
+
+    def _scored(
+        self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors, name: str, shape: Shape
+    ) -> Proposal:
+        key = (name, *shape.values())
+        columns = self._kept.get(key)
+        if columns is None:
+            columns = strength_columns(data.rows, scenes, name, shape, factors)
+            if not law_of(name).follows_model and not law_of(name).wave:
+                self._kept[key] = columns._replace(values=columns.values.astype(np.float32))
+        return proposal(data, evidence, name, name, shape, columns)
+
+    def _with_datum(self, data: Data, evidence: Evidence, found: Proposal) -> list[Proposal]:
+        """A wave with a datum of its own in each run."""
+        law = law_of(found.name)
+        if self.facts.absolute_angle or data.runs < 2 or not set(law.per_run) & set(found.effect.strengths):
+            return []
+        one = Columns(tuple(found.effect.strengths), (-1,) * len(found.effect.strengths), found.columns)
+        columns = with_datum(one, found.name, data.rows)
+        return [proposal(data, evidence, found.name, found.kind, dict(found.effect.shapes), columns)]
+
+    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
+        """All curves, and the tables that say most beyond the two curves of their axes."""
+        def scored(curve: Curve) -> Proposal:
+            names = tuple(f"y{k:02d}" for k in range(curve.columns.shape[1]))
+            columns = Columns(names, (-1,) * len(names), curve.columns)
+            return proposal(data, evidence, curve.name, kind_of_curve(curve), curve.shapes, columns)
+
+        def wanted(curve: Curve) -> bool:
+            return not {curve.name, kind_of_curve(curve)} & self.without
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            single = list(pool.map(scored, filter(wanted, curves(data.rows, scenes))))
+            coarse = [curve for curve in coarse_tables(data.rows, scenes) if wanted(curve)]
+            both = list(pool.map(lambda c: self._beyond(data, evidence, c), coarse))
+            self.tried += len(single) + len(coarse)
+            order = sorted(range(len(coarse)), key=lambda k: -both[k])[:TABLES]
+            fine = pool.map(lambda k: fine_table(data.rows, scenes, coarse[k].pair), order)
+            tables = list(pool.map(scored, [curve for curve in fine if curve is not None]))
+        return [found for found in (*single, *tables) if found.score.rank]
+
+    def _beyond(self, data: Data, evidence: Evidence, curve: Curve) -> float:
+        assert curve.beside is not None
+        return beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
+
+
+TABLES = 3  # pairs of axes that get a fine table
+
+
+def proposal(
+    data: Data, evidence: Evidence, name: str, kind: str, shape: Shape, columns: Columns
+) -> Proposal:
+    """An effect at a shape with its best strengths; its chance is not computed yet."""
+    found = score(evidence, data.white(columns.values), chance=False)
+    effect = effect_of(name, shape, columns, found.strengths, data.runs)
+    return Proposal(name, kind, law_of(name).rung, effect, columns.values, found)
+
+
+def machine_orders(facts: DriveFacts) -> set[float]:
+    """Orders that the machine's make gives: of the turn, the poles, the slots, and the gear."""
+    orders = {1.0, 2.0, 3.0}
+    if facts.pole_pairs is not None:
+        orders |= {float(facts.pole_pairs * k) for k in (1, 2, 6, 12)}
+    if facts.slots is not None:
+        orders |= {float(facts.slots), 2.0 * facts.slots}
+        if facts.pole_pairs is not None:
+            orders.add(float(np.lcm(facts.slots, 2 * facts.pole_pairs)))
+    return orders
+
+
+def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: DriveFacts) -> SearchContext:
+    """Facts of the data that the grids are laid over, with the orders and frequencies that stand out."""
+    rows, residual_nm = data.rows, np.clip(fitted.residual_nm, *_limits(data, fitted))
+    value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
+    speed = np.abs(rows.velocity_rps[rows.kept])
+    kt = facts.torque_constant_nm_per_a
+    torque_nm = np.concatenate([rows.laws.rows(kt * s.motion[:, slots.CURRENT_A]) for s in scenes])
+    sign = np.tanh(rows.velocity_rps / max(0.02 * float(np.quantile(speed, 0.95)), 1e-12))
+    scaled = torque_nm / max(float(np.sqrt(np.mean(torque_nm**2))), 1e-12)
+    orders = {p.place for values in (1.0, sign, scaled) for p in order_peaks(rows, residual_nm * values, PEAKS)}
+    slow_rps = float(np.quantile(speed, SLOW_QUANTILE))
+    highest = min(HIGHEST_ORDER, rows.filter.cutoff_hz / max(slow_rps, 1e-9))
+    orders |= {float(k) for k in range(1, int(highest) + 1)} | {k for k in machine_orders(facts) if k <= highest}
+    driving = np.concatenate([np.abs(s.commanded_thinned[s.moving > 0.0]) for s in scenes])
+    longest = max(end - begin for begin, end in rows.bounds) * rows.filter.row_period_s
+    return SearchContext(
+        duration_s=float(np.ptp(rows.time_s)) if facts.units == "rotary" else longest,
+        period_s=rows.filter.period_s,
+        lowest_rps=float(np.quantile(speed, 0.02)),
+        highest_rps=float(np.quantile(speed, 0.999)),
+        low_rev=float(rows.position_rev.min()),
+        high_rev=float(rows.position_rev.max()),
+        highest_current_a=float(np.quantile(np.abs(torque_nm), 0.9999)) / kt,
+        highest_torque_nm=float(np.quantile(np.abs(torque_nm), 0.9999)),
+        driving_a=float(np.quantile(driving, INSIDE_SHARE)) if driving.size else 0.0,
+        coulomb_nm=value["coulomb_nm"],
+        static_nm=value["static_nm"],
+        stiffness_per_rev=value["stiffness_per_rev"],
+        attraction_nm_per_rev=value["attraction_nm_per_rev"],
+        gear_ratio=facts.gear_ratio,
+        pole_pairs=facts.pole_pairs,
+        slots=facts.slots,
+        orders=tuple(sorted(orders)),
+        slow_orders=slow_orders(rows, residual_nm),
+        slow_level_orders=slow_orders(rows, residual_nm * sign),
+        frequencies_hz=tuple(p.place for p in frequency_peaks(rows, residual_nm, PEAKS)),
+    )
+
+
+def _limits(data: Data, fitted: Fitted) -> tuple[float, float]:
+    level = 1.4826 * float(np.median(np.abs(fitted.residual_nm[data.used])))
+    return -6.0 * level, 6.0 * level

@@ -1,0 +1,335 @@
+"""Which effects: rung by rung up the ladder, then in free competition; each judged by what it explains of unseen rows.
+
+Contenders are refitted with everything else before they are compared: a regressor that explains most beside a base that
+was fitted without it need not be right. What explains as much as the best, within the spread of the blocks, is its
+family; in it the lower rung and the fewest numbers win. What stands is judged again once the others are there.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.criterion import SDS, Folds, Gain, gain, unseen_loss
+from ..identification.facts import DriveFacts
+from ..identification.prediction import THREADS
+from ..identification.ranking import ranked
+from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.registry import LAWS, law_of
+from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, jacobian, slots_of, unseen, with_levels
+from .gates import Reference, objection
+from .propose import LAW_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
+from .scenes import Effect, load_rows
+
+Floats = npt.NDArray[np.float64]
+
+MOST_EFFECTS = 6
+ITERATIONS = 6  # of a contender's fit ...
+LADDER_ITERATIONS = 8  # ... and of those of the first rungs
+TRIED = 12  # proposals whose gain is computed ...
+TRIED_A_KIND = 2  # ... and of those so many of one rung's kind
+REFITTED = 4  # ... and of those, laws that are refitted ...
+CURVES_REFITTED = 2  # ... and curves
+LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
+
+
+class Standing(NamedTuple):
+    """A hypothesis with what it is compared by."""
+
+    fitted: Fitted
+    matrix: Floats  # (q, p) white sensitivities of everything that is fitted
+    unseen: Floats  # (q,) loss of each row by a fit of the other folds
+
+
+class Contender(NamedTuple):
+    """A proposal, and the loss of each row (q,) with its columns beside everything, by a fit of the other folds."""
+
+    proposal: Proposal
+    unseen: Floats
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """Why an effect stands."""
+
+    name: str
+    gain: Gain  # given all others
+    p: float  # over everything that was searched
+    share: float  # of the squared residual that the others leave
+    family: tuple[str, ...]  # what the data do not tell from it
+    rivals: tuple[tuple[str, float], ...]  # refitted in its place, with their gains
+    tried: int
+
+
+class Refused(NamedTuple):
+    """What explained enough, and was not believed."""
+
+    name: str
+    reason: str
+    share: float
+    p: float
+
+
+class Selection(NamedTuple):
+    """What was selected, and on what grounds."""
+
+    data: Data
+    base: Fitted  # without effects, at the final levels of noise
+    fitted: Fitted
+    matrix: Floats
+    accepted: tuple[Accepted, ...]  # in the order of `fitted.effects`
+    refused: tuple[Refused, ...]
+    first: tuple[Proposal, ...]  # everything of the first free round, best first
+    first_p: float  # the smallest chance of that round, times what was tried
+    reference: Reference
+
+
+class Selector:
+    """The search over one data set."""
+
+    def __init__(
+        self, facts: DriveFacts, rate: float, without: frozenset[str], ablate: frozenset[str],
+        told: Callable[[float, str], None],
+    ) -> None:  # fmt: skip
+        self.facts, self.rate, self.ablate, self.told = facts, rate, ablate, told
+        self.search = Search(facts, without)
+        self.refused: dict[str, Refused] = {}
+        self.barred: set[str] = set()
+        self.first: tuple[Proposal, ...] = ()
+        self.first_p = 1.0
+        self.reference: Reference | None = None
+
+    def run(self, data: Data, base: Fitted) -> Selection:
+        """Up the ladder, then all that are left in free competition."""
+        data, standing, accepted = self._ladder(data, base)
+        self.reference = Reference.of(data, standing.fitted, standing.matrix)
+        for rung in (WAVE_RUNG, LAW_RUNG):
+            while len(accepted) < MOST_EFFECTS:
+                self.told((len(accepted) + rung / 4.0) / (MOST_EFFECTS + 1.0), "search")
+                found = self._round(data, standing, accepted, rung)
+                if found is None:
+                    break
+                data, standing, accepted = found
+            if rung == WAVE_RUNG:
+                self.reference = Reference.of(data, standing.fitted, standing.matrix)
+        plain = fit(at_rest(data, base.physical, ()), base.physical, ())
+        assert self.reference is not None
+        return Selection(
+            data, plain, standing.fitted, standing.matrix, self._final(data, standing, accepted), tuple(self.refused.values()),
+            self.first, self.first_p, self.reference,
+        )  # fmt: skip
+
+    def _ladder(self, data: Data, base: Fitted) -> tuple[Data, Standing, list[Accepted]]:
+        """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
+
+        All are fitted from the start: a base that was fitted without them is bent.
+        """
+        laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
+        effects = {name: starting_effect(name, self.facts) for name in laws}
+        sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]
+
+        def fitted(chosen: tuple[str, ...]) -> Standing:
+            own = [effects[name] for name in chosen]
+            begins = [base.physical, data.start] if chosen else [base.physical]
+            found = [fit(data, begin, own, LADDER_ITERATIONS) for begin in begins]
+            return stand(data, min(found, key=lambda one: one.loss))
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            standings = list(pool.map(fitted, sets))
+        folds = folds_used(data)
+        best = standings[min(range(len(sets)), key=lambda k: float(standings[k].unseen.sum()))]
+        able = [k for k, one in enumerate(standings) if not _worse(best, one, folds)]
+        able = [k for k in able if len(sets[k]) == min(len(sets[j]) for j in able)]
+        alone = standings[0]
+        # two of one size: the first of the registry, a constant torque before a friction that differs by direction
+        chosen = able[0]
+        share = 1.0 - standings[chosen].fitted.energy / alone.fitted.energy
+        if not sets[chosen] or share < LEAST_SHARE:
+            return data, alone, []
+        accepted = []
+        for name in sets[chosen]:
+            family = tuple(other for k in able for other in sets[k] if other not in sets[chosen])
+            accepted.append(Accepted(name, gain(alone.unseen, standings[chosen].unseen, folds), 1.0, share, family, (), len(sets)))
+        data, standing = renewed(data, standings[chosen].fitted)
+        return self._pruned(data, standing, accepted)
+
+    def _round(
+        self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
+    ) -> tuple[Data, Standing, list[Accepted]] | None:
+        """One more effect; None where none is left on this rung."""
+        evidence = evidence_of(data, standing.fitted, standing.matrix)
+        proposals = self.search.proposals(data, standing.fitted, evidence, rung, lambda share: None)
+        tried = self.search.tried
+        if rung == LAW_RUNG and not self.first:
+            self.first = tuple(ranked(proposals, key=lambda one: -one.worth))
+            self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
+        laws, free = self._contenders(data, standing, evidence, proposals, tried)
+        believed = self._believed(data, standing, evidence, laws, tried)
+        # a curve is of use only where it says more of unseen rows than any law: the others need no fit
+        best_law = max(believed, key=lambda item: item[2].value)[1].unseen if believed else standing.unseen
+        free = [item for item in free if gain(best_law, item[1], evidence.folds).holds][:CURVES_REFITTED]
+        believed += self._believed(data, standing, evidence, free, tried)
+        if not believed:
+            return None
+        best = max(believed, key=lambda item: item[2].value)
+        family = [item for item in believed if not _worse(best[1], item[1], evidence.folds)]
+        chosen = min(family, key=lambda item: (item[0].rung, numbers_of(item[1].fitted), -item[2].value))
+        renewed_data, renewed_standing = renewed(data, chosen[1].fitted)
+        reason = objection(renewed_data, renewed_standing.fitted, self.reference, self.ablate)
+        if reason:  # it went on shrinking
+            self.barred.add(chosen[0].name)
+            self.refused[chosen[0].name] = Refused(chosen[0].name, reason, 0.0, chosen[0].score.p * tried)
+            return self._round(data, standing, accepted, rung)
+        note = Accepted(
+            chosen[0].name, chosen[2], min(1.0, chosen[0].score.p * tried), 0.0,
+            tuple(dict.fromkeys(item[0].name for item in family if item[0].name != chosen[0].name)),
+            tuple((item[0].name, item[2].value) for item in believed if item is not chosen), tried,
+        )  # fmt: skip
+        return self._pruned(renewed_data, renewed_standing, [*accepted, note])
+
+    def _contenders(
+        self, data: Data, standing: Standing, evidence: Evidence, proposals: Sequence[Proposal], tried: int
+    ) -> tuple[list[Contender], list[Contender]]:
+        """Laws and free curves beyond chance, the largest linear gain first."""
+        taken = {e.name for e in standing.fitted.effects}
+        able = [
+            one for one in proposals
+            if one.score.p * tried <= self.rate and one.score.explained > LEAST_SHARE * evidence.energy
+            and (one.name not in taken or law_of(one.name).wave) and one.name not in self.barred
+        ]  # fmt: skip
+        picked: list[Proposal] = []
+        for one in ranked(able, key=lambda one: -one.worth):
+            if sum(other.name == one.name for other in picked) < TRIED_A_KIND and len(picked) < TRIED:
+                picked.append(one)
+        with ThreadPoolExecutor(THREADS) as pool:
+            losses = list(pool.map(lambda one: _linear(data, standing, one, evidence.folds), picked))
+        gains = [gain(standing.unseen, loss, evidence.folds) for loss in losses]
+        order = [k for k in ranked(range(len(picked)), key=lambda k: -gains[k].value) if gains[k].holds]
+        found = [Contender(picked[k], losses[k]) for k in order]
+        laws = [one for one in found if not one.proposal.name.startswith(UNKNOWN)]
+        return laws[:REFITTED], [one for one in found if one.proposal.name.startswith(UNKNOWN)]
+
+    def _believed(
+        self, data: Data, standing: Standing, evidence: Evidence, contenders: Sequence[Contender], tried: int
+    ) -> list[tuple[Proposal, Standing, Gain]]:
+        """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
+        with ThreadPoolExecutor(THREADS) as pool:
+            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal), contenders))
+            standings = list(pool.map(lambda one: stand(data, one), results))
+        found = []
+        for (one, _), result in zip(contenders, standings, strict=True):
+            own = gain(standing.unseen, result.unseen, evidence.folds)
+            share = 1.0 - result.fitted.energy / standing.fitted.energy
+            if not own.holds or share < LEAST_SHARE:
+                continue
+            reason = objection(data, result.fitted, self.reference, self.ablate)
+            if reason:
+                self.refused.setdefault(one.name, Refused(one.name, reason, share, one.score.p * tried))
+                continue
+            found.append((one, result, own))
+        return found
+
+    def _pruned(
+        self, data: Data, standing: Standing, accepted: list[Accepted]
+    ) -> tuple[Data, Standing, list[Accepted]]:
+        """Drop what explains too little now that the others are there, the weakest first; gains are those of today."""
+        while accepted:
+            judged = [self._judged(data, standing, number) for number in range(len(accepted))]
+            weakest = min(range(len(judged)), key=lambda k: judged[k][0].value)
+            own, share, without = judged[weakest]
+            if len(accepted) > 1 and (not own.holds or share < LEAST_SHARE) and "drop" not in self.ablate:
+                del accepted[weakest]
+                data, standing = renewed(data, without.fitted)
+                continue
+            accepted = [
+                replace(note, gain=g, share=s) for note, (g, s, _) in zip(accepted, judged, strict=True)
+            ]
+            break
+        return data, standing, accepted
+
+    def _judged(self, data: Data, standing: Standing, number: int) -> tuple[Gain, float, Standing]:
+        """Gain and share of one effect given all others, and what stands without it."""
+        others = [e for k, e in enumerate(standing.fitted.effects) if k != number]
+        without = stand(data, fit(data, standing.fitted.physical, others))
+        own = gain(without.unseen, standing.unseen, folds_used(data))
+        return own, 1.0 - standing.fitted.energy / without.fitted.energy, without
+
+    def _final(self, data: Data, standing: Standing, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
+        """The chance of each effect anew, given all the others that stand."""
+        found = []
+        scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
+        for number, note in enumerate(accepted):
+            own = columns_of(data, standing, number)
+            load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
+            others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
+            without = standing.fitted._replace(white=standing.fitted.white + load)
+            chance = score(evidence_of(data, without, others), standing.matrix[:, own]).p
+            found.append(replace(note, p=min(1.0, chance * note.tried)))
+        return tuple(found)
+
+
+def _worse(best: Standing, other: Standing, folds: Folds) -> bool:
+    """Whether unseen rows tell the two apart."""
+    return best is not other and gain(other.unseen, best.unseen, folds).holds
+
+
+def _linear(data: Data, standing: Standing, one: Proposal, folds: Folds) -> Floats:
+    """Loss of unseen rows with a proposal's columns beside everything, nothing refitted nonlinearly."""
+    own = data.white(one.columns)
+    prior = np.zeros(standing.matrix.shape[1] + own.shape[1])
+    return unseen_loss(standing.fitted.white, np.concatenate([standing.matrix, own], axis=1), folds, prior)
+
+
+def stand(data: Data, fitted: Fitted) -> Standing:
+    """A fit with its sensitivities and unseen losses."""
+    matrix = jacobian(data, fitted)
+    return Standing(fitted, matrix, unseen(data, fitted, matrix))
+
+
+def folds_used(data: Data) -> Folds:
+    """Folds of the rows that count."""
+    return Folds(*(part[data.used] for part in data.rows.folds))
+
+
+def numbers_of(fitted: Fitted) -> int:
+    """Free numbers of all effects."""
+    return len(slots_of(fitted.effects, 1.0))
+
+
+def columns_of(data: Data, standing: Standing, number: int) -> slice:
+    """The columns of one effect in the matrix of what is fitted."""
+    slots = slots_of(standing.fitted.effects, data.rows.turns)
+    own = [k for k, slot in enumerate(slots) if slot.effect == number]
+    first = standing.matrix.shape[1] - len(slots)
+    return slice(first + own[0], first + own[-1] + 1)
+
+
+def refitted(data: Data, fitted: Fitted, one: Proposal) -> Fitted:
+    """A proposal refitted with everything, from where the model is and from where the base began.
+
+    A base that was fitted without the effect bends to take it in, and may not find back from where that led.
+    """
+    effects = [*fitted.effects, one.effect]
+    found = [fit(data, begin, effects, ITERATIONS) for begin in (fitted.physical, data.start)]
+    return min(found, key=lambda one: one.loss)
+
+
+def starting_effect(name: str, facts: DriveFacts) -> Effect:
+    """A law without strength, at its own shape."""
+    law = law_of(name)
+    shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
+    return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
+
+
+def renewed(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
+    """Levels of noise and balance at rest of the new model, refitted."""
+    data = at_rest(data, fitted.physical, fitted.effects)
+    begin = evaluate(data, fitted.physical, fitted.effects)[0]
+    data = with_levels(data, begin)
+    return data, stand(data, fit(data, fitted.physical, fitted.effects))
