@@ -61,17 +61,15 @@ class Effect:
 
 KEPT_BAND = 0.7  # of what a thinned command can carry
 
-# These act between command and torque and see the command itself, the residual in it too. The measured current tells
-# whether a lag or a limit is real; inside a dead zone the residual explains itself: little of the motion may lie there.
-COMMANDED = frozenset({"voltage_limit", "delay", "current_lag", "dead_zone"})
-
 
 class Scene(NamedTuple):
     """Motion of one stretch as laws see it, with the axis that it was made for.
 
     A torque that stands in a regressor carries the residual itself: u = J a + F + E + r. With the base projected out,
     nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see what the model
-    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command.
+    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command, the
+    residual in it too. The measured current tells whether a lag or a limit is real; inside a dead zone the residual
+    explains itself: little of the motion may lie there.
     """
 
     stretch: Stretch
@@ -133,7 +131,7 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
     """What an effect adds to the torque residual of one stretch, at the laws' rate: E, -J e'' of a sensor's error."""
     period_s = scene.stretch.law_period_s
     terms = [Term(name, values)]
-    if name in COMMANDED:
+    if law_of(name).acts_on == "command":
         load_nm, sensor_rev = commanded_load(scene, terms), np.zeros(0)
     else:
         load_nm, sensor_rev = effects_along(terms, scene.motion, scene.axis, period_s, feedforward=True)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..model.effects.registry import law_of
 from .base import NAMES, delayed
 from .candidates import Effect, Scene, load_along
 from .fitting import Data, Fitted, consistent_scenes
 
 Floats = npt.NDArray[np.float64]
 
-SHOWN_BY_CURRENT = frozenset({"voltage_limit", "current_lag"})
 LEAST_SHARE = 0.5  # of what the measured current is short of, that an effect has to account for
 LONGEST_SAMPLES = 20
 FINENESS = 2  # delays tried a sample
@@ -51,7 +51,7 @@ def believed(data: Data, short: Shortage | None, fitted: Fitted) -> bool:
     effect = fitted.effects[-1]
     if effect.name == "dead_zone":
         return effect.shapes["width_a"] <= driving_a(consistent_scenes(data, fitted.physical, ()))
-    if effect.name in SHOWN_BY_CURRENT and short is not None:
+    if law_of(effect.name).shown_by_current and short is not None:
         return shown_share(data, short, fitted, effect) >= LEAST_SHARE
     return True
 

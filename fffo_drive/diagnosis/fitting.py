@@ -17,18 +17,17 @@ import numpy.typing as npt
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..identification.prediction import THREADS
 from ..model.effects import slots
+from ..model.effects.law import PER_TURN, SHAPE
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import BASE, NAMES, Along, balanced, models_along, moved, residual_rows, sensitivities, step_of
-from .candidates import COMMANDED, Effect, Scene, commanded_load, load_along, scenes_of
+from .candidates import Effect, Scene, commanded_load, load_along, scenes_of
 from .curves import curve_columns
 from .evidence import Whitening, whiten
 from .paths import Rows, Stretch
 
 Floats = npt.NDArray[np.float64]
 
-FIXED = frozenset({"pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count"})  # shapes that stay
-JOINTS = frozenset({"elasticity", "backlash"})  # their torque is made from the motion; fed back it would run away
 LOOKUP = "lookup"  # a free curve: its knots stay
 HUBER = 4.0
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
@@ -67,6 +66,7 @@ class Slot(NamedTuple):
     run: int  # -1: no datum per run
     step: float  # of the numeric derivative
     logarithmic: bool
+    periods_per_turn: bool  # an order
 
 
 def huber_loss(white: Floats) -> float:
@@ -115,7 +115,7 @@ def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -
 
 def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Sequence[Along]) -> list[Scene]:
     scenes = scenes_of(data.stretches, physical, models)
-    carried = [e for e in effects if e.name not in JOINTS and law_of(e.name).feedforward is None]
+    carried = [e for e in effects if not law_of(e.name).joint and law_of(e.name).feedforward is None]
     if not carried or not any(law_of(e.name).feedforward is not None for e in effects):
         return scenes
     return scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
@@ -124,7 +124,7 @@ def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Seq
 def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
     """The data with the torque that friction balances at rest: motor torque less inertia and effects."""
     data = data._replace(stretches=balanced(data.stretches, physical))
-    acting = [effect for effect in effects if not law_of(effect.name).level and effect.name not in JOINTS]
+    acting = [effect for effect in effects if not (law_of(effect.name).level or law_of(effect.name).joint)]
     if not acting:
         return data
     found = []
@@ -134,13 +134,18 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
         motion[:, slots.CURRENT_A] = scene.commanded_thinned
         terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
         load_nm, _ = effects_along(
-            [term for term in terms if term.name not in COMMANDED], motion, scene.axis, stretch.law_period_s
+            [term for term in terms if not on_command(term)], motion, scene.axis, stretch.law_period_s
         )
-        on_command = [term for term in terms if term.name in COMMANDED]
-        if on_command:
-            load_nm = load_nm + commanded_load(scene, on_command)
+        commanded = [term for term in terms if on_command(term)]
+        if commanded:
+            load_nm = load_nm + commanded_load(scene, commanded)
         found.append(stretch._replace(balance_nm=stretch.balance_nm - np.nan_to_num(load_nm)))
     return data._replace(stretches=found)
+
+
+def on_command(effect: Effect | Term) -> bool:
+    """Whether it acts on the command itself."""
+    return law_of(effect.name).acts_on == "command"
 
 
 def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot]:
@@ -148,25 +153,16 @@ def slots_of(effects: Sequence[Effect], shapes: bool, turns: float) -> list[Slot
     found = []
     for number, effect in enumerate(effects):
         law = law_of(effect.name)
-        for p in law.strengths:
-            values = effect.strengths.get(p.name)
-            if values is not None:
+        for p in law.parameters:
+            if p.name in effect.strengths:
+                values = effect.strengths[p.name]
                 runs = range(values.size) if p.name in effect.per_run else [-1]
-                found += [Slot(number, p.name, run, 0.05 * p.typical, False) for run in runs]
-        for p in law.shapes if shapes and law.name != LOOKUP else ():
-            value = effect.shapes.get(p.name, 0.0)
-            if (value == 0.0 and p.name != "centre_rev") or p.name in FIXED:
-                continue
-            if p.name == "order":
-                found.append(Slot(number, p.name, -1, 0.01 / max(turns, 1.0), False))
-            elif p.name == "centre_rev":
-                width = effect.shapes.get("width_rev", 0.0)
-                if width > 0.0:
-                    found.append(Slot(number, p.name, -1, 0.05 * width, False))
-            elif p.name == "frequency_hz" and effect.name == "periodic_disturbance":
-                found.append(Slot(number, p.name, -1, 2e-4, False))
+            elif p.kind == SHAPE and shapes and not (p.held or p.is_off(effect.shapes)):
+                runs = [-1]
             else:
-                found.append(Slot(number, p.name, -1, 0.02, True))
+                continue
+            step = p.step_at(effect.shapes, turns)
+            found += [Slot(number, p.name, run, step, p.logarithmic, p.unit == PER_TURN) for run in runs]
     return found
 
 
@@ -239,7 +235,7 @@ def refit(
             moved_effects: Sequence[Effect] = best.effects
             for slot, size in zip(numbers, step[base_white.shape[1] :], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf
-                if slot.name == "order":
+                if slot.periods_per_turn:
                     limit = 0.25 / max(turns, 1.0)
                 moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
             trial, trial_scenes = evaluate(data, physical, moved_effects)
@@ -278,7 +274,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
     delay = BASE.index("delay_s")
     others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
-        ([delay], [e for e in effects if e.name in COMMANDED]),
+        ([delay], [e for e in effects if on_command(e)]),
         (others, [e for e in effects if law_of(e.name).follows_model]),
     ):
         if carried:

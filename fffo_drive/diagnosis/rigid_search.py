@@ -82,6 +82,7 @@ def context_of(run: RigidRun, residual: Floats, gear_ratio: float | None) -> Sea
         period_s=run.record.period_s,
         lowest_rps=0.01 * float(np.abs(run.velocity).max()),
         highest_rps=float(np.abs(run.velocity).max()),
+        slow_rps=float(np.quantile(np.abs(run.velocity), 0.1)),
         low_rev=float(run.position.min()),
         high_rev=float(run.position.max()),
         highest_current_a=float(np.abs(run.record.current_a).max()),

@@ -71,6 +71,7 @@ def search_context(
         duration_s=float(np.ptp(rows.time_s)) if facts.units == "rotary" else longest,
         period_s=rows.filter.period_s,
         lowest_rps=float(np.quantile(speed, 0.02)),
+        slow_rps=float(np.quantile(speed, 0.1)),
         highest_rps=float(np.quantile(speed, 0.999)),
         low_rev=float(rows.position_rev.min()),
         high_rev=float(rows.position_rev.max()),

@@ -23,7 +23,7 @@ from ..identification.ranking import first_best, lower, ranked
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import axis_of_effect, law_of
 from .candidates import Effect, Scene
-from .current_side import SHOWN_BY_CURRENT, believed, shortage
+from .current_side import believed, shortage
 from .evidence import Evidence, make_evidence
 from .fitting import (
     Data,
@@ -201,7 +201,7 @@ def contend(
     equal = [of_one_size(data, r, len(r.effects) - 1) for r in results]
     gains = {t.name: best_gain(fitted, r) for t, r in zip(picked, equal, strict=True)}
     costs = [cost(r, data) for r in equal]
-    short = shortage(data) if {t.name for t in picked} & SHOWN_BY_CURRENT else None
+    short = shortage(data) if any(law_of(t.name).shown_by_current for t in picked) else None
     for k, result in enumerate(results):
         if within_reason(data, result, len(result.effects) - 1) and believed(data, short, result):
             continue

@@ -19,7 +19,9 @@ import numpy as np
 
 from ..identification.prediction import THREADS
 from ..identification.ranking import first_best, lower, ranked
+from ..model.effects.law import Law
 from ..model.effects.laws.lookup import UNKNOWN
+from ..model.effects.registry import law_of
 from .candidates import Scene
 from .evidence import Evidence, score
 from .fitting import Fitted, best_gain, cost, polished, refit
@@ -43,8 +45,6 @@ from .transfer import transfer
 LEAST_CARRIED = 0.7  # of the gain on a run that has to be there when the run is left out: more than of a law
 COARSE_SHARE = 0.7  # of what the replaced effects explain, that a coarse table has to
 TOGETHER = 0.1  # of what a pair explains, that its axes do not explain one by one
-OVER_FREQUENCY = frozenset({"elasticity", "backlash", "current_lag", "delay", "frictional_lag"})  # what one of these
-# leaves over is no response of its own: where the motion dies out, the noise of its acceleration would be taken for one
 FINE_TABLES = 8  # pairs that get a fine table ...
 REFITTED = 2  # ... and of those, that are refitted
 
@@ -98,7 +98,8 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
     trials = _promising(evidence, scenes, tables, replaced_gain / margin, rate)
     if mixed and not others:
         trials += [t for t in selected.curves[:REFITTED] if t.name != FREQUENCY]
-    response = response_trial(evidence, scenes) if adding and not OVER_FREQUENCY & {e.name for e in others} else None
+    respond = adding and not any(over_frequency(law_of(e.name)) for e in others)
+    response = response_trial(evidence, scenes) if respond else None
     if response is not None and response.explained >= MATERIAL_SHARE * evidence.energy:
         trials.append(response)
     trials = [trial for trial in trials if trial.name not in {e.name for e in others}]
@@ -117,6 +118,15 @@ def _offers(selected: Selection, kept: tuple[int, ...], tables: Sequence[Coarse]
         offer = offer._replace(probability=_probability(selected, offer, tables))
         if offer.probability <= rate:
             yield offer
+
+
+def over_frequency(law: Law) -> bool:
+    """Whether a law is a joint, a delay or a lookalike of one.
+
+    What it leaves over is no response of its own: where the motion dies out, the noise of its acceleration would be
+    taken for one.
+    """
+    return law.joint or any(law_of(name).in_base for name in (law.name, *law.lookalikes))
 
 
 def _worth_it(selected: Selection, offer: Offer) -> bool:
