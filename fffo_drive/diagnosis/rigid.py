@@ -19,7 +19,7 @@ from ..identification.dataset import DataError, Record
 from ..identification.facts import DriveFacts
 from ..identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 from ..model.effects.registry import LAWS
-from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity
+from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity, effect_model
 from ..units import inertia_kg_m2
 from . import results as out
 from .rigid_data import RigidRun, cycle_rows, rigid_run
@@ -353,10 +353,10 @@ def _model(run: RigidRun, fitted: RigidFitted, name: str) -> ModelFile:
     ]
     for k, term in enumerate(fitted.terms):
         own = fitted.span(k)
-        values = {key: fitted_value(own.start + j) for j, key in enumerate(term.strengths)}
-        values |= {key: Quantity(value=value, source="searched") for key, value in term.shape.items()}
+        values = dict(zip(term.strengths, fitted.values[own].tolist(), strict=True))
+        sd = dict(zip(term.strengths, fitted.sd[own].tolist(), strict=True))
         periodic = bool(set(LAWS[term.name].per_run) & set(term.strengths))
-        effects.append(EffectModel(name=term.name, parameters=values, datum="run" if periodic else "absolute"))
+        effects.append(effect_model(term.name, {**values, **term.shape}, sd, datum="run" if periodic else "absolute"))
     return ModelFile(
         name=f"{run.record.name}, {name}",
         torque_constant_nm_per_a=run.record.torque_constant_nm_per_a,

@@ -157,11 +157,11 @@ def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
 
 
 def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
-    knots = {"kind": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
+    knots = {"kind": 2.0, "count": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
     curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
     assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
     assert curve_words(finding()) == ""
-    springs = {"kind": 4.0, "x00": 0.1, "x01": 2.5, "y00": -0.001, "y01": 0.004}
+    springs = {"kind": 4.0, "count": 2.0, "x00": 0.1, "x01": 2.5, "y00": -0.001, "y01": 0.004}
     memory = finding(name="unknown:memory", parameters=tuple(Number(k, v, None, "") for k, v in springs.items()))
     words = "springs along the travel that slip and then pull with -0.001 to 0.004 Nm, after 0.1 to 2.5 rev"
     assert curve_words(memory) == f"{words}; the strongest after 2.5 rev"
