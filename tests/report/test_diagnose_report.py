@@ -25,6 +25,7 @@ from fffo_drive.diagnosis.results import (
     Rival,
     RunFigure,
 )
+from fffo_drive.diagnosis.results import report as report_object
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.model.parameters import read_model
 from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
@@ -170,6 +171,10 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     table = finding(name="unknown:motor_angle", parameters=numbers)
     words = "a table over -2 to 3 and the speed, 0.1 to 4: friction from -0.001 to 0.004 Nm"
     assert curve_words(table) == words
+    curve = report_object(diagnosis(findings=(table,)))["effects"][0]
+    assert (curve["parameters"], curve["sd"]) == ({}, {})
+    assert (curve["curve"]["across"], curve["curve"]["levels"]) == ("speed", [0.1, 4.0])
+    assert curve["curve"]["values"] == [[-0.001, 0.004], [0.0, 0.002]]
     page = render_page(diagnosis_report(SOURCE, diagnosis(findings=(table,))))
     assert "motor angle x speed" in page
 

@@ -137,7 +137,8 @@ class Law:
     rung: Literal[0, 1, 2, 3, 4] = 3  # of the ladder: 0 constants; 1 weight; 2 cogging; 3 other laws; 4 free curves
     fold: Callable[[Mapping[str, float]], Folded | None] = not_folded  # of a picture; None: it is over `picture`
     wave: Literal["", "plain", "torque", "friction"] = ""  # cos and sin of the motor angle, times what: 1, the motor's
-    # torque, the level of the friction; such a column needs no kernel, and does not alias
+    # torque, the level of the friction (felt late, over a travel of level / attraction); such a column needs no kernel,
+    # and does not alias
 
     @property
     def follows_model(self) -> bool:
