@@ -12,7 +12,6 @@ TWO_PI = 2.0 * math.pi
 NS_PER_S = 1_000_000_000
 PERMILLE = 1000.0
 S_PER_MIN = 60.0
-RESOLVER_BITS_PAPER = 15
 
 # suffix of a public name -> what it stands for; a test holds every signal and configuration key against it
 SUFFIXES = {

@@ -81,11 +81,6 @@ class Link:
         """True on the loopback bus, which has no wire time."""
         return self._own_port is not None
 
-    @property
-    def sender_port(self) -> int | None:
-        """UDP port that this link's frames come from; None on AF_CAN."""
-        return self._own_port
-
     def set_filters(self, filters: Sequence[CanFilter] | None) -> None:
         """Frames that the kernel hands over from now on; None for all. See `CanFilter`."""
         chosen = filters or ()

@@ -16,11 +16,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.dataset import Record, load_records
 from ..identification.facts import DriveFacts, read_facts
-from ..model.effects.laws.lookup import BRAKE, FRICTION, PLAIN, RESPONSE, UNKNOWN, VISCOUS, WOUND, across_word
+from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import SourceFile, provenance, source_file
@@ -28,10 +30,10 @@ from ..report.page import refuse_other_report
 from .progress import progress_bar
 
 MODEL_NAME = "model.yaml"
-CURVES = {
-    PLAIN: "a torque from {} to {} Nm", FRICTION: "friction from {} to {} Nm", VISCOUS: "from {} to {} Nm/rps",
-    RESPONSE: "shares from {} to {} of the motor torque", BRAKE: "a drag from {} to {} Nm",
-    WOUND: "springs along the travel that slip and then pull with {} to {} Nm",
+CURVES: dict[KindWord, str] = {
+    "torque": "a torque from {} to {} Nm", "friction": "friction from {} to {} Nm", "viscous": "from {} to {} Nm/rps",
+    "response": "shares from {} to {} of the motor torque", "drag": "a drag from {} to {} Nm",
+    "wound": "springs along the travel that slip and then pull with {} to {} Nm",
 }  # fmt: skip
 
 
@@ -132,22 +134,19 @@ def _print(found: Diagnosis) -> None:
 
 def curve_words(finding: Finding) -> str:
     """A free curve in words; empty for a law with a name."""
-    if not finding.name.startswith(UNKNOWN):
+    curve = finding.curve
+    if curve is None:
         return ""
-    values = {n.name: n.value for n in finding.parameters}
-    torques = [value for name, value in values.items() if name.startswith("y")]
-    places = sorted(value for name, value in values.items() if name.startswith("x"))
-    word = across_word(values).replace("_", " ")
-    size = CURVES[values["kind"]].format(f"{min(torques):.3g}", f"{max(torques):.3g}")
-    if word:
-        levels = [value for name, value in values.items() if name.startswith("z")]
-        reach = f"{min(levels):.4g} to {max(levels):.4g}"
-        return f"a table over {places[0]:.4g} to {places[-1]:.4g} and the {word}, {reach}: {size}"
-    if values["kind"] == WOUND:
-        strongest = max((n for n in values if n.startswith("y")), key=lambda name: abs(values[name]))
-        reach_rev = values["x" + strongest.removeprefix("y")]
-        return f"{size}, after {places[0]:.4g} to {places[-1]:.4g} rev; the strongest after {reach_rev:.3g} rev"
-    return f"a curve of {len(places)} knots over {places[0]:.4g} to {places[-1]:.4g}: {size}"
+    values = np.array(curve.values)
+    size = CURVES[curve.kind].format(f"{values.min():.3g}", f"{values.max():.3g}")
+    low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
+    if curve.across is not None:
+        reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
+        return f"a table over {low} to {high} and the {curve.across.replace('_', ' ')}, {reach}: {size}"
+    if curve.kind == "wound":
+        reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
+        return f"{size}, after {low} to {high} rev; the strongest after {reach_rev:.3g} rev"
+    return f"a curve of {len(curve.knots)} knots over {low} to {high}: {size}"
 
 
 def _errors(before: ErrorFigures, after: ErrorFigures, linear: bool) -> str:

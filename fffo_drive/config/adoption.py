@@ -93,8 +93,9 @@ def interval_gate(effect: EffectModel) -> Gate:
     """Strengths are told from zero: the wave of a pair as a whole, at least one of several alone."""
     law = law_of(effect.name)
     told = []
+    quantities = effect.quantities()
     for p in law.parameters:
-        quantity = effect.parameters.get(p.name)
+        quantity = quantities.get(p.name)
         if p.kind == STRENGTH and quantity is not None and quantity.value != 0.0:
             told.append((p.name, quantity.value, quantity.sd))
     name = f"{effect.name}: interval"
@@ -114,7 +115,7 @@ def interval_gate(effect: EffectModel) -> Gate:
 def bounds_gate(model: ModelFile, effect: EffectModel) -> Gate:
     """Every parameter lies within its law's range."""
     errors = effect_errors([effect])
-    text = "; ".join(f"{key.removeprefix('effects[0].parameters.')}: {why}" for key, why in errors)
+    text = "; ".join(f"{key.removeprefix('effects[0].').removeprefix('parameters.')}: {why}" for key, why in errors)
     return Gate(f"{effect.name}: range", not errors, text or "inside the law's range")
 
 

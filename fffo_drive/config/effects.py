@@ -31,7 +31,6 @@ SLOPE_POINTS = 8192  # of one span of the angle
 # step, speed, travel since the reversal: what has a memory stands still, or has come to its end within each step
 STANDING = (1e-12, 0.0, 0.0)
 SETTLED = (1e6, 1e-5, 1e3)
-SPAN_SHAPES = ("ratio", "period_rev", "pitch_rev", "scale")
 
 
 class Service(NamedTuple):
@@ -112,8 +111,13 @@ def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> fl
 
     A change of the friction's level is felt over some travel: its slope is that of what it comes to.
     """
-    step_s, speed_rps, travel_rev = SETTLED if law_of(term.name).level else STANDING
-    span_rev = max([1.0] + [abs(term.values.get(name, 0.0)) for name in SPAN_SHAPES])
+    law = law_of(term.name)
+    step_s, speed_rps, travel_rev = SETTLED if law.level else STANDING
+    values = law.filled(term.values)
+    span_rev = max([1.0] + [abs(values[p.name]) for p in law.parameters if p.span])
+    folded = law.fold(values)
+    if folded is not None and folded[0] == "motor_angle":
+        span_rev = max(span_rev, folded[1])
     if term.values.get("width_rev", 0.0) > 0.0:
         span_rev = max(span_rev, 2.0 * (abs(term.values.get("centre_rev", 0.0)) + term.values["width_rev"]))
     angles = np.linspace(-0.5, 0.5, SLOPE_POINTS) * span_rev

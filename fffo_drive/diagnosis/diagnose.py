@@ -16,7 +16,7 @@ from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
 from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
-from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity
+from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity, effect_model
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .candidates import Effect
@@ -368,13 +368,8 @@ def model_file(
 
 def _effect_model(effect: Effect, number: int, sd: dict[tuple[int, str, int], float], finding: Finding) -> EffectModel:
     values = effect.values(0)
-    return EffectModel(
-        name=effect.name,
-        parameters={
-            key: Quantity(value=v, sd=sd.get((number, key, 0 if key in effect.per_run else -1)), source="fitted")
-            for key, v in values.items()
-        },
-        datum="run" if effect.per_run else "absolute",
-        alternatives=list(finding.alternatives),
-        provenance=finding.reason,
-    )
+    spread = {key: sd.get((number, key, 0 if key in effect.per_run else -1)) for key in values}
+    return effect_model(
+        effect.name, values, spread, datum="run" if effect.per_run else "absolute",
+        alternatives=finding.alternatives, provenance=finding.reason,
+    )  # fmt: skip

@@ -17,6 +17,7 @@ from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..identification.criterion import HUBER, clipped, huber, levels, unseen_loss
 from ..identification.prediction import THREADS
 from ..model.effects import slots
+from ..model.effects.law import PER_TURN, SHAPE
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import (
@@ -94,6 +95,7 @@ class Slot(NamedTuple):
     run: int  # -1: no datum per run
     step: float  # of the numeric derivative
     logarithmic: bool
+    periods_per_turn: bool  # an order
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
@@ -178,13 +180,18 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
         motion[:, slots.CURRENT_A] = scene.commanded_thinned
         terms = [Term(effect.name, effect.values(stretch.run)) for effect in acting]
         load_nm, _ = effects_along(
-            [term for term in terms if law_of(term.name).acts_on != "command"], motion, scene.axis, stretch.law_period_s
+            [term for term in terms if not on_command(term)], motion, scene.axis, stretch.law_period_s
         )
-        on_command = [term for term in terms if law_of(term.name).acts_on == "command"]
-        if on_command:
-            load_nm = load_nm + commanded_load(scene, on_command)
+        commanded = [term for term in terms if on_command(term)]
+        if commanded:
+            load_nm = load_nm + commanded_load(scene, commanded)
         found.append(stretch._replace(balance_nm=stretch.balance_nm - np.nan_to_num(load_nm)))
     return data._replace(stretches=found)
+
+
+def on_command(effect: Effect | Term) -> bool:
+    """Whether it acts on the command itself."""
+    return law_of(effect.name).acts_on == "command"
 
 
 def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> list[Slot]:
@@ -192,25 +199,16 @@ def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> li
     found = []
     for number, effect in enumerate(effects):
         law = law_of(effect.name)
-        for p in law.strengths:
-            values = effect.strengths.get(p.name)
-            if values is not None:
+        for p in law.parameters:
+            if p.name in effect.strengths:
+                values = effect.strengths[p.name]
                 runs = range(values.size) if p.name in effect.per_run else [-1]
-                found += [Slot(number, p.name, run, 0.05 * p.typical, False) for run in runs]
-        for p in law.shapes if shapes and law.name != LOOKUP else ():
-            value = effect.shapes.get(p.name, 0.0)
-            if (value == 0.0 and p.name != "centre_rev") or p.held:
-                continue
-            if p.name == "order":
-                found.append(Slot(number, p.name, -1, 0.01 / max(turns, 1.0), False))
-            elif p.name == "centre_rev":
-                width = effect.shapes.get("width_rev", 0.0)
-                if width > 0.0:
-                    found.append(Slot(number, p.name, -1, 0.05 * width, False))
-            elif p.name == "frequency_hz" and effect.name == "periodic_disturbance":
-                found.append(Slot(number, p.name, -1, 2e-4, False))
+            elif p.kind == SHAPE and shapes and not (p.held or p.is_off(effect.shapes)):
+                runs = [-1]
             else:
-                found.append(Slot(number, p.name, -1, 0.02, True))
+                continue
+            step = p.step_at(effect.shapes, turns)
+            found += [Slot(number, p.name, run, step, p.logarithmic, p.unit == PER_TURN) for run in runs]
     return found
 
 
@@ -289,7 +287,7 @@ def fit(
             moved_effects: Sequence[Effect] = best.effects
             for slot, size in zip(numbers, step[count:], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf
-                if slot.name == "order":
+                if slot.periods_per_turn:
                     limit = 0.25 / max(turns, 1.0)
                 moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
             trial, trial_scenes = evaluate(data, physical, moved_effects)
@@ -334,7 +332,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
     delay = BASE.index("delay_s")
     others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
-        ([delay], [e for e in effects if law_of(e.name).acts_on == "command"]),
+        ([delay], [e for e in effects if on_command(e)]),
         (others, [e for e in effects if law_of(e.name).follows_model]),
     ):
         if carried:

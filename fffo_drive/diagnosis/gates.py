@@ -23,7 +23,8 @@ Floats = npt.NDArray[np.float64]
 INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
 NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
 DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
-AT_BOUND = 0.01  # of a bound, relative: a shape that ends there is none of a machine
+AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...
+BEYOND = 0.1  # ... and a strength may be beyond by so much, for its noise
 SHOWN_SHARE = 0.5  # of what the measured current is short of its command, that an effect has to account for
 LONGEST_SAMPLES = 20  # between command and measured current
 FINENESS = 2  # delays tried a sample
@@ -92,7 +93,8 @@ def _shape_objection(data: Data, effect: Effect) -> str:
             continue  # the current shows whether it is so
         low, high = parameter.plausible
         value = values[parameter.name]
-        if value <= low * (1.0 + AT_BOUND) or value >= high * (1.0 - AT_BOUND):
+        spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (high - low)
+        if not low - spare < value < high + spare:
             return (
                 f"no machine is so: {parameter.name} {value:.3g} {parameter.unit} is outside of "
                 f"{low:g} to {high:g}"

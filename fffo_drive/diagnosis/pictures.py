@@ -111,19 +111,15 @@ def _shares(
 def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> _Place:
     """Rows on the axis over which a plot of this effect convinces; a wave is folded onto its period."""
     rows = data.rows
-    order = shapes.get("order", 0.0)
-    if order > 0.0:
-        return _Place(np.mod(rows.position_rev * order, 1.0), f"motor angle, periods of {1.0 / order:.4g} rev", "")
-    if shapes.get("frequency_hz", 0.0) > 0.0 and name == "periodic_disturbance":
-        period_s = 1.0 / shapes["frequency_hz"]
-        return _Place(np.mod(rows.time_s / period_s, 1.0), f"time, periods of {period_s:.4g} s", "")
-    period_rev = shapes.get("period_rev", shapes.get("ratio", 0.0))
-    if period_rev > 0.0:
-        turns = np.mod(rows.position_rev / period_rev, 1.0)
-        return _Place(turns, f"position, periods of {period_rev:.4g} rev", "")
-    word = law_of(name).picture if law_of(name).name != "lookup" else axis_of_effect(name)
-    if name == "resolver_error":
-        word = "motor_angle"
+    law = law_of(name)
+    folded = law.fold(law.filled(shapes))
+    if folded is not None:
+        signal, period = folded
+        along, words, unit = {
+            "motor_angle": (rows.position_rev, "motor angle", "rev"), "time": (rows.time_s, "time", "s"),
+        }[signal]  # fmt: skip
+        return _Place(np.mod(along / period, 1.0), f"{words}, periods of {period:.4g} {unit}", "")
+    word = law.picture if law.name != "lookup" else axis_of_effect(name)
     if shapes.get("kind") == WOUND:  # a memory of the travel, not of the speed
         word = "travel_since_reversal"
     return _Place(_along(data, scenes, word, shapes.get("scale", 0.0)), *UNITS[word])

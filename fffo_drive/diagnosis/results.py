@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__, formats
+from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.parameters import ModelFile
 
 Floats = npt.NDArray[np.float64]
@@ -103,6 +104,13 @@ class Finding:
     picture: Picture | None = None
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
     regime_after: ErrorFigures | None = None
+
+    @property
+    def curve(self) -> CurveModel | None:
+        """What is in no list, as a curve or a table; None for a law with a name."""
+        if not self.name.startswith(UNKNOWN):
+            return None
+        return curve_model({n.name: n.value for n in self.parameters}, {n.name: n.sd for n in self.parameters})
 
 
 @dataclass(frozen=True)
@@ -207,11 +215,13 @@ def _effect(finding: Finding) -> dict[str, Any]:
             values[number.name] = number.value
         else:
             values.setdefault(number.name, {})[number.per_run] = number.value
+    curve = finding.curve
     return {
         "name": finding.name,
         "alternatives": list(finding.alternatives),
         "axis": finding.axis,
-        "parameters": values,
+        "parameters": values if curve is None else {},
+        **({} if curve is None else {"curve": curve.model_dump(mode="json")}),
         "explained_fraction": finding.explained_fraction,
         "false_alarm_probability": finding.false_alarm_probability,
         "accepted": finding.accepted,
@@ -220,8 +230,8 @@ def _effect(finding: Finding) -> dict[str, Any]:
         "experiment": finding.experiment,
         "compensable": finding.compensable,
         "strength_percent": finding.strength_percent,
-        "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None},
-        "units": {n.name: n.unit for n in finding.parameters},
+        "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None and curve is None},
+        "units": {n.name: n.unit for n in finding.parameters if curve is None},
         "rivals": [vars(rival) for rival in finding.rivals],
         "before": {"held_out_regime": figures_json(finding.regime_before)},
         "after": {"held_out_regime": figures_json(finding.regime_after)},

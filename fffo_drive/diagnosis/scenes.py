@@ -73,7 +73,9 @@ class Scene(NamedTuple):
 
     A torque that stands in a regressor carries the residual itself: u = J a + F + E + r. With the base projected out,
     nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see what the model
-    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command.
+    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command, the
+    residual in it too. The measured current tells whether a lag or a limit is real; inside a dead zone the residual
+    explains itself: little of the motion may lie there.
     """
 
     stretch: Stretch

@@ -24,10 +24,6 @@ class Interval(NamedTuple):
     low: float
     high: float
 
-    def overlaps(self, other: Interval) -> bool:
-        """True when the intervals share a point, and when one of them is not known."""
-        return not (self.high < other.low or other.high < self.low)
-
 
 def mean_interval(values: Floats) -> Interval:
     """Mean of independent values (n,) with Student's interval."""

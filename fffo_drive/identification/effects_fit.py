@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.registry import law_of
 from ..model.effects.table import Term
-from ..model.parameters import EffectModel, Quantity
+from ..model.parameters import EffectModel, effect_model
 from .coordinates import MODEL_PARAMETERS, NUISANCES, PARAMETERS, Coordinates, coordinates, to_coordinates, to_physical
 from .layout import SHARED, EffectLayout, EffectStart, Scales, layout_of
 from .prediction import Problem, jacobian
@@ -49,18 +48,10 @@ class FittedEffect(NamedTuple):
 
     def model(self, alternatives: Sequence[str] = (), provenance: str = "") -> EffectModel:
         """For a model file; of a parameter with a value for each run the first one stands there."""
-        quantities = {}
-        term = self.term()
-        for p in law_of(self.name).parameters:
-            if p.name not in term.values:
-                continue
-            sd = self.sd.get(p.name) if p.name not in self.per_run else self.per_run_sd[p.name][0]
-            quantities[p.name] = Quantity(
-                value=term.values[p.name], sd=sd if sd else None, source="fitted" if sd else "found by search"
-            )
-        return EffectModel(
-            name=self.name, parameters=quantities, datum="run" if self.per_run else "absolute",
-            alternatives=list(alternatives), provenance=provenance,
+        sd = {**self.sd, **{key: spread[0] for key, spread in self.per_run_sd.items()}}
+        return effect_model(
+            self.name, self.term().values, {key: spread or None for key, spread in sd.items()},
+            datum="run" if self.per_run else "absolute", alternatives=alternatives, provenance=provenance,
         )  # fmt: skip
 
 

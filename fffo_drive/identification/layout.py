@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..model.effects.law import STRENGTH, Law, Parameter
+from ..model.effects.law import PER_TURN, STRENGTH, Law, Parameter
 from ..model.effects.laws.lookup import values_of
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term
@@ -18,9 +18,6 @@ Floats = npt.NDArray[np.float64]
 
 SHARED = -1
 SHAPE_SPAN = 10.0  # a positive shape stays within this factor of its start
-# shapes that data tell better than any fit from afar: they stay as they are found, unless asked for
-HELD = frozenset({"order", "ratio", "period_rev", "pitch_rev", "contact_hz", "friction_share", "axis", "kind", "scale"})
-ANGLE_SHAPES = ("order", "ratio", "period_rev", "pitch_rev")
 PHASE_TURNS = 0.05  # step of what counts turns or periods: so much of a turn at the end of the data
 RELATIVE_STEP = 0.3  # of other shapes
 SHARE_STEP = 0.3
@@ -86,13 +83,12 @@ def default_free(law: Law, values: Mapping[str, float]) -> tuple[str, ...]:
     """What of an effect a refit moves: strengths that act with these shapes, and shapes that it can follow."""
     if law.name == "lookup":
         return tuple(f"y{k:02d}" for k in range(values_of(values)))
-    off: set[str] = set()
-    if law.name == "position_dependent_friction":
-        if values.get("period_rev", 0.0) <= 0.0:
-            off |= {"cos_share", "sin_share"}
-        if values.get("width_rev", 0.0) <= 0.0:
-            off |= {"window_share", "centre_rev", "width_rev"}
-    return tuple(p.name for p in law.parameters if p.name not in off and p.name not in HELD)
+    # how often a wave comes the data tell better than any fit from afar
+    return tuple(p.name for p in law.parameters if not (p.held or _counts_turns(p) or p.is_off(values)))
+
+
+def _counts_turns(p: Parameter) -> bool:
+    return p.span or p.unit == PER_TURN
 
 
 def layout_of(effects: Sequence[EffectStart], scales: Scales) -> EffectLayout:
@@ -100,7 +96,7 @@ def layout_of(effects: Sequence[EffectStart], scales: Scales) -> EffectLayout:
     found: list[LayoutParameter] = []
     for k, effect in enumerate(effects):
         law = law_of(effect.name)
-        given = {p.name: value for p, value in zip(law.parameters, law.vector(dict(effect.values)), strict=True)}
+        given = law.filled(effect.values)
         free = default_free(law, given) if effect.free is None else effect.free
         for p in law.parameters:
             if law.name == "lookup" and p.name not in effect.values and p.name not in free:
@@ -122,27 +118,30 @@ def _scale(p: Parameter, value: float, given: Mapping[str, float], scales: Scale
         }  # fmt: skip
         return own.get(p.unit, SHARE_STEP)
     turns = max(scales.turns, 1.0)
-    if p.name == "order":
+    if p.unit == PER_TURN:
         return PHASE_TURNS / turns
-    if p.name in ANGLE_SHAPES:
+    if p.span:
         return max(PHASE_TURNS * value * value / turns, 1e-9)
-    if p.name == "frequency_hz" and "damping" not in given:
+    if _counts_periods(p):
         return PHASE_TURNS / max(scales.duration_s, scales.period_s)
-    if p.name == "centre_rev":
-        return max(RELATIVE_STEP * given.get("width_rev", 0.0), 1e-6)
+    if p.needs:
+        return max(RELATIVE_STEP * given.get(p.needs, 0.0), 1e-6)
     return max(RELATIVE_STEP * abs(value), 1e-9)
+
+
+def _counts_periods(p: Parameter) -> bool:
+    """Of a clock of its own, and not a resonance, which has a width."""
+    return p.unit == "Hz" and not p.logarithmic
 
 
 def _bounds(law: Law, p: Parameter, value: float, given: Mapping[str, float], scales: Scales) -> tuple[float, float]:
     if p.kind == STRENGTH:
         return p.low, p.high
     reach = math.inf
-    if p.name == "centre_rev":
-        reach = given.get("width_rev", 0.0)
-    elif p.name in ("order", "ratio", "period_rev", "pitch_rev") or (
-        p.name == "frequency_hz" and "damping" not in given
-    ):
+    if _counts_turns(p) or _counts_periods(p):
         reach = 20.0 * _scale(p, value, given, scales)
+    elif p.needs:
+        reach = given.get(p.needs, 0.0)
     if math.isfinite(reach):
         return max(p.low, value - reach), min(p.high, value + reach)
     if value > 0.0:

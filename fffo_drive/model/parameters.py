@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,7 +19,9 @@ from pydantic import Field
 from .. import formats, units
 from ..documents import Record, load, refuse
 from .axis import AxisConfig
-from .effects.registry import name_error, parameter_errors
+from .effects.law import SHAPE
+from .effects.laws.lookup import UNKNOWN, CurveModel, curve_errors, curve_model, packed_curve, packed_sd
+from .effects.registry import law_of, name_error, parameter_errors
 from .effects.table import EffectTable, Term, effect_table
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
@@ -54,7 +58,10 @@ class EffectModel(Record):
     """An effect beside J, Td and friction, by its name in model/effects; its torque is taken from the motor's."""
 
     name: Annotated[str, Field(description="a law of model/effects, or unknown:AXIS")]
-    parameters: dict[str, Quantity]
+    parameters: Annotated[
+        dict[str, Quantity], Field(description="of a law; of an unknown:AXIS of 0.1.0 the curve, packed")
+    ] = Field(default_factory=dict)
+    curve: Annotated[CurveModel | None, Field(description="of an unknown:AXIS")] = None
     datum: Annotated[
         Literal["absolute", "run"],
         Field(description="run: what is periodic has another phase in every run, and cannot be compensated"),
@@ -62,9 +69,39 @@ class EffectModel(Record):
     alternatives: list[str] = Field(default_factory=list, description="effects that the data could not tell from it")
     provenance: str = ""
 
+    def quantities(self) -> dict[str, Quantity]:
+        """All numbers by the names of the law, those of a curve too."""
+        if self.curve is None:
+            return self.parameters
+        sd = packed_sd(self.curve)
+        return {key: Quantity(value=value, sd=sd.get(key)) for key, value in packed_curve(self.curve).items()}
+
     def term(self) -> Term:
         """As the kernels take it."""
-        return Term(self.name, {key: quantity.value for key, quantity in self.parameters.items()})
+        return Term(self.name, {key: quantity.value for key, quantity in self.quantities().items()})
+
+
+def effect_model(
+    name: str, values: Mapping[str, float], sd: Mapping[str, float | None], *,
+    datum: Literal["absolute", "run"] = "absolute", alternatives: Sequence[str] = (), provenance: str = "",
+) -> EffectModel:  # fmt: skip
+    """An effect that was found, for a model file: a free curve as lists, and shapes that a search left out as typical.
+
+    `values`, `sd`: by the names of the law's parameters; no sd, None or one that is not finite: not fitted.
+    """
+    known = {key: float(one) for key, one in sd.items() if one is not None and math.isfinite(one)}
+    common: dict[str, Any] = {"datum": datum, "alternatives": list(alternatives), "provenance": provenance}
+    if name.startswith(UNKNOWN):
+        return EffectModel(name=name, curve=curve_model(values, known), **common)
+    quantities = {}
+    for p in law_of(name).parameters:
+        if p.name in values:
+            spread = known.get(p.name)
+            source = "found by search" if spread is None else "fitted"
+            quantities[p.name] = Quantity(value=float(values[p.name]), sd=spread, source=source)
+        elif p.kind == SHAPE:
+            quantities[p.name] = Quantity(value=p.typical, source="typical")
+    return EffectModel(name=name, parameters=quantities, **common)
 
 
 class Provenance(Record):
@@ -121,9 +158,18 @@ class ModelFile(Record):
         return effect_table(self.effect_terms(), self.axis_config(), step_s)
 
 
+def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:
+    """As it is written and hashed: without effects where there are none, each with its curve or its parameters."""
+    content = model.model_dump(mode="json", exclude_none=exclude_none, exclude=set() if model.effects else {"effects"})
+    for effect in content.get("effects", []):
+        effect.pop("parameters" if effect.get("curve") is not None else "curve", None)
+    return content
+
+
 def content_hash(model: ModelFile) -> str:
     """SHA-256 over everything but the hash itself, and over the effects where there are any."""
-    content = model.model_dump(mode="json", exclude={"content_hash"} | (set() if model.effects else {"effects"}))
+    content = _content(model.model_copy(update={"content_hash": None}), exclude_none=False)
+    del content["content_hash"]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -168,16 +214,39 @@ def effect_errors(effects: list[EffectModel]) -> list[tuple[str, str]]:
         if wrong is not None:
             errors.append((f"effects[{k}].name", wrong))
             continue
+        if effect.curve is not None:
+            errors += [(f"effects[{k}].{key}", text) for key, text in _curve_errors(effect, effect.curve)]
+            continue
+        if effect.name.startswith(UNKNOWN) and not effect.parameters:
+            errors.append((f"effects[{k}].curve", f"missing: {effect.name} is a curve: kind, unit, knots, values"))
         values = {key: quantity.value for key, quantity in effect.parameters.items()}
         errors += [(f"effects[{k}].parameters.{key}", text) for key, text in parameter_errors(effect.name, values)]
     return errors
 
 
+def _curve_errors(effect: EffectModel, curve: CurveModel) -> list[tuple[str, str]]:
+    if not effect.name.startswith(UNKNOWN):
+        return [("curve", f"only an effect unknown:AXIS has a curve: {effect.name} has parameters")]
+    both = [("parameters", "a curve has all numbers of the effect: leave them out")] if effect.parameters else []
+    return both + [(f"curve.{key}", text) for key, text in curve_errors(curve)]
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists of numbers in lines, all else in blocks."""
+
+
+def _list_node(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    in_lines = all(isinstance(one, int | float | None) for one in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=in_lines)
+
+
+_Dumper.add_representer(list, _list_node)
+
+
 def model_text(model: ModelFile) -> str:
     """The model as a file, with its content hash."""
     stamped = model.model_copy(update={"content_hash": content_hash(model)})
-    content = stamped.model_dump(mode="json", exclude_none=True, exclude=set() if model.effects else {"effects"})
-    return yaml.safe_dump(content, sort_keys=False, width=110)
+    return yaml.dump(_content(stamped, exclude_none=True), Dumper=_Dumper, sort_keys=False, width=110)
 
 
 def write_model(path: str | Path, model: ModelFile) -> None:

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
-from ..model.effects.laws.lookup import UNKNOWN, across_word
 from ..model.parameters import ModelFile
 from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
@@ -227,14 +226,14 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
 
 def _axes(finding: Finding) -> str:
     """The axis of a finding, or both axes of a table."""
-    across = across_word({number.name: number.value for number in finding.parameters})
-    return f"{finding.axis} x {across}" if across else finding.axis
+    across = finding.curve.across if finding.curve is not None else None
+    return finding.axis if across is None else f"{finding.axis} x {across}"
 
 
 def _parameters(accepted: Sequence[Finding]) -> Table:
     rows = []
     for finding in accepted:
-        for one in finding.parameters if not finding.name.startswith(UNKNOWN) else ():
+        for one in finding.parameters if finding.curve is None else ():
             reach = None if one.sd is None else NORMAL_95 * one.sd
             low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
             name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")

@@ -45,10 +45,6 @@ class Notifier:
         """Feed the watchdog."""
         self._send("WATCHDOG=1")
 
-    def extend_start(self, seconds: float) -> None:
-        """Starting takes longer than the unit allows (kernels are being compiled)."""
-        self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * US_PER_S)}")
-
     def _send(self, *lines: str) -> bool:
         if not self._address:
             return True

@@ -37,11 +37,10 @@ def test_what_the_service_manager_is_told(manager):
     notifier.alive()
     notifier.reloading()
     notifier.stopping()
-    notifier.extend_start(2.5)
-    messages = [sock.recv(4096).decode() for _ in range(6)]
+    messages = [sock.recv(4096).decode() for _ in range(5)]
     assert messages[:3] == ["READY=1", "STATUS=two lines", "WATCHDOG=1"]
     assert re.fullmatch(r"RELOADING=1\nMONOTONIC_USEC=\d+", messages[3])
-    assert messages[4:] == ["STOPPING=1", "EXTEND_TIMEOUT_USEC=2500000"]
+    assert messages[4:] == ["STOPPING=1"]
     assert notifier.failures == 0
 
 

@@ -12,7 +12,7 @@ from fffo_drive.documents import DocumentError
 from fffo_drive.model.axis import AxisConfig, AxisState, simulate
 from fffo_drive.model.effects import slots as s
 from fffo_drive.model.effects.law import SearchContext
-from fffo_drive.model.effects.registry import LAWS, NAMES, is_compensable, law_table, name_error, parameter_errors
+from fffo_drive.model.effects.registry import LAWS, NAMES, is_compensable, name_error, parameter_errors
 from fffo_drive.model.effects.step import simulate_with_effects
 from fffo_drive.model.effects.table import Term, effect_table, effects_along, regressors
 from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
@@ -279,7 +279,6 @@ def test_every_law_says_what_a_reader_and_a_search_need():
         assert set(law.per_run) <= {p.name for p in law.strengths}
         assert set(law.lookalikes) <= set(NAMES)
         assert all((law.meaning, law.experiment, law.regime))
-        assert f"`{name}`" in law_table()
         for shape in law.search(CONTEXT):
             assert not parameter_errors(name, {**{p.name: p.typical for p in law.shapes}, **shape})
 

@@ -15,10 +15,14 @@ from fffo_drive.model.effects.laws.lookup import (
     RESPONSE,
     VISCOUS,
     WOUND,
+    CurveModel,
     across_word,
+    curve_errors,
+    packed_curve,
     values_of,
 )
 from fffo_drive.model.effects.registry import law_of, parameter_errors, vector_of
+from fffo_drive.model.parameters import EffectModel, Quantity, effect_errors, effect_model, read_model, write_model
 
 NAME = "unknown:velocity"
 X = np.array([-4.0, -0.5, 0.2, 3.0])
@@ -83,6 +87,66 @@ def test_a_table_that_does_not_fit_is_refused():
     assert parameter_errors(NAME, {**SHAPES, **VALUES}) == []
     assert [key for key, _ in parameter_errors(NAME, {**SHAPES, "levels": 5.0})] == ["levels"]
     assert [key for key, _ in parameter_errors(NAME, {**SHAPES, "count": 25.0})] == ["count"]
+
+
+CURVE = {"kind": "torque", "unit": "Nm", "knots": [0.0, 1.0, 2.0], "values": [0.1, 0.2, 0.3]}
+TABLE = {**CURVE, "across": "speed", "levels": [0.5, 4.0], "values": [[0.1, 0.2, 0.3]] * 2}
+
+
+def test_a_model_file_has_a_curve_as_lists_with_names(tmp_path, pytestconfig):
+    """Places and values that people read, in lines; what was not fitted has no standard deviation."""
+    sd = {f"y{k:02d}": 0.01 for k in range(11)}
+    found = effect_model(NAME, {**SHAPES, **VALUES, "kind": VISCOUS}, sd)
+    model = read_model(pytestconfig.rootpath / "configs" / "models" / "table1.yaml").model_copy(
+        update={"effects": [found]}
+    )
+    write_model(tmp_path / "model.yaml", model)
+    text = (tmp_path / "model.yaml").read_text()
+    for line in ("kind: viscous", "unit: Nm/rps", "knots: [-4.0, -0.5, 0.2, 3.0]", "across: acceleration",
+                 "levels: [-10.0, 0.0, 40.0]", "- [0.01, 0.01, 0.01, null]"):  # fmt: skip
+        assert f"    {line}\n" in text
+    assert "y00" not in text
+    again = read_model(tmp_path / "model.yaml").effects[0]
+    assert again == found
+    quantities = again.quantities()
+    assert {key: quantity.value for key, quantity in quantities.items() if key[0] == "y"} == VALUES
+    assert (quantities["y10"].sd, quantities["y11"].sd) == (0.01, None)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [
+        ({**CURVE, "knots": [0.0, 2.0, 1.0]}, "knots"),
+        ({**CURVE, "knots": [], "values": []}, "knots"),
+        ({**CURVE, "knots": [float(k) for k in range(25)], "values": [0.0] * 25}, "knots"),
+        ({**CURVE, "values": [0.1, 0.2]}, "values"),
+        ({**CURVE, "values": [[0.1, 0.2, 0.3]]}, "values"),
+        ({**CURVE, "sd": [0.1]}, "sd"),
+        ({**CURVE, "unit": "rev"}, "unit"),
+        ({**CURVE, "levels": [0.0]}, "levels"),
+        ({**TABLE, "values": [[0.1, 0.2, 0.3], [0.1, 0.2]]}, "values"),
+        ({**TABLE, "levels": [], "values": []}, "levels"),
+        ({**TABLE, "kind": "wound"}, "across"),
+        ({**CURVE, "kind": "response", "unit": "-"}, "values"),
+    ],
+)
+def test_a_curve_that_does_not_fit_together_is_refused_with_its_key(wrong, key):
+    curve = CurveModel.model_validate(wrong)
+    assert key in dict(curve_errors(curve))
+    assert f"effects[0].curve.{key}" in dict(effect_errors([EffectModel(name=NAME, curve=curve)]))
+
+
+def test_a_curve_belongs_to_an_effect_without_a_name_of_its_own():
+    curve = CurveModel.model_validate(CURVE)
+    packed = {key: Quantity(value=value) for key, value in packed_curve(curve).items()}
+    assert effect_errors([EffectModel(name=NAME, curve=curve)]) == []
+    assert effect_errors([EffectModel(name=NAME, curve=CurveModel.model_validate(TABLE))]) == []
+    for wrong, key in (
+        (EffectModel(name="cogging", curve=curve), "curve"),
+        (EffectModel(name=NAME, curve=curve, parameters=packed), "parameters"),
+        (EffectModel(name=NAME), "curve"),
+    ):
+        assert [found for found, _ in effect_errors([wrong])] == [f"effects[0].{key}"]
 
 
 @pytest.mark.parametrize("band_hz", [2.0, 8.0])

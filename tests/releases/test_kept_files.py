@@ -19,7 +19,8 @@ from fffo_drive.config.simulated import read_simulated
 from fffo_drive.documents import parse, read_text
 from fffo_drive.formats import FORMATS, kind_of
 from fffo_drive.identification.facts import ColumnFact, read_facts
-from fffo_drive.model.parameters import read_model
+from fffo_drive.model.effects.laws.lookup import CurveModel
+from fffo_drive.model.parameters import content_hash, effect_model, read_model
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recover import recover
 
@@ -86,6 +87,23 @@ def test_the_models():
     assert (full.friction.stiffness_per_rev.value, full.sensor_delay_s.source) == (
         835.135505772269, "lag of the drive's velocity",
     )  # fmt: skip
+
+
+def test_curves_with_one_key_a_number_and_a_window_without_the_shapes_that_are_off():
+    """As 0.1.0 wrote what is in no list; the window it then refused to read itself. They keep their hash."""
+    model = read_model(FIRST / "model_with_curves.yaml")
+    assert model.content_hash == content_hash(model)
+    places_rev, speeds_rps = np.array([0.0, 0.3, 0.6, 1.0]), np.array([0.1, 4.0])
+    friction, table, window = model.effect_terms()
+    again = [effect_model(term.name, term.values, {}) for term in (friction, table)]
+    assert again[0].curve == CurveModel(
+        kind="friction", unit="Nm", scale=1.0, knots=places_rev.tolist(), values=[0.001, -0.0025, 0.004, 0.001]
+    )
+    assert again[1].curve == CurveModel(
+        kind="torque", unit="Nm", knots=[-2.0, 0.5, 3.0], across="speed", levels=speeds_rps.tolist(),
+        values=[[0.001, 0.002, 0.003], [-0.001, -0.002, -0.003]],
+    )  # fmt: skip
+    assert window.values == {"window_share": 0.12, "centre_rev": 3.5, "width_rev": 1.25}
 
 
 def test_the_simulated_drive_and_the_facts():

@@ -25,6 +25,7 @@ from fffo_drive.diagnosis.results import (
     Rival,
     RunFigure,
 )
+from fffo_drive.diagnosis.results import report as report_object
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.model.parameters import read_model
 from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
@@ -157,11 +158,11 @@ def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
 
 
 def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
-    knots = {"kind": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
+    knots = {"kind": 2.0, "count": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
     curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
     assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
     assert curve_words(finding()) == ""
-    springs = {"kind": 4.0, "x00": 0.1, "x01": 2.5, "y00": -0.001, "y01": 0.004}
+    springs = {"kind": 4.0, "count": 2.0, "x00": 0.1, "x01": 2.5, "y00": -0.001, "y01": 0.004}
     memory = finding(name="unknown:memory", parameters=tuple(Number(k, v, None, "") for k, v in springs.items()))
     words = "springs along the travel that slip and then pull with -0.001 to 0.004 Nm, after 0.1 to 2.5 rev"
     assert curve_words(memory) == f"{words}; the strongest after 2.5 rev"
@@ -170,6 +171,10 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     table = finding(name="unknown:motor_angle", parameters=numbers)
     words = "a table over -2 to 3 and the speed, 0.1 to 4: friction from -0.001 to 0.004 Nm"
     assert curve_words(table) == words
+    curve = report_object(diagnosis(findings=(table,)))["effects"][0]
+    assert (curve["parameters"], curve["sd"]) == ({}, {})
+    assert (curve["curve"]["across"], curve["curve"]["levels"]) == ("speed", [0.1, 4.0])
+    assert curve["curve"]["values"] == [[-0.001, 0.004], [0.0, 0.002]]
     page = render_page(diagnosis_report(SOURCE, diagnosis(findings=(table,))))
     assert "motor angle x speed" in page
 

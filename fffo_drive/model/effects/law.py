@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
@@ -17,6 +17,13 @@ Axis = Literal[
 STRENGTH: Final = "strength"
 SHAPE: Final = "shape"
 Shape = dict[str, float]
+Folded = tuple[Literal["motor_angle", "time"], float]  # over which signal, and with which period in rev or s
+
+PER_TURN = "1/rev"  # unit of an order: periods in a motor turn
+STRENGTH_STEP = 0.05  # of the numeric derivative over a strength: share of its typical value
+SHAPE_STEP = 0.02  # ... over a shape: relative
+ORDER_STEP_TURNS = 0.01  # ... over an order: what it shifts at the end of the data, in periods
+STEP_OF_NEEDED = 0.05  # ... over a shape that lies within another: share of that one
 
 
 class Parameter(NamedTuple):
@@ -33,15 +40,33 @@ class Parameter(NamedTuple):
     high: float
     typical: float
     meaning: str
-    needs: str = ""  # a shape without which, at zero, this strength does nothing
+    needs: str = ""  # a shape without which, at zero, this one does nothing
+    step: float | None = None  # of the numeric derivative, in `unit`; None: `step_at` says it
+    logarithmic: bool = False  # a fit moves its logarithm, and `step` is relative
+    held: bool = False  # a shape that a fit leaves where the search put it
+    span: bool = False  # a shape that is a period of the motor angle, rev
+    plausible: tuple[float, float] | None = None  # what a real machine has; None: the whole range
 
     @property
-    def held(self):
-        return self.name in ("pitch_rev", "ratio", "contact_hz", "axis", "kind", "scale", "count")
+    def may_be_left_out(self) -> bool:
+        """Whether an effect may be told without it: a strength, or a shape that is off, or plain, at its typical 0."""
+        return self.kind == STRENGTH or self.typical == 0.0
 
-    @property
-    def plausible(self):
-        return {"tau_s": (0.0, 0.005) if self.meaning == "time constant" else None, "damping": (0.001, 0.5)}.get(self.name)
+    def is_off(self, values: Mapping[str, float]) -> bool:
+        """Whether it does nothing with these shapes: what it needs is zero, or it is a shape at zero itself."""
+        if self.needs:
+            return values.get(self.needs, 0.0) <= 0.0
+        return self.kind == SHAPE and values.get(self.name, 0.0) == 0.0
+
+    def step_at(self, values: Mapping[str, float], turns: float) -> float:
+        """Step of the numeric derivative with these shapes, over data of so many motor turns."""
+        if self.step is not None:
+            return self.step
+        if self.kind == STRENGTH:
+            return STRENGTH_STEP * self.typical
+        if self.unit == PER_TURN:
+            return ORDER_STEP_TURNS / max(turns, 1.0)
+        return STEP_OF_NEEDED * values[self.needs] if self.needs else SHAPE_STEP
 
 
 class SearchContext(NamedTuple):
@@ -59,6 +84,7 @@ class SearchContext(NamedTuple):
     static_nm: float
     stiffness_per_rev: float
     attraction_nm_per_rev: float
+    slow_rps: float = 0.0  # 10 % quantile of the speed in motion; 0: not known, the slowest counts
     driving_a: float = 0.0  # current that most of the motion needs at least; 0: not known
     gear_ratio: float | None = None
     pole_pairs: int | None = None
@@ -67,13 +93,21 @@ class SearchContext(NamedTuple):
     slow_orders: tuple[float, ...] = ()  # the largest of each band of long waves, of the residual itself ...
     slow_level_orders: tuple[float, ...] = ()  # ... and of the residual times the direction
     frequencies_hz: tuple[float, ...] = ()  # peaks of the residual over time
-    windows_rev: tuple[tuple[float, float], ...] = ()  # (centre, width) of places where the residual stands out
-    bands_rps: tuple[float, ...] = ()  # speeds at which it does
 
     @property
     def turns(self) -> float:
         """Range of the motor angle, rev."""
         return self.high_rev - self.low_rev
+
+
+def not_folded(values: Mapping[str, float]) -> None:
+    """The picture of an effect that is no wave."""
+    return
+
+
+def folded_over_order(values: Mapping[str, float]) -> Folded:
+    """The picture of a wave of the motor turn."""
+    return "motor_angle", 1.0 / values["order"]
 
 
 @dataclass(frozen=True)
@@ -95,34 +129,17 @@ class Law:
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
     level: bool = False  # it changes the level of the friction
-
-    @property
-    def acts_on(self):
-        return "command" if self.name in ("voltage_limit", "delay", "current_lag", "dead_zone") else "motion"
-
-    @property
-    def wave(self):
-        return {"cogging": "plain", "unbalance": "plain", "torque_ripple": "torque", "friction_ripple": "friction"}.get(self.name, "")
-
-    @property
-    def joint(self):
-        return self.name in ("elasticity", "backlash")
-
-    @property
-    def shown_by_current(self):
-        return self.name in ("voltage_limit", "current_lag")
-
-    @property
-    def needs_current(self):
-        return self.name in ("voltage_limit",)
-
-    @property
-    def in_base(self):
-        return self.name == "delay"
-
-    @property
-    def rung(self):
-        return {"torque_offset": 0, "asymmetric_coulomb": 0, "unbalance": 1, "cogging": 2, "lookup": 4}.get(self.name, 3)
+    acts_on: Literal["motion", "torque", "command"] = "motion"  # what its torque is made of along a known motion: the
+    # motion and its friction; also the torque that the model wants; or the command itself, at the rate of the record
+    joint: bool = False  # its torque is made from the motion: fed back as a torque it would run away
+    shown_by_current: bool = False  # a measured current falls short of its command by what it takes
+    needs_current: bool = False  # without a measured current it cannot be told: the command has the residual in it
+    in_base: bool = False  # the base model has it already: a note, and never a finding
+    rung: Literal[0, 1, 2, 3, 4] = 3  # of the ladder: 0 constants; 1 weight; 2 cogging; 3 other laws; 4 free curves
+    fold: Callable[[Mapping[str, float]], Folded | None] = not_folded  # of a picture; None: it is over `picture`
+    wave: Literal["", "plain", "torque", "friction"] = ""  # cos and sin of the motor angle, times what: 1, the motor's
+    # torque, the level of the friction (felt late, over a travel of level / attraction); such a column needs no kernel,
+    # and does not alias
 
     @property
     def follows_model(self) -> bool:
@@ -139,9 +156,9 @@ class Law:
         """Parameters that are searched."""
         return tuple(p for p in self.parameters if p.kind == SHAPE)
 
-    def vector(self, values: dict[str, float]) -> list[float]:
+    def filled(self, values: Mapping[str, float]) -> dict[str, float]:
         """All parameters in the kernel's order: strengths that are not given are zero, shapes typical."""
-        return [float(values.get(p.name, 0.0 if p.kind == STRENGTH else p.typical)) for p in self.parameters]
+        return {p.name: float(values.get(p.name, 0.0 if p.kind == STRENGTH else p.typical)) for p in self.parameters}
 
 
 def no_shape(context: SearchContext) -> list[Shape]:
@@ -164,9 +181,11 @@ def geometric(low: float, high: float, count: int) -> list[float]:
 def motor_orders(context: SearchContext, half: bool = False, slow: Sequence[float] = ()) -> list[float]:
     """Orders of the motor turn that the data can carry: whole, of the winding and the gear, and what was found.
 
-    With `half` also halves. An order needs to be passed twice, and its period to last four samples at top speed.
+    With `half` also halves. An order needs to be passed twice, and its period to last four samples where the axis is
+    slow: at top speed alone an order of 72 would last less than one.
     """
-    highest = 0.25 / (context.period_s * max(context.lowest_rps, 1e-9))
+    slow_rps = context.slow_rps if context.slow_rps > 0.0 else context.lowest_rps
+    highest = 0.25 / (context.period_s * max(slow_rps, 1e-9))
     orders = {float(k) for k in range(1, 25)}
     if half:
         orders |= {k + 0.5 for k in range(8)}

@@ -11,8 +11,8 @@ import math
 from collections.abc import Iterable, Mapping
 
 from ...jit.by_address import VectorKernel
-from .law import SHAPE, Axis, Law
-from .laws.lookup import AXIS_CODES, FIRST_X, KNOWN_AHEAD, NO_AXIS, UNKNOWN
+from .law import Axis, Law
+from .laws.lookup import AXIS_CODES, KNOWN_AHEAD, NO_AXIS, UNKNOWN
 
 NAMES = (
     "torque_offset",
@@ -70,7 +70,7 @@ def vector_of(name: str, values: Mapping[str, float]) -> list[float]:
     given = dict(values)
     if name.startswith(UNKNOWN):
         given["axis"] = float(AXIS_CODES[axis_of_effect(name)])
-    return law_of(name).vector(given)
+    return list(law_of(name).filled(given).values())
 
 
 def is_compensable(name: str, values: Mapping[str, float]) -> bool:
@@ -101,7 +101,7 @@ def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, 
         elif not (math.isfinite(value) and known[key].low <= value <= known[key].high):
             p = known[key]
             errors.append((key, f"{value:g} is outside {p.low:g} to {p.high:g} {p.unit}"))
-    missing = [p.name for p in law_of(name).parameters if p.kind == SHAPE and p.name not in values]
+    missing = [p.name for p in law_of(name).parameters if p.name not in values and not p.may_be_left_out]
     if missing and law_of(name).name != "lookup":
         errors.append((missing[0], f"missing: effect {name!r} needs its shape ({', '.join(missing)})"))
     return errors
@@ -111,15 +111,3 @@ def _suggestion(word: str, known: Iterable[str]) -> str:
     names = list(known)
     close = difflib.get_close_matches(word, names, n=1)
     return f" (did you mean {close[0]!r}?)" if close else f"; known: {', '.join(names)}"
-
-
-def law_table() -> str:
-    """Markdown table of all laws and their parameters."""
-    lines = ["| effect | axis | what it is | parameter | unit | range |", "|---|---|---|---|---|---|"]
-    for law in LAWS.values():
-        head = f"| `{law.name}` | {law.axis} | {law.meaning}{', compensable' if law.compensable else ''} "
-        for p in law.parameters if law.name != "lookup" else law.parameters[:FIRST_X]:
-            cells = f"| `{p.name}`: {p.meaning} ({p.kind}) | {p.unit} | {p.low:g} to {p.high:g} |"
-            lines.append(head + cells)
-            head = "| | | "
-    return "\n".join(lines)

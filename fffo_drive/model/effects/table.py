@@ -50,13 +50,6 @@ def effect_table(
     return EffectTable(addresses, parameters, np.zeros((count, s.MEMORY_SLOTS)), new_signals(axis, step_s, facts))
 
 
-def no_effects() -> EffectTable:
-    """A table without effects."""
-    return EffectTable(
-        np.zeros(0, np.int64), np.zeros((0, s.MAX_PARAMETERS)), np.zeros((0, s.MEMORY_SLOTS)), np.zeros(s.N_SLOTS)
-    )
-
-
 @njit
 def derive_signals(signals: Floats) -> None:
     """Everything that follows from the motion: torque, contact, grip, rest; and the outputs to zero."""

@@ -117,18 +117,14 @@ def drives_report(name: str, purpose: str, reports: Mapping[str, Mapping[str, An
 
 def _effect(effect: Mapping[str, Any]) -> str:
     family = "".join(f" or `{name}`" for name in effect["alternatives"])
-    shown = {key: value for key, value in effect["parameters"].items() if not _is_knot(effect["name"], key)}
-    numbers = ", ".join(f"{key} {_number(value)}" for key, value in shown.items())
-    if effect["name"].startswith("unknown:"):
-        numbers = f"a curve of {effect['parameters']['count']:.0f} knots"
+    if "curve" in effect:
+        numbers = f"a curve of {len(effect['curve']['knots'])} knots"
+    else:
+        numbers = ", ".join(f"{key} {_number(value)}" for key, value in effect["parameters"].items())
     probability = effect["false_alarm_probability"]
     chance = "< 1e-4" if probability < 1e-4 else f"{probability:.2g}"
     share = f"{100 * effect['explained_fraction']:.0f} % of what was left, p {chance}"
     return f"`{effect['name']}`{family} ({share}; {numbers})"
-
-
-def _is_knot(name: str, key: str) -> bool:
-    return name.startswith("unknown:") and key[0] in "xy"
 
 
 def _number(value: Any) -> str:

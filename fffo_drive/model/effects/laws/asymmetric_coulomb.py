@@ -41,4 +41,5 @@ LAW = Law(
     motions=("dwells", "staircase", "creep"),
     picture="direction",
     level=True,
+    rung=0,
 )

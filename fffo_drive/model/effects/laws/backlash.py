@@ -90,7 +90,7 @@ LAW = Law(
     kernel=backlash,
     parameters=(
         Parameter("share", "-", STRENGTH, 0.0, 0.9, 0.2, "share of the inertia behind the gap"),
-        Parameter("gap_rev", "rev", SHAPE, 0.0, 1000.0, 0.01, "width of the gap at the motor shaft"),
+        Parameter("gap_rev", "rev", SHAPE, 0.0, 1000.0, 0.01, "width of the gap at the motor shaft", logarithmic=True),
         Parameter(
             "friction_share",
             "-",
@@ -99,8 +99,11 @@ LAW = Law(
             10.0,
             0.0,
             "share of the friction behind the gap, over that of the inertia",
+            logarithmic=True,
         ),
-        Parameter("contact_hz", "Hz", SHAPE, 1.0, 10000.0, 150.0, "resonance of the closed joint"),
+        Parameter(
+            "contact_hz", "Hz", SHAPE, 1.0, 10000.0, 150.0, "resonance of the closed joint", logarithmic=True, held=True
+        ),
     ),
     search=_search,
     meaning="a gap lets go of a share of the inertia after reversals",
@@ -111,4 +114,5 @@ LAW = Law(
     motions=("triangles", "pairs"),
     picture="travel_since_reversal",
     feedforward=_along_motion,
+    joint=True,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
-from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, motor_orders, over
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
 from ..slots import Floats
 
 
@@ -39,4 +39,7 @@ LAW = Law(
     motions=("creep", "pairs"),
     picture="motor_angle",
     per_run=("cos_nm", "sin_nm"),
+    rung=2,
+    fold=folded_over_order,
+    wave="plain",
 )

@@ -31,8 +31,10 @@ LAW = Law(
     axis="memory",
     kernel=current_lag,
     parameters=(
-        Parameter("share", "-", STRENGTH, -2.0, 2.0, 0.5, "share of the torque that lags; 1: all of it"),
-        Parameter("tau_s", "s", SHAPE, 1e-06, 1.0, 0.002, "time constant"),
+        Parameter(
+            "share", "-", STRENGTH, -2.0, 2.0, 0.5, "share of the torque that lags; 1: all of it", plausible=(0.0, 1.0)
+        ),
+        Parameter("tau_s", "s", SHAPE, 1e-06, 1.0, 0.002, "time constant", logarithmic=True, plausible=(1e-6, 0.005)),
     ),
     search=_search,
     meaning="the current follows its command with a lag",
@@ -44,4 +46,6 @@ LAW = Law(
     ),
     motions=("chirp",),
     picture="frequency",
+    acts_on="command",
+    shown_by_current=True,
 )

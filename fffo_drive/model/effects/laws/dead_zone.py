@@ -39,7 +39,7 @@ LAW = Law(
     kernel=dead_zone,
     parameters=(
         Parameter("lost_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "torque that is lost beyond the zone"),
-        Parameter("width_a", "A", SHAPE, 1e-09, 1000000.0, 0.1, "half width of the zone"),
+        Parameter("width_a", "A", SHAPE, 1e-09, 1000000.0, 0.1, "half width of the zone", logarithmic=True),
     ),
     search=_search,
     meaning="the amplifier gives less at small current",
@@ -50,4 +50,5 @@ LAW = Law(
     motions=("coast_downs",),
     picture="current",
     feedforward=_inverse,
+    acts_on="command",
 )

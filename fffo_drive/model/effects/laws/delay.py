@@ -40,4 +40,6 @@ LAW = Law(
     ),
     motions=("chirp",),
     picture="frequency",
+    acts_on="command",
+    in_base=True,
 )

@@ -70,9 +70,21 @@ LAW = Law(
     axis="frequency",
     kernel=elasticity,
     parameters=(
-        Parameter("share", "-", STRENGTH, -0.9, 0.9, 0.2, "share of the inertia behind the spring"),
-        Parameter("frequency_hz", "Hz", SHAPE, 0.1, 10000.0, 40.0, "resonance of motor against load"),
-        Parameter("damping", "-", SHAPE, 0.0, 2.0, 0.03, "damping ratio of the resonance"),
+        Parameter(
+            "share", "-", STRENGTH, -0.9, 0.9, 0.2, "share of the inertia behind the spring", plausible=(0.02, 0.9)
+        ),
+        Parameter("frequency_hz", "Hz", SHAPE, 0.1, 10000.0, 40.0, "resonance of motor against load", logarithmic=True),
+        Parameter(
+            "damping",
+            "-",
+            SHAPE,
+            0.0,
+            2.0,
+            0.03,
+            "damping ratio of the resonance",
+            logarithmic=True,
+            plausible=(0.001, 0.5),
+        ),
     ),
     search=_search,
     meaning="a share of the inertia hangs on a damped spring",
@@ -83,4 +95,5 @@ LAW = Law(
     motions=("chirp",),
     picture="frequency",
     feedforward=_along_motion,
+    joint=True,
 )

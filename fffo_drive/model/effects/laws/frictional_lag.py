@@ -35,7 +35,7 @@ LAW = Law(
     kernel=frictional_lag,
     parameters=(
         Parameter("share", "-", STRENGTH, -10.0, 10.0, 0.3, "share of the contact that follows over the other travel"),
-        Parameter("length_rev", "rev", SHAPE, 1e-06, 10000.0, 0.05, "the travel"),
+        Parameter("length_rev", "rev", SHAPE, 1e-06, 10000.0, 0.05, "the travel", logarithmic=True),
     ),
     search=_search,
     meaning="friction follows changes of speed over two travels",

@@ -39,4 +39,5 @@ LAW = Law(
     picture="torque",
     feedforward=_inverse,
     level=True,
+    acts_on="torque",
 )

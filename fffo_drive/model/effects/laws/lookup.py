@@ -6,8 +6,13 @@ A finding that is in no list is called `unknown:AXIS` and carried by this law.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal
 
+from pydantic import Field
+
+from ....documents import Record
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, approach
@@ -22,6 +27,7 @@ FIRST_X = 8
 FIRST_Z = FIRST_X + KNOTS
 FIRST_Y = FIRST_Z + LEVELS
 NO_AXIS = -1.0
+SPEED: Final = "speed"  # a memory of the speed without a length, as a second axis
 
 # how the axes of a finding are numbered in the law's first parameter
 AXIS_CODES: dict[Axis, int] = {
@@ -40,6 +46,11 @@ VISCOUS = 2.0  # the curve is a coefficient of viscous friction: times the veloc
 RESPONSE = 3.0  # the curve is over frequency: a share of the motor torque, in phase and a quarter of a period late
 WOUND = 4.0  # the curve is over the reach of what is wound up by the travel, and slips at its end: rev
 BRAKE = 5.0  # the curve is a drag: times the sign of the velocity, which unlike GRIP does not wait for presliding
+KindWord = Literal["torque", "friction", "viscous", "response", "wound", "drag"]
+KINDS: dict[KindWord, tuple[float, str]] = {  # as model files call them, with the unit of their values
+    "torque": (PLAIN, "Nm"), "friction": (FRICTION, "Nm"), "viscous": (VISCOUS, "Nm/rps"), "response": (RESPONSE, "-"),
+    "wound": (WOUND, "Nm"), "drag": (BRAKE, "Nm"),
+}  # fmt: skip
 BANDS = 12  # knots of a response
 DAMPING = 0.5  # of a band: neighbours whose frequencies have a ratio of 2 meet half way
 
@@ -201,7 +212,115 @@ def across_word(shapes: Mapping[str, float]) -> str:
     if not is_table(shapes):
         return ""
     word = across_axis(shapes)
-    return "speed" if word == "memory" and shapes.get("across_scale", 0.0) == 0.0 else word
+    return SPEED if word == "memory" and shapes.get("across_scale", 0.0) == 0.0 else word
+
+
+class CurveModel(Record):
+    """A free curve or table as a model file and a report have it; the kernel takes `packed_curve` of it.
+
+    A table has a row of values for each level. A response has two: shares of the motor torque in phase, and those a
+    quarter of a period late.
+    """
+
+    kind: Annotated[KindWord, Field(description="what the values are, see KINDS")]
+    unit: Annotated[str, Field(description="of the values")]
+    scale: Annotated[float, Field(ge=0, description="period of an angle, rev; time constant of a memory, s")] = 0.0
+    of_current: Annotated[bool, Field(description="a memory of the squared current, A2, and not of the speed")] = False
+    knots: Annotated[list[float], Field(description="places on the axis, rising")]
+    across: Annotated[Axis | Literal["speed"] | None, Field(description="second axis of a table")] = None
+    across_scale: Annotated[float, Field(ge=0, description="as scale, of the second axis")] = 0.0
+    levels: Annotated[list[float], Field(description="places on the second axis, rising")] = Field(default_factory=list)
+    values: Annotated[list[float] | list[list[float]], Field(description="one a knot; of a table a row a level")]
+    sd: Annotated[
+        list[float | None] | list[list[float | None]] | None, Field(description="of the values; null: not fitted")
+    ] = None
+
+
+def packed_curve(curve: CurveModel) -> dict[str, float]:
+    """Parameters of the law by their names, but for the axis, which the name of the effect says."""
+    found = {
+        "kind": KINDS[curve.kind][0], "scale": curve.scale, "of_current": float(curve.of_current),
+        "count": float(len(curve.knots)),
+    }  # fmt: skip
+    if curve.across is not None:
+        found["across"] = code_of("memory" if curve.across == SPEED else curve.across)
+        found |= {"across_scale": curve.across_scale, "levels": float(len(curve.levels))}
+    return found | _numbered("x", curve.knots) | _numbered("z", curve.levels) | _numbered("y", _flat(curve.values))
+
+
+def packed_sd(curve: CurveModel) -> dict[str, float]:
+    """Standard deviations of the values by the law's names, where they were fitted."""
+    return {name: sd for name, sd in _numbered("y", _flat(curve.sd or [])).items() if sd is not None}
+
+
+def curve_model(packed: Mapping[str, float], sd: Mapping[str, float | None]) -> CurveModel:
+    """The curve of packed parameters and of the standard deviations of its values: the inverse of `packed_curve`."""
+    word = next(word for word, (code, _) in KINDS.items() if code == packed.get("kind", PLAIN))
+    count, table = int(packed.get("count", 0.0)), is_table(packed)
+    names = [f"y{k:02d}" for k in range(values_of(packed))]
+    spread = [sd.get(name) for name in names]
+
+    def rows(numbers: list[Any]) -> list[Any]:
+        in_rows = table or word == "response"
+        return [numbers[k : k + count] for k in range(0, len(numbers), count)] if in_rows else numbers
+
+    return CurveModel.model_validate(
+        {
+            "kind": word,
+            "unit": KINDS[word][1],
+            "scale": float(packed.get("scale", 0.0)),
+            "of_current": packed.get("of_current", 0.0) != 0.0,
+            "knots": [float(packed[f"x{k:02d}"]) for k in range(count)],
+            "across": across_word(packed) or None,
+            "across_scale": float(packed.get("across_scale", 0.0)) if table else 0.0,
+            "levels": [float(packed[f"z{k:02d}"]) for k in range(int(packed.get("levels", 0.0)))] if table else [],
+            "values": rows([float(packed.get(name, 0.0)) for name in names]),
+            "sd": rows([None if one is None else float(one) for one in spread])
+            if any(one is not None for one in spread)
+            else None,
+        }
+    )
+
+
+def _flat(rows: Sequence[Any]) -> list[Any]:
+    return [one for row in rows for one in (row if isinstance(row, list) else (row,))]
+
+
+def _numbered(letter: str, numbers: Sequence[Any]) -> dict[str, Any]:
+    return {f"{letter}{k:02d}": number for k, number in enumerate(numbers)}
+
+
+def curve_errors(curve: CurveModel) -> list[tuple[str, str]]:
+    """(key, what is wrong with it): places that do not rise or are too many, values that do not fit them."""
+    errors = []
+    levels = (0, 0) if curve.across is None else (1, LEVELS)
+    if curve.across is not None and curve.kind in ("response", "wound"):
+        errors.append(("across", f"a curve of kind {curve.kind} has one axis"))
+    for key, places, (least, most) in (
+        ("knots", curve.knots, (1, BANDS if curve.kind == "response" else KNOTS)),
+        ("levels", curve.levels, levels),
+    ):
+        if not least <= len(places) <= most:
+            errors.append((key, f"{len(places)} places, where {least} to {most} are allowed"))
+        if any(right <= left for left, right in pairwise(places)):
+            errors.append((key, "places have to rise"))
+    if curve.unit != KINDS[curve.kind][1]:
+        errors.append(("unit", f"{curve.unit!r}, where values of kind {curve.kind} are in {KINDS[curve.kind][1]}"))
+    count = len(curve.knots)
+    rows = 2 if curve.kind == "response" else len(curve.levels)
+    sizes = [count] * rows if rows else count
+    for key, given in (("values", curve.values), ("sd", curve.sd)):
+        if given is not None and _sizes(given) != sizes:
+            errors.append((key, "one number a knot is needed; of a table a row a level; of a response two rows"))
+    return errors
+
+
+def _sizes(rows: Sequence[Any]) -> int | list[int]:
+    return [len(row) for row in rows] if any(isinstance(row, list) for row in rows) else len(rows)
+
+
+def _held(name: str, low: float, high: float, typical: float, meaning: str, span: bool = False) -> Parameter:
+    return Parameter(name, "-", SHAPE, low, high, typical, meaning, held=True, span=span)
 
 
 LAW = Law(
@@ -209,19 +328,19 @@ LAW = Law(
     axis="velocity",
     kernel=lookup,
     parameters=(
-        Parameter("axis", "-", SHAPE, 0.0, 11.0, 1.0, "number of the axis in AXIS_CODES; unknown:AXIS says it itself"),
-        Parameter(
-            "kind", "-", SHAPE, 0.0, 5.0, 0.0,
+        _held("axis", 0.0, 11.0, 1.0, "number of the axis in AXIS_CODES; unknown:AXIS says it itself"),
+        _held(
+            "kind", 0.0, 5.0, 0.0,
             "0: a torque; 1: friction; 2: Nm/rps; 3: shares of the motor torque; 4: springs that slip; 5: a drag",
         ),
-        Parameter("scale", "-", SHAPE, 0.0, 1e9, 0.0, "period of an angle, rev; time constant of a memory, s"),
-        Parameter("count", "-", SHAPE, 0.0, float(KNOTS), 0.0, "number of knots"),
-        Parameter("of_current", "-", SHAPE, 0.0, 1.0, 0.0, "a memory of 0: the speed; 1: the squared current, in A2"),
-        Parameter("across", "-", SHAPE, NO_AXIS, 11.0, NO_AXIS, "number of the second axis of a table; -1: a curve"),
-        Parameter("across_scale", "-", SHAPE, 0.0, 1e9, 0.0, "scale of the second axis; a memory of 0 s: the speed"),
-        Parameter("levels", "-", SHAPE, 0.0, float(LEVELS), 0.0, "number of knots of the second axis"),
-        *(Parameter(f"x{k:02d}", "-", SHAPE, -1e9, 1e9, 0.0, f"place of knot {k}, rising") for k in range(KNOTS)),
-        *(Parameter(f"z{k:02d}", "-", SHAPE, -1e9, 1e9, 0.0, f"place of level {k}, rising") for k in range(LEVELS)),
+        _held("scale", 0.0, 1e9, 0.0, "period of an angle, rev; time constant of a memory, s", span=True),
+        _held("count", 0.0, float(KNOTS), 0.0, "number of knots"),
+        _held("of_current", 0.0, 1.0, 0.0, "a memory of 0: the speed; 1: the squared current, in A2"),
+        _held("across", NO_AXIS, 11.0, NO_AXIS, "number of the second axis of a table; -1: a curve"),
+        _held("across_scale", 0.0, 1e9, 0.0, "scale of the second axis; a memory of 0 s: the speed"),
+        _held("levels", 0.0, float(LEVELS), 0.0, "number of knots of the second axis"),
+        *(_held(f"x{k:02d}", -1e9, 1e9, 0.0, f"place of knot {k}, rising") for k in range(KNOTS)),
+        *(_held(f"z{k:02d}", -1e9, 1e9, 0.0, f"place of level {k}, rising") for k in range(LEVELS)),
         *(Parameter(f"y{k:02d}", "Nm", STRENGTH, -1e6, 1e6, 0.01, f"torque at value {k}") for k in range(VALUES)),
     ),
     search=_no_search,
@@ -232,4 +351,6 @@ LAW = Law(
     experiment="a wider range of this axis, with the others held",
     motions=("staircase", "triangles", "dwells", "pairs", "biased_sines", "coast_downs", "creep"),
     picture="velocity",
+    acts_on="torque",  # over current, torque and frequency it does
+    rung=4,
 )  # fmt: skip

@@ -29,7 +29,7 @@ LAW = Law(
     parameters=(
         Parameter("cos_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "cosine of the wave"),
         Parameter("sin_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "sine of the wave"),
-        Parameter("frequency_hz", "Hz", SHAPE, 1e-06, 10000.0, 1.0, "frequency"),
+        Parameter("frequency_hz", "Hz", SHAPE, 1e-06, 10000.0, 1.0, "frequency", step=2e-4),
     ),
     search=_search,
     meaning="torque that is periodic in time, whatever the axis does",
@@ -40,4 +40,5 @@ LAW = Law(
     motions=("staircase", "dwells"),
     picture="frequency",
     per_run=("cos_nm", "sin_nm"),
+    fold=lambda values: ("time", 1.0 / values["frequency_hz"]),
 )

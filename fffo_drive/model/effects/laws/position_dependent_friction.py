@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, level_response, over_step, wave
-from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, slow_periods_rev
+from ..law import SHAPE, STRENGTH, Folded, Law, Parameter, SearchContext, Shape, slow_periods_rev
 from ..slots import Floats
 
 WIDTH_SHARES = (0.06, 0.15)  # of the travel
@@ -15,17 +16,20 @@ WIDTH_SHARES = (0.06, 0.15)  # of the travel
 
 def _search(context: SearchContext) -> list[Shape]:
     shapes: list[Shape] = [{"period_rev": period_rev} for period_rev in slow_periods_rev(context)]
-    places = list(context.windows_rev)
     for share in WIDTH_SHARES if context.turns > 0.0 else ():
         width_rev = share * context.turns
-        places += [
-            (context.low_rev + 0.5 * width_rev * (k + 1), width_rev)
+        shapes += [
+            {"centre_rev": context.low_rev + 0.5 * width_rev * (k + 1), "width_rev": width_rev}
             for k in range(int(2.0 * (1.0 - share) / share) + 1)
         ]
-    shapes += [{"centre_rev": centre_rev, "width_rev": width_rev} for centre_rev, width_rev in places]
     if context.turns > 3.0:
         shapes += [{"centre_rev": k / 8.0, "width_rev": 0.25, "pitch_rev": 1.0} for k in range(8)]
     return shapes
+
+
+def _fold(values: Mapping[str, float]) -> Folded | None:
+    period_rev = values.get("period_rev", 0.0)
+    return ("motor_angle", period_rev) if period_rev > 0.0 else None
 
 
 @njit
@@ -68,10 +72,33 @@ LAW = Law(
         ),
         Parameter("sin_share", "-", STRENGTH, -10.0, 10.0, 0.1, "sine of the wave", "period_rev"),
         Parameter("window_share", "-", STRENGTH, -10.0, 10.0, 0.1, "change inside the window", "width_rev"),
-        Parameter("period_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "period of the wave along the travel; 0: no wave"),
-        Parameter("centre_rev", "rev", SHAPE, -1000000000.0, 1000000000.0, 0.0, "centre of the window"),
-        Parameter("width_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "width of the window; 0: no window"),
-        Parameter("pitch_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "travel after which the window repeats; 0: never"),
+        Parameter(
+            "period_rev",
+            "rev",
+            SHAPE,
+            0.0,
+            1000000.0,
+            0.0,
+            "period of the wave along the travel; 0: no wave",
+            logarithmic=True,
+            span=True,
+        ),
+        Parameter("centre_rev", "rev", SHAPE, -1000000000.0, 1000000000.0, 0.0, "centre of the window", "width_rev"),
+        Parameter(
+            "width_rev", "rev", SHAPE, 0.0, 1000000.0, 0.0, "width of the window; 0: no window", logarithmic=True
+        ),
+        Parameter(
+            "pitch_rev",
+            "rev",
+            SHAPE,
+            0.0,
+            1000000.0,
+            0.0,
+            "travel after which the window repeats; 0: never",
+            logarithmic=True,
+            held=True,
+            span=True,
+        ),
     ),
     search=_search,
     meaning="friction varies along the travel, in waves or in a window",
@@ -83,4 +110,5 @@ LAW = Law(
     picture="output_angle",
     per_run=("cos_share", "sin_share"),
     level=True,
+    fold=_fold,
 )

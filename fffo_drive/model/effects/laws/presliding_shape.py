@@ -35,7 +35,16 @@ LAW = Law(
     kernel=presliding_shape,
     parameters=(
         Parameter("torque_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "friction that builds up over the other travel"),
-        Parameter("length_ratio", "-", SHAPE, 0.001, 1000.0, 5.0, "the other travel over that of the model, 1/K"),
+        Parameter(
+            "length_ratio",
+            "-",
+            SHAPE,
+            0.001,
+            1000.0,
+            5.0,
+            "the other travel over that of the model, 1/K",
+            logarithmic=True,
+        ),
     ),
     search=_search,
     meaning="friction builds up after a reversal in two stages",

@@ -27,7 +27,9 @@ LAW = Law(
     kernel=stribeck_shape,
     parameters=(
         Parameter("bump_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "height of the second falling curve at standstill"),
-        Parameter("speed_rps", "rps", SHAPE, 1e-06, 10000.0, 1.0, "speed at which it has fallen to 1/e"),
+        Parameter(
+            "speed_rps", "rps", SHAPE, 1e-06, 10000.0, 1.0, "speed at which it has fallen to 1/e", logarithmic=True
+        ),
     ),
     search=_search,
     meaning="friction falls with speed over more than one speed",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
-from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, motor_orders, over
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
 from ..slots import Floats
 
 
@@ -47,4 +47,7 @@ LAW = Law(
     picture="motor_angle",
     per_run=("cos_share", "sin_share"),
     feedforward=_inverse,
+    acts_on="torque",
+    fold=folded_over_order,
+    wave="torque",
 )

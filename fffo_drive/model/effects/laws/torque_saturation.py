@@ -41,7 +41,7 @@ LAW = Law(
     kernel=torque_saturation,
     parameters=(
         Parameter("share", "-", STRENGTH, -1.0, 1.0, 0.1, "share of the torque that is lost far beyond the knee"),
-        Parameter("knee_a", "A", SHAPE, 1e-06, 1000000.0, 5.0, "current at which half of it is lost"),
+        Parameter("knee_a", "A", SHAPE, 1e-06, 1000000.0, 5.0, "current at which half of it is lost", logarithmic=True),
     ),
     search=_search,
     meaning="the torque constant falls at high current",
@@ -55,4 +55,5 @@ LAW = Law(
     motions=("pairs",),
     picture="current",
     feedforward=_inverse,
+    acts_on="torque",
 )

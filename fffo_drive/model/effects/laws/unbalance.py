@@ -26,7 +26,18 @@ LAW = Law(
     parameters=(
         Parameter("cos_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "cosine of the wave, at the motor shaft"),
         Parameter("sin_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "sine of the wave"),
-        Parameter("ratio", "-", SHAPE, 0.001, 1000000.0, 1.0, "motor turns in a turn of the output"),
+        Parameter(
+            "ratio",
+            "-",
+            SHAPE,
+            0.001,
+            1000000.0,
+            1.0,
+            "motor turns in a turn of the output",
+            logarithmic=True,
+            held=True,
+            span=True,
+        ),
     ),
     search=_search,
     meaning="weight of the load: one wave in a turn of the output, of one sign",
@@ -39,4 +50,7 @@ LAW = Law(
     motions=("creep",),
     picture="output_angle",
     per_run=("cos_nm", "sin_nm"),
+    rung=1,
+    fold=lambda values: ("motor_angle", values["ratio"]),
+    wave="plain",
 )

@@ -28,7 +28,7 @@ LAW = Law(
         Parameter(
             "change_nm_per_rps", "Nm/rps", STRENGTH, -1e6, 1e6, 1e-3, "change of the viscous coefficient in the end"
         ),
-        Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant"),
+        Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant", logarithmic=True),
     ),
     search=_search,
     meaning="viscous friction drifts with time",

@@ -33,9 +33,22 @@ LAW = Law(
     axis="velocity",
     kernel=voltage_limit,
     parameters=(
-        Parameter("share", "-", STRENGTH, -1.5, 1.5, 1.0, "share of the excess that does not come; 1: a hard limit"),
-        Parameter("stall_nm", "Nm", SHAPE, 1e-09, 10000000.0, 1.0, "limit of the torque at standstill"),
-        Parameter("no_load_rps", "rps", SHAPE, 1e-06, 1000000.0, 20.0, "speed at which no torque is left"),
+        Parameter(
+            "share",
+            "-",
+            STRENGTH,
+            -1.5,
+            1.5,
+            1.0,
+            "share of the excess that does not come; 1: a hard limit",
+            plausible=(0.0, 0.95),
+        ),
+        Parameter(
+            "stall_nm", "Nm", SHAPE, 1e-09, 10000000.0, 1.0, "limit of the torque at standstill", logarithmic=True
+        ),
+        Parameter(
+            "no_load_rps", "rps", SHAPE, 1e-06, 1000000.0, 20.0, "speed at which no torque is left", logarithmic=True
+        ),
     ),
     search=_search,
     meaning="too little voltage for the current at speed",
@@ -47,4 +60,7 @@ LAW = Law(
     ),
     motions=("pairs",),
     picture="velocity",
+    acts_on="command",
+    shown_by_current=True,
+    needs_current=True,
 )
