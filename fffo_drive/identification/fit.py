@@ -18,7 +18,7 @@ from .coordinates import (
     to_coordinates,
     to_physical,
 )
-from .dataset import DataError, Record
+from .dataset import SAME_RATE, DataError, Record
 from .kinematics import low_pass
 from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
@@ -120,10 +120,10 @@ def _same_rate(records: Sequence[Record]) -> None:
     if not records:
         raise DataError("no logs: at least one is needed")
     for record in records[1:]:
-        if abs(record.period_s / records[0].period_s - 1.0) > 1e-3:
+        if abs(record.period_s / records[0].period_s - 1.0) > SAME_RATE:
             raise DataError(
                 f"{record.path}: sampled every {record.period_s:.6g} s, {records[0].path} every "
-                f"{records[0].period_s:.6g} s: logs that are fitted together need one rate"
+                f"{records[0].period_s:.6g} s: logs that are fitted together need one rate (dataset.one_rate)"
             )
 
 

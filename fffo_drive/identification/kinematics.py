@@ -15,6 +15,7 @@ Mask = npt.NDArray[np.bool_]
 
 DEFAULT_CUTOFF_HZ = 40.0
 FILTER_ORDER = 4  # in all: forwards and backwards of half of it
+FILLED_SHARE = 0.1  # of a filtered row's weight that may lie on samples which were filled in
 SPEED_FLOOR_LSB = 3.0  # a speed below this many counts in the filter's memory has no sure sign
 
 
@@ -50,6 +51,14 @@ def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ)
     acceleration_rps2 = central_difference(velocity_rps, record.period_s)
     floor_rps = SPEED_FLOOR_LSB * record.lsb_rev * cutoff_hz
     return Motion(record.period_s, position_rev, velocity_rps, acceleration_rps2, floor_rps)
+
+
+def trusted(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Mask:
+    """False where a signal behind the filter stands on samples that were filled in. (n,)"""
+    if record.good is None:
+        return np.ones(part.stop - part.start, dtype=np.bool_)
+    filled = low_pass((~record.good[part]).astype(np.float64), cutoff_hz, record.period_s)
+    return np.asarray(filled <= FILLED_SHARE)
 
 
 def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .dataset import DataError, Record
-from .kinematics import Motion, acting_torque_nm, motion_of, sliding_mask, travel_since_reversal_rev
+from .kinematics import Motion, acting_torque_nm, motion_of, sliding_mask, travel_since_reversal_rev, trusted
 from .ranking import lower
 
 Floats = npt.NDArray[np.float64]
@@ -81,7 +81,8 @@ def _stretches(records: Sequence[Record], cutoff_hz: float) -> tuple[list[_Stret
     step = max(1, int(0.25 / (cutoff_hz * records[0].period_s)))
     found = []
     for (record, part), motion in zip(parts, motions, strict=True):
-        rows = np.flatnonzero(sliding_mask(motion, travel_rev, 2.0 / cutoff_hz))[::step]
+        mask = sliding_mask(motion, travel_rev, 2.0 / cutoff_hz) & trusted(record, part, cutoff_hz)
+        rows = np.flatnonzero(mask)[::step]
         found.append(_Stretch(motion, acting_torque_nm(record, part, 0.0, cutoff_hz), rows))
     return found, travel_rev
 
