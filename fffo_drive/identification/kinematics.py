@@ -73,17 +73,26 @@ def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: flo
     return record.torque_constant_nm_per_a * low_pass(mean_a, cutoff_hz, record.period_s)
 
 
-def travel_since_reversal_rev(motion: Motion) -> Floats:
-    """Distance gone since the last sure change of direction. (n,)"""
+def sure_direction(motion: Motion) -> Floats:
+    """Sign of the motion under way, or of the last one that is sure; 0 where none ever was. (n,)"""
     direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
     sure = np.flatnonzero(direction)
     if not sure.size:
-        return np.zeros(direction.size)
-    held = direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
+        return direction
+    return np.asarray(
+        direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
+    )
+
+
+def travel_since_reversal_rev(motion: Motion) -> Floats:
+    """Distance gone since the last sure change of direction; 0 where the motion is never sure. (n,)"""
+    held = sure_direction(motion)
+    if not held.any():
+        return held
     turned = np.flatnonzero(np.diff(held) != 0.0) + 1
     starts = np.concatenate([[0], turned])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
-    index = np.searchsorted(starts, np.arange(direction.size), side="right") - 1
+    index = np.searchsorted(starts, np.arange(held.size), side="right") - 1
     return np.asarray(path - path[starts[index]])
 
 
