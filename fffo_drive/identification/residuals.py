@@ -205,23 +205,26 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
     return result
 
 
-def run_residuals(records: Sequence[Record], physical: Floats) -> list[RunResidual]:
-    """Residuals of every record at the same parameters."""
+def run_residuals(
+    records: Sequence[Record], physical: Floats, terms: Sequence[Sequence[Term]] | None = None
+) -> list[RunResidual]:
+    """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,)."""
+    acting = terms if terms is not None else [()] * len(records)
     presliding_rev = PRESLIDING_LENGTHS / float(physical[list(PARAMETERS).index("stiffness_per_rev")])
     return [
-        RunResidual(record, torque_residual(record, physical), *velocity_errors(record, physical), presliding_rev)
-        for record in records
+        RunResidual(
+            record,
+            torque_residual(record, physical, terms=own),
+            *velocity_errors(record, physical, terms=own),
+            presliding_rev,
+        )
+        for record, own in zip(records, acting, strict=True)
     ]
 
 
-def residual_summary(
-    records: Sequence[Record], physical: Floats, runs: Sequence[RunResidual] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Everything of this page as plain numbers, by the record's name: histogram, tests, errors by axis.
-
-    `runs` are those of `run_residuals` where they are at hand.
-    """
-    return {run.record.name: _summary(run) for run in runs or run_residuals(records, physical)}
+def residual_summary(runs: Sequence[RunResidual]) -> dict[str, dict[str, Any]]:
+    """Everything of this page as plain numbers, by the record's name: histogram, tests, errors by axis."""
+    return {run.record.name: _summary(run) for run in runs}
 
 
 def sampling_step(period_s: float) -> int:

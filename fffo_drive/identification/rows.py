@@ -33,6 +33,7 @@ Mask = npt.NDArray[np.bool_]
 ROWS_A_PERIOD = 4.0  # of the filter's cut-off
 ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns
 LEAST_OTHER_WAY = 0.02  # of the rows have to turn the other way
+SINGULAR = 1e-12  # of a normal matrix: a millionth of its columns
 LONGEST_DELAY_SAMPLES = 24
 LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
 
@@ -149,12 +150,16 @@ def turns_one_way(direction: Floats) -> bool:
 
 
 def least_squares(columns: Floats, target: Floats) -> tuple[Floats, float]:
-    """Coefficients (p,) of `columns` (m, p) for `target` (m,), and the squared residual; of a zero column zero."""
-    scale = np.linalg.norm(columns, axis=0)
+    """Coefficients (p,) of `columns` (m, p) for `target` (m,), and the squared residual.
+
+    By the normal equations of scaled columns; what columns have in common to a millionth is shared between them.
+    """
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     scale[scale == 0.0] = 1.0
-    solution, *_ = np.linalg.lstsq(columns / scale, target, rcond=1e-10)
-    residual = target - (columns / scale) @ solution
-    return solution / scale, float(residual @ residual)
+    normal = (columns.T @ columns) / np.outer(scale, scale)
+    solution = np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True) @ ((columns.T @ target) / scale) / scale
+    residual = target - columns @ solution
+    return solution, float(residual @ residual)
 
 
 def parabola_minimum(x: Floats, y: Floats) -> float:

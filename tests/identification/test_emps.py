@@ -44,7 +44,7 @@ def test_the_hold_of_the_command_alone_lowers_the_held_out_error():
 
 @pytest.mark.slow
 def test_a_linear_axis_is_fitted_by_simulation_too():
-    fit = fit_records([emps("DATA_EMPS")], FitSettings(with_offset=True, compare_literal=False))
+    fit = fit_records([emps("DATA_EMPS")], FitSettings(compare_literal=False), read_facts(FACTS))
     assert fit.value("inertia_nm_s2_per_rev") == pytest.approx(95.1, rel=0.02)
     assert fit.value("offset_nm") == pytest.approx(-3.16, rel=0.1)
     speed = 0.1
