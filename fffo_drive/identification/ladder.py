@@ -293,7 +293,7 @@ def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> flo
     if not left.shape[1]:
         return 1.0
     scores = left * clipped(white.residual)[:, None]
-    sums = np.column_stack([np.bincount(bench.folds.window, column) for column in scores.T])
+    sums = np.column_stack([np.bincount(bench.folds.window, column).astype(np.float64) for column in scores.T])
     return hotelling_p(sums, tried)
 
 
