@@ -23,7 +23,7 @@ from .timebase import at_lower_rate, on_even_grid
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-SHORTEST_S = 2.0
+SHORTEST_S = 1.0
 SHORTEST_STRETCH_S = 0.1  # between gaps: what is shorter than the filters' memory tells nothing
 SHORTEST_STRETCH_SAMPLES = 20
 SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate

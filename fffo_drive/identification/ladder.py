@@ -38,6 +38,8 @@ SLOW_QUANTILE = 0.1  # of speed: an order is seen where the axis turns this slow
 SEEN_HZ = 1.5  # ... if it is below the cut-off there; the cut-off is so many times what the declared orders ask
 HIGHEST_CUTOFF_HZ = 150.0
 HIGHEST_CUTOFF_PERIODS = 0.15
+GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
+WAVE_PERIODS = 2.0  # a wave has to come back
 SAME_COLUMNS = 1e-4  # of a column's squared norm has to be left beside what is known
 
 
@@ -189,17 +191,20 @@ def _on_rung(
             for per_run in ((False,) if same_zero else (False, True))
         ]
         taken = {candidate.order for candidate in chosen}
-        return [one for one in found if one.order not in taken], looked_at * (1 if same_zero else 2)
+        found = [one for one in found if one.order not in taken and _passed(bench, one.order, WAVE_PERIODS)]
+        return found, looked_at * (1 if same_zero else 2)
     taken_names = {(candidate.name, candidate.order) for candidate in chosen}
     if turns_one_way(bench.rows.direction[bench.rows.sliding]) and rung in (CONSTANT_TORQUE, DIRECTION_RUNG):
         return [], 0  # they are Coulomb friction there
-    found = [one for one in found if (one.name, one.order) not in taken_names and _passed(bench, one.order)]
+    found = [
+        one for one in found if (one.name, one.order) not in taken_names and _passed(bench, one.order, GRAVITY_PERIODS)
+    ]
     return found, len(found)
 
 
-def _passed(bench: _Bench, order: float) -> bool:
-    """Whether the motion goes through a whole period: less of it is a constant and a slope."""
-    return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= 1.0
+def _passed(bench: _Bench, order: float, periods: float) -> bool:
+    """Whether the motion goes through so many periods."""
+    return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= periods
 
 
 def _orders(bench: _Bench, chosen: Sequence[Candidate], facts: DriveFacts | None) -> tuple[list[float], int]:

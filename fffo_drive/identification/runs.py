@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .criterion import folds_of
+from .criterion import BLOCK_S, SHORTEST_BLOCK_S
 from .dataset import DataError, Record
 from .kinematics import DEFAULT_CUTOFF_HZ
 from .regression import TorqueStart, regression_start
@@ -47,6 +47,9 @@ LARGEST_INFLATION = 20.0  # of a variance by what the other columns share with i
 LARGEST_SHARE_SD = 0.25  # of the run's torque: a contribution that is less sure is not determined
 NOISE_RATIO = 4.0  # acceleration over what the sensor's resolution makes of it: below, inertia comes out low
 STRIBECK_SHARE = 0.02  # of the squared residual that a Stribeck curve has to explain to be taken out
+LARGEST_LEFT = 0.5  # of the torque: of an axis that is so unlike a rigid one the four numbers mean little
+BLOCKS_A_RUN = 20  # a short run has shorter blocks ...
+LEAST_BLOCKS = 8  # ... and with fewer that slide no standard deviation
 LEAST_ROWS = 40  # of sure sliding in a run
 CONTRADICTION_SHARE = 0.03  # spread between runs, of their mean ...
 CONTRADICTION_SDS = 5.0  # ... and of its standard deviation, from which on they contradict each other
@@ -73,6 +76,7 @@ class RunLook(NamedTuple):
     turns_one_way: bool
     rows: int
     condition: float  # of the scaled normal matrix
+    left_share: float  # of the torque's rms that the rigid regression leaves
 
 
 class Remark(NamedTuple):
@@ -134,7 +138,7 @@ def _look(record: Record, number: int, rows: Rows) -> RunLook:
     one_way = turns_one_way(rows.direction[own])
     count = int(np.count_nonzero(own))
     if count < LEAST_ROWS:
-        return RunLook(record.name, record.begin_s, {}, one_way, count, np.inf)
+        return RunLook(record.name, record.begin_s, {}, one_way, count, np.inf, 1.0)
     columns, torque_nm = rigid_columns(rows)[own], rows.torque_nm[own]
     norm = np.linalg.norm(columns, axis=0)
     norm[norm == 0.0] = 1.0
@@ -143,14 +147,16 @@ def _look(record: Record, number: int, rows: Rows) -> RunLook:
     inverse = (directions / np.maximum(curvature, 1e-12)) @ directions.T
     solution = inverse @ (scaled.T @ torque_nm)
     scores = scaled * (torque_nm - scaled @ solution)[:, None]
-    blocks = folds_of(rows.bounds, rows.period_s).block[own]
-    sums = np.array([np.bincount(blocks, column) for column in scores.T]).T
-    sums = sums[np.bincount(blocks) > 0]
+    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, record.duration_s / BLOCKS_A_RUN))
+    blocks = np.flatnonzero(own) // max(1, round(block_s / rows.period_s))
+    sums = np.add.reduceat(scores, np.flatnonzero(np.diff(blocks, prepend=-1)), axis=0)
     few = sums.shape[0] / max(1.0, sums.shape[0] - len(PARAMETERS))
     sd = np.sqrt(np.maximum(np.diag(inverse @ (sums.T @ sums) @ inverse), 0.0) * few)
     inflation = np.diag(inverse)
     level_nm = float(np.sqrt(torque_nm @ torque_nm))
-    determined = (inflation <= LARGEST_INFLATION) & (sd <= LARGEST_SHARE_SD * level_nm)
+    left = float(np.linalg.norm(torque_nm - scaled @ solution)) / max(level_nm, 1e-300)
+    known = left <= LARGEST_LEFT and sums.shape[0] >= LEAST_BLOCKS
+    determined = known & (inflation <= LARGEST_INFLATION) & (sd <= LARGEST_SHARE_SD * level_nm)
     if one_way:
         determined[[DIRECTION, CONSTANT]] = False
     noise_rps2 = _acceleration_noise_rps2(record, rows.cutoff_hz)
@@ -160,7 +166,7 @@ def _look(record: Record, number: int, rows: Rows) -> RunLook:
         for k, name in enumerate(PARAMETERS)
     }
     condition = float(curvature[-1] / max(curvature[0], 1e-12))
-    return RunLook(record.name, record.begin_s, estimates, one_way, count, condition)
+    return RunLook(record.name, record.begin_s, estimates, one_way, count, condition, left)
 
 
 def _acceleration_noise_rps2(record: Record, cutoff_hz: float) -> float:

@@ -47,9 +47,9 @@ def test_the_hold_of_the_command_alone_lowers_the_held_out_error():
 
 @pytest.mark.slow
 def test_a_linear_axis_is_fitted_by_simulation_too():
-    constant = EffectStart("torque_offset", {"torque_nm": 0.0})
-    settings = FitSettings(compare_literal=False, effects=(constant,))
-    fit = fit_records([emps("DATA_EMPS")], settings, read_facts(FACTS))
+    record = emps("DATA_EMPS")
+    constant = EffectStart("torque_offset", {"torque_nm": regression_start([record]).constant_nm})
+    fit = fit_records([record], FitSettings(compare_literal=False, effects=(constant,)), read_facts(FACTS))
     assert fit.value("inertia_nm_s2_per_rev") == pytest.approx(95.1, rel=0.02)
     assert fit.value("offset_nm") == pytest.approx(-3.16, rel=0.1)
     speed = 0.1
