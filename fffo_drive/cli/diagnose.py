@@ -57,8 +57,9 @@ def execute(options: argparse.Namespace) -> int:
     if shared:
         raise DocumentError(f"{sorted(shared)[0]}: a run cannot be fitted and held out")
     model = read_model(options.model) if options.model else None
-    fit, held_out = load_records(options.fit, facts), load_records(options.held_out, facts)
-    for record in (*fit, *held_out):
+    records = load_records([*options.fit, *options.held_out], facts)
+    fit, held_out = records[: len(options.fit)], records[len(options.fit) :]
+    for record in records:
         for warning in record.warnings:
             print(f"warning: {warning}", file=sys.stderr)
     with progress_bar("diagnose", options.json) as bar:

@@ -1,8 +1,10 @@
 """Fit a model to logs of one axis: parameters with honest uncertainties, residuals, frequency response.
 
-LOG is a recording (MCAP) or a table (CSV, CSV.GZ, MAT); several are fitted together. --drive is a YAML file of declared
-facts (torque constant, resolver, columns of foreign logs). Writes DIR/model.yaml, which a controller can run, and the
-page DIR/report.html with DIR/report.json; --svg also draws every figure of the page.
+LOG is a recording (MCAP) or a table (CSV, TXT, TSV, plain or gzip, or MAT); several are fitted together. --drive is a
+YAML file of declared facts (torque constant, resolver, poles and slots, columns of foreign logs). A constant torque,
+friction that differs by direction, gravity and waves of the angle are fitted beside the model where the logs show them.
+Writes DIR/model.yaml, which a controller can run, and the page DIR/report.html with DIR/report.json; --svg also draws
+every figure of the page.
 """
 
 from __future__ import annotations
@@ -34,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", required=True, metavar="DIR", help="directory for model.yaml, report.html and report.json"
     )
     parser.add_argument("--name", help="name of the model (default: the directory's)")
-    parser.add_argument("--offset", action="store_true", help="fit a constant torque beside the model")
     parser.add_argument("--svg", action="store_true", help=f"draw each figure as DIR/{FIGURES}/NAME.svg too")
     parser.add_argument("--json", action="store_true", help="print the parameters as JSON")
 
@@ -50,8 +51,8 @@ def execute(options: argparse.Namespace) -> int:
             print(f"warning: {warning}", file=sys.stderr)
     with progress_bar("identify", options.json) as bar:
         progress = None if bar is None else lambda share, _: bar(0.85 * share)
-        fit = fit_records(records, FitSettings(with_offset=options.offset), facts.rated_current_a, progress)
-        runs = run_residuals(records, fit.physical)
+        fit = fit_records(records, FitSettings(), facts, progress)
+        runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
         result = report(fit, records, facts, runs)
         if bar is not None:
             bar(0.95)
@@ -66,7 +67,7 @@ def execute(options: argparse.Namespace) -> int:
 
         write_figures(page.figures, out / FIGURES)
     if options.json:
-        keys = ("parameters", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
+        keys = ("parameters", "effects", "remarks", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
         print(json.dumps({key: result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
     else:
         _print(result)
@@ -81,6 +82,8 @@ def _print(result: dict[str, Any]) -> None:
             continue
         sd = "at a bound" if row["sd"] is None else f"{row['sd']:.2g}"
         print(f"{row['symbol']:>10} {row['value']:>12.5g} +- {sd:<10} {row['unit']}")
+    for effect in result["effects"]:
+        print(effect_line(effect))
     if result["sensor_delay_s"] is not None:
         sd_s = result["sensor_delay_sd_s"]
         spread = "" if sd_s is None else f" +- {1e3 * sd_s:.2g}"
@@ -96,3 +99,15 @@ def _print(result: dict[str, Any]) -> None:
         print(f"not known: {doubt['symbol']}: {doubt['reason']}; what would tell it: {doubt['excitation']}")
     for warning in result["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
+
+
+def effect_line(effect: dict[str, Any]) -> str:
+    """An effect with its numbers, and what it takes of the residual that all others leave."""
+    numbers = []
+    for row in effect["parameters"]:
+        spread = "" if row["sd"] is None else f" +- {row['sd']:.2g}"
+        place = "" if row["run"] is None else f" in {row['run']}"
+        numbers.append(f"{row['name']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
+    share = effect.get("share_of_the_others_residual")
+    told = "" if share is None else f" ({100.0 * share:.0f} % of what all else leaves)"
+    return f"{effect['name']}{told}: {', '.join(numbers)}"

@@ -15,14 +15,20 @@ import numpy.typing as npt
 from ..recording.errors import RecordingError
 from ..recording.load import read_log
 from ..recording.reader import Run
-from ..recording.table import Table, read_table
+from ..recording.table import SUFFIXES, Table, read_table
 from .facts import DriveFacts
 from .gaps import Timing, mended
+from .timebase import at_lower_rate, on_even_grid
 
 Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
-GAP_PERIODS = 1.5  # a step in time beyond this many periods is a gap: nothing is simulated across it
-SHORTEST_S = 2.0
+SHORTEST_S = 1.0
+SHORTEST_STRETCH_S = 0.1  # between gaps: what is shorter than the filters' memory tells nothing
+SHORTEST_STRETCH_SAMPLES = 20
+SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate
+LARGEST_RATE_RATIO = 10.0  # a log that is slower than this would cost the others what they know
+RECORDINGS = (".mcap", ".mcap.part")
 LEAST_MOTION_LSB = 50.0  # a record that never goes this far tells nothing
 SCALE_TOLERANCE = 0.05  # of the velocity against the derivative of the position
 KNOWN_FACTORS = {
@@ -60,7 +66,7 @@ class Record:
     warnings: tuple[str, ...] = ()
     measured_current_a: Floats | None = None
     begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
-    good: npt.NDArray[np.bool_] | None = None  # (n,) measured; False: filled in across a short gap. None: all
+    good: Mask | None = None  # (n,) False where a sample was filled in; None: all were measured
 
     @property
     def samples(self) -> int:
@@ -78,35 +84,37 @@ class Record:
         return self.reference_rps is not None
 
     def segments(self) -> list[slice]:
-        """Stretches without a gap."""
+        """Stretches without a gap that are long enough for a filter."""
+        least = max(SHORTEST_STRETCH_SAMPLES, round(SHORTEST_STRETCH_S / self.period_s))
         edges = [0, *self.breaks, self.samples]
-        return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
+        return [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= least]
 
 
 def load_record(path: str | Path, facts: DriveFacts) -> Record:
-    """Read one log (MCAP, CSV, MAT) by the declared facts.
+    """Read one log (MCAP, CSV, MAT) by the declared facts, on a uniform grid (`timebase`).
 
     Raises DataError with everything that speaks against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
-    if path.name.endswith((".mcap", ".mcap.part")):
+    if path.name.endswith(RECORDINGS):
         log: Run | Table = read_log(path)
     else:
-        log = read_table(path, facts.column_map(), allow_gaps=True)
+        log = read_table(path, facts.column_map(), uneven_time=True)
     columns: dict[str, Floats] = {
         name: np.ascontiguousarray(log.columns[name], dtype=np.float64)
         for name in ("time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps")
         if name in log.columns
     }
     warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
+    fresh = None
     if isinstance(log, Run):
-        columns, filled = _while_running(log, columns)
+        columns, fresh, filled = _while_running(log, columns)
         warnings += [f"{path}: {filled}"] if filled else []
-    return _record(path, columns, facts, warnings)
+    return _record(path, columns, fresh, facts, warnings)
 
 
 def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
-    """`load_record` for several logs; all problems of all of them in one DataError."""
+    """`load_record` for several logs, all at one rate; all problems of all of them in one DataError."""
     records, problems = [], []
     for path in paths:
         try:
@@ -116,21 +124,72 @@ def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]
     if problems:
         raise DataError("\n".join(problems))
     names = distinct_names([record.path for record in records])
-    return [replace(record, name=name) for record, name in zip(records, names, strict=True)]
+    return one_rate([replace(record, name=name) for record, name in zip(records, names, strict=True)])
+
+
+def one_rate(records: Sequence[Record]) -> list[Record]:
+    """The records at the lowest rate among them, as they are where they have one rate.
+
+    Raises DataError where a log is so slow that the others would lose what they know.
+    """
+    if not records:
+        return []
+    slowest = max(records, key=lambda record: record.period_s)
+    fastest_s = min(record.period_s for record in records)
+    if slowest.period_s > LARGEST_RATE_RATIO * fastest_s:
+        raise DataError(
+            f"{slowest.path}: sampled at {1.0 / slowest.period_s:.4g} Hz, other logs at {1.0 / fastest_s:.4g} Hz: "
+            "brought to so low a rate they would say little; leave this log out, or record it faster"
+        )
+    return [_slowed(record, slowest.period_s) for record in records]
+
+
+def _slowed(record: Record, period_s: float) -> Record:
+    """The record at a longer period; as it is where that is its own."""
+    ratio = period_s / record.period_s
+    if ratio < 1.0 + SAME_RATE:
+        return record
+    columns = {
+        "current_command_a": record.current_a, "position_rev": record.position_rev,
+        "velocity_rps": record.velocity_rps, "reference_rps": record.reference_rps,
+        "current_a": record.measured_current_a,
+    }  # fmt: skip
+    given = {name: values for name, values in columns.items() if values is not None}
+    parts = [
+        at_lower_rate({n: v[part] for n, v in given.items()}, None if record.good is None else record.good[part], ratio)
+        for part in record.segments()
+    ]
+    joined = {name: np.concatenate([part[name] for part, _ in parts]) for name in given}
+    good = np.concatenate([sure for _, sure in parts])
+    rates = f"{1.0 / record.period_s:.6g} to {1.0 / period_s:.6g} Hz"
+    return replace(
+        record, period_s=period_s, current_a=joined["current_command_a"], position_rev=joined["position_rev"],
+        velocity_rps=joined.get("velocity_rps"), reference_rps=joined.get("reference_rps"),
+        measured_current_a=joined.get("current_a"), good=None if good.all() else good,
+        breaks=tuple(itertools.accumulate(sure.size for _, sure in parts[:-1])),
+        warnings=(*record.warnings, f"{record.path}: brought from {rates}, the rate of the slowest log"),
+    )  # fmt: skip
+
+
+def short_name(path: Path) -> str:
+    """The file's name without what says of which kind it is."""
+    suffixes = (*RECORDINGS, *SUFFIXES)
+    suffix = max((s for s in suffixes if path.name.lower().endswith(s)), key=len, default="")
+    return path.name[: len(path.name) - len(suffix)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """Short names of files, no two alike: the file's own, with its directory where that is not enough, or a number."""
-    names = [path.name.split(".")[0] for path in paths]
+    names = [short_name(path) for path in paths]
     if len(set(names)) != len(names):
-        names = [f"{path.resolve().parent.name}/{path.name.split('.')[0]}" for path in paths]
+        names = [f"{path.resolve().parent.name}/{short_name(path)}" for path in paths]
     return [f"{name} ({names[:k].count(name) + 1})" if name in names[:k] else name for k, name in enumerate(names)]
 
 
-def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floats], str]:
+def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floats], Mask | None, str]:
     """The part of a recording in which the loop applied torque, with a closed loop told from an open one.
 
-    What the bus did to it is mended; how much that was is said.
+    What the bus did to it is mended; which samples those are (None: none), and how much that was in words.
     """
     mode = np.asarray(run.column("mode"))
     active = np.flatnonzero(mode)
@@ -143,27 +202,37 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
         kept.pop("reference_rps", None)
     names = ("tick", "velocity_age", "lateness_ns")
     if part.stop - part.start < 2 or any(name not in run.columns for name in names):
-        return kept, ""
+        return kept, None, ""
     timing = Timing(*(run.columns[name][part].astype(np.int64) for name in names))
     whole = mended(kept, timing, float(np.median(np.diff(kept["time_s"]))))
     if not whole.filled:
-        return whole.columns, ""
+        return whole.columns, None, ""
     share = 100.0 * whole.filled / whole.columns["time_s"].size
     return (
         whole.columns,
+        whole.fresh,
         f"{share:.2g} % of the ticks had no SYNC, or no answer in time; what the drive did is filled in",
     )
 
 
-def _record(path: Path, columns: dict[str, Any], facts: DriveFacts, warnings: list[str]) -> Record:
+def _record(path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str]) -> Record:
+    time_s = columns.pop("time_s")
+    measured_rev = columns.get("position_rev")  # its steps are the sensor's as long as nothing is interpolated
+    even = on_even_grid(time_s, columns, fresh)
+    columns, period_s = even.columns, even.period_s
+    if even.jitter_s:
+        warnings.append(
+            f"{path}: time stamps scatter by {1e3 * even.jitter_s:.2g} ms rms, {1e3 * even.largest_jitter_s:.2g} ms at "
+            f"most, around a grid of {1e3 * period_s:.6g} ms; the samples are interpolated to the grid"
+        )
+    if fresh is None and even.good is not None:
+        share = 100.0 * float(np.mean(~even.good))
+        warnings.append(f"{path}: {share:.2g} % of the samples are missing in short gaps, which are bridged")
     if "current_command_a" not in columns:
         if "current_a" not in columns:
             raise DataError(f"{path}: no column gives current_command_a: map the command in `columns` of the facts")
         warnings.append(f"{path}: no current command; the measured current stands in for it, with its noise and lag")
         columns["current_command_a"] = columns["current_a"]
-    time_s, current_a = columns["time_s"], columns["current_command_a"]
-    steps = np.diff(time_s)
-    period_s = float(np.median(steps))
     if facts.sample_rate_hz is not None and abs(period_s * facts.sample_rate_hz - 1.0) > 0.01:
         raise DataError(
             f"{path}: sampled at {1.0 / period_s:.6g} Hz, the facts declare {facts.sample_rate_hz:g} Hz: "
@@ -177,21 +246,21 @@ def _record(path: Path, columns: dict[str, Any], facts: DriveFacts, warnings: li
         warnings.append(f"{path}: no position: the velocity is integrated, and its lag counts as delay")
         position_rev = np.concatenate([[0.0], np.cumsum(0.5 * (velocity_rps[1:] + velocity_rps[:-1]) * period_s)])
         velocity_rps = None  # the same once more would say that it is not late
-    lsb_rev = facts.lsb_rev or _resolution(position_rev)
     record = Record(
-        name=path.name.split(".")[0],
+        name=short_name(path),
         path=path,
         period_s=period_s,
         torque_constant_nm_per_a=facts.torque_constant_nm_per_a,
-        current_a=current_a,
+        current_a=columns["current_command_a"],
         position_rev=position_rev,
         velocity_rps=velocity_rps,
         reference_rps=columns.get("reference_rps"),
-        lsb_rev=lsb_rev,
-        breaks=tuple(int(k) + 1 for k in np.flatnonzero(steps > GAP_PERIODS * period_s)),
+        lsb_rev=facts.lsb_rev or _resolution(position_rev if measured_rev is None else measured_rev),
+        breaks=even.breaks,
         digest=hashlib.sha256(path.read_bytes()).hexdigest(),
         measured_current_a=columns.get("current_a"),
         begin_s=float(time_s[0]),
+        good=even.good,
     )
     problems, found = check_record(record)
     if problems:
@@ -213,6 +282,8 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
     place = record.path
     if record.duration_s < SHORTEST_S:
         problems.append(f"{place}: {record.duration_s:.3g} s long; at least {SHORTEST_S:g} s are needed")
+    elif not record.segments():
+        problems.append(f"{place}: no stretch without a gap is {SHORTEST_STRETCH_S:g} s long: record it without losses")
     for name, values in (("current command", record.current_a), ("position", record.position_rev)):
         if not np.isfinite(values).all():
             problems.append(
@@ -241,9 +312,7 @@ def _velocity_scale_problem(record: Record) -> str | None:
     """The drive's velocity against the derivative of the position: a wrong unit or sign shows as a factor."""
     assert record.velocity_rps is not None
     span = max(1, round(0.01 / record.period_s))
-    parts = [part for part in record.segments() if part.stop - part.start > 4 * span]
-    if not parts:
-        return f"{record.path}: no stretch between gaps is longer than {4 * span} samples"
+    parts = record.segments()
     positions = [record.position_rev[part] for part in parts]
     derived = np.concatenate([p[2 * span :] - p[: -2 * span] for p in positions]) / (2 * span * record.period_s)
     own = np.concatenate([_moving_mean(record.velocity_rps[part], span) for part in parts])

@@ -143,7 +143,7 @@ def fit_effects(
     else:
         errors, matrix = jacobian(joint, space, solution.values, movable[:0], central=False)
     found = to_physical(solution.values, space.scale)
-    fitted = _fitted(joint.layout, found, None if uncertainty is None else uncertainty.sd)
+    fitted = effects_of(joint.layout, found, None if uncertainty is None else uncertainty.sd)
     return EffectsFit(found, fitted, errors, matrix, movable, joint, space, solution, uncertainty)
 
 
@@ -157,7 +157,8 @@ def _revived(start: Floats, scales: Scales) -> Floats:
     return revived
 
 
-def _fitted(layout: EffectLayout | None, physical: Floats, sd: Floats | None) -> tuple[FittedEffect, ...]:
+def effects_of(layout: EffectLayout | None, physical: Floats, sd: Floats | None) -> tuple[FittedEffect, ...]:
+    """The effects of a layout with the values of a fit, (parameters,), and their standard deviations where given."""
     found = []
     for k, name in enumerate(layout.names if layout else ()):
         assert layout is not None

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..model.effects.table import Term
 from .coordinates import (
     MODEL_PARAMETERS,
     NUISANCES,
@@ -18,8 +19,12 @@ from .coordinates import (
     to_coordinates,
     to_physical,
 )
-from .dataset import DataError, Record
+from .dataset import SAME_RATE, DataError, Record
+from .effects_fit import FittedEffect, effects_of, joint_coordinates, scales_of
+from .facts import DriveFacts
 from .kinematics import low_pass
+from .ladder import Ladder, climb
+from .layout import EffectLayout, EffectStart, layout_of
 from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
 from .ranking import first_best, ranked
@@ -40,13 +45,15 @@ START_S = 25.0  # of each record, to choose among the starts
 START_ITERATIONS = 6
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
+OFFSET = "torque_offset"  # the effect that the kernels have a parameter of their own for
+OFFSET_PLACE = list(PARAMETERS).index("offset_nm")
 
 
 class FitSettings(NamedTuple):
     """What is fitted, and how."""
 
     bandwidth_hz: float = BANDWIDTH_HZ
-    with_offset: bool = False  # a constant torque beside the model: an effect, so not fitted unless asked for
+    effects: tuple[EffectStart, ...] | None = None  # beside the model; None: those that `ladder.climb` accepts
     compare_literal: bool = True  # try the rising Stribeck curve too
     starts: int = STARTS
 
@@ -54,7 +61,7 @@ class FitSettings(NamedTuple):
 class Fit(NamedTuple):
     """A fitted model of one axis."""
 
-    physical: Floats  # all of coordinates.PARAMETERS
+    physical: Floats  # all of coordinates.PARAMETERS; those of effects stand behind them in `solution`
     uncertainty: Uncertainty
     space: Coordinates
     problem: Problem
@@ -64,6 +71,12 @@ class Fit(NamedTuple):
     sensor_delay_sd_s: float | None
     literal_loss: float | None  # loss of the rising Stribeck curve over that of the falling one
     warnings: tuple[str, ...]
+    effects: tuple[FittedEffect, ...] = ()
+    ladder: Ladder | None = None  # None: the effects were given
+
+    def terms(self, run: int) -> list[Term]:
+        """The effects as they act in a run, without the constant torque: that is in `physical`."""
+        return [effect.term(run) for effect in self.effects if effect.name != OFFSET]
 
     def value(self, name: str) -> float:
         """One parameter by its name in PARAMETERS."""
@@ -71,38 +84,52 @@ class Fit(NamedTuple):
 
 
 def fit_records(
-    records: Sequence[Record], settings: FitSettings | None = None, rated_current_a: float | None = None,
+    records: Sequence[Record], settings: FitSettings | None = None, facts: DriveFacts | None = None,
     progress: Progress | None = None,
 ) -> Fit:  # fmt: skip
-    """Fit one axis to one or several records of it. Raises DataError where the data cannot carry a fit."""
+    """Fit one axis, with the effects of the first rungs, to one or several records of it.
+
+    Raises DataError where the data cannot carry a fit.
+    """
     settings = settings or FitSettings()
     tell = progress or (lambda share, text: None)
     _same_rate(records)
     tell(0.0, "start")
     start = regression_start(records)
-    problems = start_problems(start, records[0].torque_constant_nm_per_a, rated_current_a)
+    ladder = None
+    effects = settings.effects
+    if effects is None:
+        ladder = climb(records, start, facts)
+        start = ladder.start
+        effects = tuple(one.start(len(records)) for one in ladder.accepted)
+    problems = start_problems(start, records[0].torque_constant_nm_per_a, facts.rated_current_a if facts else None)
     if problems:
         raise DataError("\n".join(problems))
     bandwidth_hz = min(settings.bandwidth_hz, 0.04 / records[0].period_s)
-    free = (*MODEL_PARAMETERS, NUISANCES[0], *([NUISANCES[1]] if settings.with_offset else []))
-    tell(0.1, "starts")
-    physical = _best_start(records, start, bandwidth_hz, free, settings.starts)
     problem = make_problem(records, bandwidth_hz)
-    space = coordinates(physical, records[0].period_s, free)
+    offsets = [effect for effect in effects if effect.name == OFFSET]
+    first = start_vector(start, 1.0, 1.0)
+    first[OFFSET_PLACE] = sum(effect.values["torque_nm"] for effect in offsets)
+    layout = layout_of([effect for effect in effects if effect.name != OFFSET], scales_of(problem, first))
+    frame = _Frame((*MODEL_PARAMETERS, NUISANCES[0], *(NUISANCES[1:] if offsets else ())), layout)
+    tell(0.1, "starts")
+    physical = _best_start(records, start, first[OFFSET_PLACE], bandwidth_hz, frame, settings.starts)
+    problem = frame.of(problem)
+    space = frame.space(physical, records[0].period_s)
     tell(0.3, "fit")
     solution = solve(problem, space, to_coordinates(physical, space.scale), progress=_between(tell, 0.3, 0.7))
     solution = refine(problem, space, solution)
     literal_loss = None
     if settings.compare_literal:
         tell(0.7, "other Stribeck curve")
-        part = make_problem(records, bandwidth_hz, START_S)
-        literal_loss = _literal(part, space, solution, records[0].period_s, free)
+        part = frame.of(make_problem(records, bandwidth_hz, START_S))
+        literal_loss = _literal(part, space, solution, records[0].period_s, frame)
     tell(0.75, "noise")
     bias = noise_shift(problem, space, solution)
     others = []
     for number, ratio in enumerate(OTHER_RATIOS):
         tell(0.8 + 0.06 * number, "other bandwidths")
-        other = make_problem(records, ratio * bandwidth_hz)
+        other = frame.of(make_problem(records, ratio * bandwidth_hz))
         others.append(refine(other, space, solve(other, space, solution.values, 8), 1).values)
     solution, disagreement = mean_of_fits(problem, space, solution, others)
     tell(0.91, "uncertainty")
@@ -110,20 +137,50 @@ def fit_records(
     uncertainty = uncertainty_of(problem, space, solution, bias, disagreement)
     tell(1.0, "done")
     lag_s, lag_sd_s = sensor_delay(records)
+    constant = [_constant(physical, uncertainty)] if offsets else []
     return Fit(
-        physical, uncertainty, space, problem, solution, start, lag_s, lag_sd_s, literal_loss,
+        physical[: len(PARAMETERS)], uncertainty, space, problem, solution, start, lag_s, lag_sd_s, literal_loss,
         tuple(_warnings(problem, solution, space, literal_loss)),
+        (*constant, *effects_of(problem.layout, physical, uncertainty.sd)), ladder,
     )  # fmt: skip
+
+
+class _Frame(NamedTuple):
+    """What a fit moves: which of the model's own parameters, and the effects beside them."""
+
+    free: tuple[str, ...]
+    layout: EffectLayout
+
+    def of(self, problem: Problem) -> Problem:
+        """A problem with the effects; as it is where there are none."""
+        return problem._replace(layout=self.layout) if self.layout.parameters else problem
+
+    def vector(self, physical: Floats) -> Floats:
+        """The model's own parameters, with the effects where they begin behind them."""
+        return np.concatenate([physical[: len(PARAMETERS)], [p.value for p in self.layout.parameters]])
+
+    def space(self, physical: Floats, period_s: float, rising: bool = False) -> Coordinates:
+        """Coordinates around a vector."""
+        base = coordinates(physical[: len(PARAMETERS)], period_s, self.free, rising)
+        return joint_coordinates(base, self.layout) if self.layout.parameters else base
+
+
+def _constant(physical: Floats, uncertainty: Uncertainty) -> FittedEffect:
+    """The constant torque, which the kernels have a parameter for, as the effect that it is."""
+    sd = float(uncertainty.sd[OFFSET_PLACE])
+    return FittedEffect(
+        OFFSET, {"torque_nm": float(physical[OFFSET_PLACE])}, {"torque_nm": sd} if sd > 0.0 else {}, {}, {}
+    )
 
 
 def _same_rate(records: Sequence[Record]) -> None:
     if not records:
         raise DataError("no logs: at least one is needed")
     for record in records[1:]:
-        if abs(record.period_s / records[0].period_s - 1.0) > 1e-3:
+        if abs(record.period_s / records[0].period_s - 1.0) > SAME_RATE:
             raise DataError(
                 f"{record.path}: sampled every {record.period_s:.6g} s, {records[0].path} every "
-                f"{records[0].period_s:.6g} s: logs that are fitted together need one rate"
+                f"{records[0].period_s:.6g} s: logs that are fitted together need one rate (dataset.one_rate)"
             )
 
 
@@ -132,21 +189,24 @@ def _between(tell: Progress, low: float, high: float) -> Callable[[int], None]:
 
 
 def _best_start(
-    records: Sequence[Record], start: TorqueStart, bandwidth_hz: float, free: tuple[str, ...], starts: int
+    records: Sequence[Record], start: TorqueStart, constant_nm: float, bandwidth_hz: float, frame: _Frame, starts: int
 ) -> Floats:
     """Presliding and lag are not in the regression: a grid of them on a part of the data, the best few improved."""
-    part = make_problem(records, bandwidth_hz, START_S)
+    part = frame.of(make_problem(records, bandwidth_hz, START_S))
     candidates = [
         start_vector(start, 1.0 / (counts * part.lsb_rev), start.static_nm / (ratio * counts * part.lsb_rev))
         for counts in PRESLIDING_LSB
         for ratio in LAG_RATIOS
     ]
+    for candidate in candidates:
+        candidate[OFFSET_PLACE] = constant_nm
+    candidates = [frame.vector(candidate) for candidate in candidates]
     errors = residuals(part, candidates)
     scale = min(robust_scale(e) for e in errors)
     order = ranked(range(len(candidates)), lambda k: huber_cost(errors[k], scale))
     improved = []
     for k in order[:starts]:
-        space = coordinates(candidates[k], records[0].period_s, free)
+        space = frame.space(candidates[k], records[0].period_s)
         found = solve(part, space, to_coordinates(candidates[k], space.scale), START_ITERATIONS)
         improved.append(to_physical(found.values, space.scale))
     return first_best(improved, lambda physical: huber_cost(residual(part, physical), scale))
@@ -171,16 +231,14 @@ def mean_of_fits(
     return solution._replace(values=mean, cost=cost), Disagreement(fits.std(axis=0, ddof=1), len(fits))
 
 
-def _literal(
-    problem: Problem, space: Coordinates, solution: Solution, period_s: float, free: tuple[str, ...]
-) -> float | None:
+def _literal(problem: Problem, space: Coordinates, solution: Solution, period_s: float, frame: _Frame) -> float | None:
     """Loss of the literal Stribeck curve (exponent < 0) over that of the classical one, both fitted."""
     names = list(PARAMETERS)
     physical = to_physical(solution.values, space.scale)
     coulomb, static, exponent = (names.index(n) for n in ("coulomb_nm", "static_nm", "stribeck_exponent"))
     physical[exponent] = -physical[exponent]
     physical[coulomb], physical[static] = physical[static], physical[coulomb]
-    rising = coordinates(physical, period_s, free, rising=True)
+    rising = frame.space(physical, period_s, rising=True)
     # the falling curve written with the other sign is not the question: this one has to rise
     start = to_coordinates(physical, rising.scale)
     if start[static] < start[coulomb]:

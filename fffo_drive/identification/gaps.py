@@ -36,8 +36,13 @@ class Mended(NamedTuple):
     """A record without what the bus did to it."""
 
     columns: dict[str, Floats]
-    filled: int  # ticks whose motion was filled in
+    fresh: npt.NDArray[np.bool_]  # (n,) False where the motion was filled in
     dropped: int  # ticks of gaps that are too long
+
+    @property
+    def filled(self) -> int:
+        """Ticks whose motion was filled in."""
+        return int(np.count_nonzero(~self.fresh))
 
 
 def mended(columns: dict[str, Floats], timing: Timing, period_s: float) -> Mended:
@@ -48,7 +53,7 @@ def mended(columns: dict[str, Floats], timing: Timing, period_s: float) -> Mende
     fresh = np.flatnonzero(timing.age == 0)
     late = timing.lateness_ns != 0
     if fresh.size < 2 or (fresh.size == timing.tick.size and not late.any() and (np.diff(timing.tick) == 1).all()):
-        return Mended(columns, 0, 0)
+        return Mended(columns, np.ones(timing.tick.size, dtype=np.bool_), 0)
     place = timing.tick - timing.tick[0]  # of each row on the grid of periods
     motion_rev = columns["position_rev"] - columns["velocity_rps"] * timing.lateness_ns / NS_PER_S
     known = place[fresh]
@@ -67,7 +72,7 @@ def mended(columns: dict[str, Floats], timing: Timing, period_s: float) -> Mende
     velocity = columns["velocity_rps"][fresh]
     found["velocity_rps"] = np.interp(wanted, known, velocity)
     found["position_rev"] = _cubic(wanted, before, known, motion_rev[fresh], velocity * period_s)
-    return Mended(found, int(wanted.size - np.isin(known, wanted).sum()), int((~kept).sum()))
+    return Mended(found, wanted == known[before], int((~kept).sum()))
 
 
 def _held(command_a: Floats, place: Integers) -> Floats:

@@ -15,6 +15,7 @@ Mask = npt.NDArray[np.bool_]
 
 DEFAULT_CUTOFF_HZ = 40.0
 FILTER_ORDER = 4  # in all: forwards and backwards of half of it
+FILLED_SHARE = 0.1  # of a filtered row's weight that may lie on samples which were filled in
 SPEED_FLOOR_LSB = 3.0  # a speed below this many counts in the filter's memory has no sure sign
 
 
@@ -52,6 +53,14 @@ def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ)
     return Motion(record.period_s, position_rev, velocity_rps, acceleration_rps2, floor_rps)
 
 
+def trusted(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Mask:
+    """False where a signal behind the filter stands on samples that were filled in. (n,)"""
+    if record.good is None:
+        return np.ones(part.stop - part.start, dtype=np.bool_)
+    filled = low_pass((~record.good[part]).astype(np.float64), cutoff_hz, record.period_s)
+    return np.asarray(filled <= FILLED_SHARE)
+
+
 def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Floats:
     """Motor torque at the instants of the samples: the held command, `delay_s` late, through the same filter. (n,)
 
@@ -64,17 +73,26 @@ def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: flo
     return record.torque_constant_nm_per_a * low_pass(mean_a, cutoff_hz, record.period_s)
 
 
-def travel_since_reversal_rev(motion: Motion) -> Floats:
-    """Distance gone since the last sure change of direction. (n,)"""
+def sure_direction(motion: Motion) -> Floats:
+    """Sign of the motion under way, or of the last one that is sure; 0 where none ever was. (n,)"""
     direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
     sure = np.flatnonzero(direction)
     if not sure.size:
-        return np.zeros(direction.size)
-    held = direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
+        return direction
+    return np.asarray(
+        direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
+    )
+
+
+def travel_since_reversal_rev(motion: Motion) -> Floats:
+    """Distance gone since the last sure change of direction; 0 where the motion is never sure. (n,)"""
+    held = sure_direction(motion)
+    if not held.any():
+        return held
     turned = np.flatnonzero(np.diff(held) != 0.0) + 1
     starts = np.concatenate([[0], turned])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
-    index = np.searchsorted(starts, np.arange(direction.size), side="right") - 1
+    index = np.searchsorted(starts, np.arange(held.size), side="right") - 1
     return np.asarray(path - path[starts[index]])
 
 

@@ -16,6 +16,7 @@ from ..model.effects import slots
 from ..model.effects.table import EffectTable, Term, effect_table
 from .coordinates import PARAMETERS, Coordinates, axis_of, to_physical
 from .dataset import Record
+from .kinematics import trusted
 from .layout import EffectLayout
 from .shooting import ShootingConfig, innovations
 
@@ -92,10 +93,17 @@ def make_problem(records: Sequence[Record], bandwidth_hz: float, longest_s: floa
                 continue
             kept = moving_blocks(position, record.lsb_rev, block, period_s)
             kept[:settling] = False
+            kept &= _trusted_blocks(record, slice(part.start, stop), bandwidth_hz, block)
             current = np.ascontiguousarray(record.current_a[part.start : stop])
             stretches.append(Stretch(number, part.start, current, position, kept, record.torque_constant_nm_per_a))
     clusters = max(1, round(CLUSTER_S / (block * period_s)))
     return Problem(tuple(stretches), shooting, clusters, max(record.lsb_rev for record in records))
+
+
+def _trusted_blocks(record: Record, part: slice, bandwidth_hz: float, block: int) -> Mask:
+    """False where the observer stands on samples that were filled in. (blocks,)"""
+    blocks = (part.stop - part.start) // block
+    return np.asarray(trusted(record, part, bandwidth_hz)[: blocks * block].reshape(blocks, block).all(axis=1))
 
 
 def moving_blocks(position_rev: Floats, lsb_rev: float, block: int, period_s: float) -> Mask:

@@ -22,7 +22,7 @@ from scipy import signal, stats
 from ..model.effects.table import Term
 from .coordinates import PARAMETERS, axis_of
 from .dataset import Record
-from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of
+from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of, trusted
 from .prediction import observer, table_at
 from .shooting import PATH_COLUMNS, Kick, follow, shoot
 
@@ -82,11 +82,7 @@ def torque_residual(
     record: Record, physical: Floats, cutoff_hz: float = DEFAULT_CUTOFF_HZ, terms: Sequence[Term] = ()
 ) -> TorqueResidual:
     """Residual in torque along a record, without what the effects `terms` take away."""
-    parts = [
-        _torque_part(record, part, physical, cutoff_hz, terms)
-        for part in record.segments()
-        if part.stop - part.start > 400
-    ]
+    parts = [_torque_part(record, part, physical, cutoff_hz, terms) for part in record.segments()]
     return TorqueResidual(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -112,7 +108,7 @@ def _torque_part(
         # an effect stands for the step that led to its sample
         load = 0.5 * (path[:, 5] + np.append(path[1:, 5], path[-1, 5]))
         residual = residual - low_pass(load, cutoff_hz, record.period_s)
-    kept = np.abs(motion.velocity_rps) > motion.speed_floor_rps
+    kept = (np.abs(motion.velocity_rps) > motion.speed_floor_rps) & trusted(record, part, cutoff_hz)
     edge = min(kept.size // 4, round(SETTLING_S / record.period_s))
     kept[:edge] = False
     kept[kept.size - edge :] = False
@@ -209,23 +205,26 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
     return result
 
 
-def run_residuals(records: Sequence[Record], physical: Floats) -> list[RunResidual]:
-    """Residuals of every record at the same parameters."""
+def run_residuals(
+    records: Sequence[Record], physical: Floats, terms: Sequence[Sequence[Term]] | None = None
+) -> list[RunResidual]:
+    """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,)."""
+    acting = terms if terms is not None else [()] * len(records)
     presliding_rev = PRESLIDING_LENGTHS / float(physical[list(PARAMETERS).index("stiffness_per_rev")])
     return [
-        RunResidual(record, torque_residual(record, physical), *velocity_errors(record, physical), presliding_rev)
-        for record in records
+        RunResidual(
+            record,
+            torque_residual(record, physical, terms=own),
+            *velocity_errors(record, physical, terms=own),
+            presliding_rev,
+        )
+        for record, own in zip(records, acting, strict=True)
     ]
 
 
-def residual_summary(
-    records: Sequence[Record], physical: Floats, runs: Sequence[RunResidual] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Everything of this page as plain numbers, by the record's name: histogram, tests, errors by axis.
-
-    `runs` are those of `run_residuals` where they are at hand.
-    """
-    return {run.record.name: _summary(run) for run in runs or run_residuals(records, physical)}
+def residual_summary(runs: Sequence[RunResidual]) -> dict[str, dict[str, Any]]:
+    """Everything of this page as plain numbers, by the record's name: histogram, tests, errors by axis."""
+    return {run.record.name: _summary(run) for run in runs}
 
 
 def sampling_step(period_s: float) -> int:

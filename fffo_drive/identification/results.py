@@ -11,14 +11,16 @@ import numpy as np
 from scipy import stats
 
 from .. import __version__, formats
+from ..model.effects.registry import law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
 from .dataset import DataError, Record
 from .facts import DriveFacts
-from .fit import OTHER_RATIOS, Fit
+from .fit import OFFSET, OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
-from .residuals import RunResidual, residual_summary
+from .residuals import RunResidual, residual_summary, run_residuals
+from .runs import RunLook, look_at_runs
 
 CONFIDENCE = 0.95
 LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
@@ -35,7 +37,11 @@ LINEAR_UNITS = {
 
 def unit_of(name: str, facts: DriveFacts) -> str:
     """Unit of a parameter on this kind of axis."""
-    unit = PARAMETERS[name][1]
+    return unit_on(PARAMETERS[name][1], facts)
+
+
+def unit_on(unit: str, facts: DriveFacts) -> str:
+    """A unit of a rotary axis on this kind of axis."""
     return LINEAR_UNITS.get(unit, unit) if facts.units == "linear" else unit
 
 
@@ -70,6 +76,7 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
             value=sensor_s, sd=sensor_sd_s, source="lag of the drive's velocity behind its position"
         ),
         friction=friction,
+        effects=[effect.model(provenance=f"fffo-drive {__version__} identify") for effect in fit.effects],
         provenance=Provenance(
             date=time.strftime("%Y-%m-%d"), tool=f"fffo-drive {__version__} identify", runs=[r.digest for r in records]
         ),
@@ -79,10 +86,13 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
 def report(
     fit: Fit, records: Sequence[Record], facts: DriveFacts, runs: Sequence[RunResidual] | None = None
 ) -> dict[str, Any]:
-    """Everything of the page, JSON-ready: runs, parameters, doubts, residuals, frequency response, damping.
+    """Everything of the page, JSON-ready: runs, parameters, effects, doubts, residuals, frequency response, damping.
 
     `runs` are the residuals of the records where they are at hand.
     """
+    if runs is None:
+        runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
+    looked = look_at_runs(records)
     return {
         "format": formats.IDENTIFICATION.word,
         "tool": f"fffo-drive {__version__}",
@@ -90,14 +100,21 @@ def report(
         "units": facts.units,
         "torque_constant_nm_per_a": facts.torque_constant_nm_per_a,
         "runs": [_run(record) for record in records],
+        "runs_by_themselves": [look._asdict() | {"estimates": _estimates(look)} for look in looked.runs],
+        "remarks": [remark._asdict() for remark in looked.remarks],
         "parameters": _parameters(fit, facts),
+        "effects": _effects(fit, records, facts),
         "sensor_delay_s": fit.sensor_delay_s,
         "sensor_delay_sd_s": fit.sensor_delay_sd_s,
         "doubts": [doubt._asdict() | {"symbol": SYMBOLS[doubt.name]} for doubt in fit.uncertainty.doubts],
-        "warnings": [*fit.warnings, *(text for record in records for text in record.warnings)],
+        "warnings": [
+            *fit.warnings,
+            *(remark.text for remark in looked.remarks),
+            *(text for record in records for text in record.warnings),
+        ],
         "start": fit.start._asdict(),
         "fit": _fit(fit),
-        "residuals": residual_summary(records, fit.physical, runs),
+        "residuals": residual_summary(runs),
         "frequency_response": _responses(records),
         "damping": [
             point._asdict()
@@ -120,9 +137,48 @@ def _run(record: Record) -> dict[str, Any]:
     }
 
 
+def _estimates(look: RunLook) -> dict[str, Any]:
+    return {name: estimate._asdict() for name, estimate in look.estimates.items()}
+
+
+def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dict[str, Any]]:
+    """The effects of the model, each number with its interval, and what spoke for them on the rows of the ladder."""
+    accepted = [] if fit.ladder is None else sorted(fit.ladder.accepted, key=lambda one: one.candidate.name != OFFSET)
+    found = []
+    for k, effect in enumerate(fit.effects):
+        law = law_of(effect.name)
+        numbers = []
+        for p in law.parameters:
+            values = effect.per_run.get(p.name, (effect.values.get(p.name),))
+            sds = effect.per_run_sd.get(p.name, (effect.sd.get(p.name),))
+            runs = [record.name for record in records] if p.name in effect.per_run else [None]
+            for run, value, sd in zip(runs, values, sds, strict=True):
+                if value is None:
+                    continue
+                reach = reach_of(fit) * sd if sd else None
+                numbers.append({
+                    "name": p.name, "run": run, "unit": unit_on(p.unit, facts), "value": value, "sd": sd or None,
+                    "interval_95": None if reach is None else [value - reach, value + reach],
+                })  # fmt: skip
+        row: dict[str, Any] = {"name": effect.name, "meaning": law.meaning, "parameters": numbers}
+        if accepted:
+            one = accepted[k]
+            row |= {
+                "gain": one.gain, "gain_sd": one.gain_sd, "p": one.p, "share_of_the_others_residual": one.share,
+            }  # fmt: skip
+        found.append(row)
+    return found
+
+
+def reach_of(fit: Fit) -> float:
+    """Half an interval over its standard deviation."""
+    windows = fit.uncertainty.windows - len(MODEL_PARAMETERS)
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(2, windows)))
+
+
 def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
     u = fit.uncertainty
-    reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(2, u.windows - len(MODEL_PARAMETERS))))
+    reach = reach_of(fit)
     rows = []
     for k, name in enumerate(PARAMETERS):
         fitted = fit.space.high[k] > fit.space.low[k]
@@ -159,6 +215,7 @@ def _fit(fit: Fit) -> dict[str, Any]:
         "iterations": fit.solution.iterations,
         "converged": fit.solution.converged,
         "literal_stribeck_loss_ratio": fit.literal_loss,
+        "names": list(fit.space.names),
         "correlation": np.round(fit.uncertainty.correlation, 4).tolist(),
     }
 

@@ -38,12 +38,20 @@ class CsvFile:
         header, position, self._first_line = _find_header(text, path)
         self._delimiter = _delimiter(header)
         self.names = [cell.strip().strip("\"'").strip() for cell in header.split(self._delimiter)]
-        self._body = text[position:]
+        self._body, self.warnings = self._whole_lines(text[position:])
 
     @property
     def scalars(self) -> dict[str, float]:
         """A CSV file has none."""
         return {}
+
+    def _whole_lines(self, body: str) -> tuple[str, tuple[str, ...]]:
+        """The lines of numbers, without a last one that was cut off, as a log is whose program was stopped."""
+        begin = body.rfind("\n") + 1
+        last = body[begin:]
+        if not begin or not last.strip() or len(last.split(self._delimiter)) >= len(self.names):
+            return body, ()
+        return body[:begin], (f"{self.path}: the last line ends in the middle and is left out",)
 
     def columns(self, wanted: Sequence[str]) -> dict[str, Array]:
         """The columns of these names, float64. Raises RecordingError naming line and column."""

@@ -53,6 +53,11 @@ class MatFile:
             name: float(value) for name, value in self._values.items() if value.ndim == 0 and value.dtype.kind in "biuf"
         }
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A MAT file is whole, or it is not read."""
+        return ()
+
     def columns(self, wanted: Sequence[str]) -> dict[str, Array]:
         """The vectors of these names, float64, all of one length."""
         found = {}

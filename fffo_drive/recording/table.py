@@ -22,7 +22,8 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 GAP_PERIODS = 1.5  # a step in time beyond this many median periods is a gap
 ROUNDED_SHARE = 0.05  # so many equal stamps are not accidents, but digits that the log does not have
-SUFFIXES = (".csv", ".csv.gz", ".mat")
+TEXT_SUFFIXES = tuple(kind + packed for kind in (".csv", ".txt", ".tsv") for packed in ("", ".gz"))
+SUFFIXES = (*TEXT_SUFFIXES, ".mat")
 
 
 class _TableFile(Protocol):
@@ -32,6 +33,8 @@ class _TableFile(Protocol):
     def names(self) -> list[str]: ...
     @property
     def scalars(self) -> dict[str, float]: ...
+    @property
+    def warnings(self) -> tuple[str, ...]: ...
     def columns(self, wanted: Sequence[str]) -> dict[str, Array]: ...
     def place(self, row: int) -> str: ...
 
@@ -45,7 +48,7 @@ class Table:
     units: Mapping[str, str]
     scalars: Mapping[str, float]  # single numbers of a MAT file
     warnings: tuple[str, ...]
-    gaps: tuple[int, ...]  # rows that come after a gap (only with `allow_gaps`)
+    gaps: tuple[int, ...]  # rows that come after a gap (only with `uneven_time`)
 
     @property
     def time_s(self) -> Array:
@@ -69,13 +72,14 @@ def read_table(
     mapping: ColumnMap | None = None,
     *,
     require: Sequence[str] = (TIME,),
-    allow_gaps: bool = False,
+    uneven_time: bool = False,
 ) -> Table:
     """Read a CSV or MAT file by `mapping`; None takes the columns that are named as signals are.
 
     `require` names signals that must be there. Raises RecordingError with all that is wrong with the data:
-    NaN or inf, stamps that are equal or run backwards, gaps (a warning, and `Table.gaps`, with `allow_gaps`);
-    OSError when it cannot be opened.
+    NaN or inf, stamps that are equal or run backwards, gaps; OSError when it cannot be opened. With `uneven_time` gaps
+    are warnings and in `Table.gaps`, and single rows whose stamp is not later than all before it are dropped and
+    counted in a warning.
     """
     source = _open(Path(path))
     mapping = identity_map(source.names) if mapping is None else mapping
@@ -89,15 +93,19 @@ def read_table(
     columns |= {name: raw[name] for name in mapping.extra}
     units = {signal: entry.unit for signal, entry in convert.items()} | dict.fromkeys(mapping.extra, "-")
     labels = {signal: f"{entry.column!r} ({signal})" for signal, entry in convert.items()}
-    warnings, gaps = _check(source, columns, labels, allow_gaps)
-    return Table(Path(path), columns, {TIME: "s"} | units, source.scalars, tuple(warnings), gaps)
+    warnings, gaps = _check(source, columns, labels, uneven_time)
+    if uneven_time and TIME in columns:
+        later = _later(columns[TIME])
+        if not later.all():
+            columns = {name: values[later] for name, values in columns.items()}
+    return Table(Path(path), columns, {TIME: "s"} | units, source.scalars, (*source.warnings, *warnings), gaps)
 
 
 def _open(path: Path) -> _TableFile:
     name = path.name.lower()
     if name.endswith(".mat"):
         return MatFile(path)
-    if name.endswith((".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz")):
+    if name.endswith(TEXT_SUFFIXES):
         return CsvFile(path)
     raise RecordingError(f"{path}: unknown kind of table; {', '.join(SUFFIXES)} can be read")
 
@@ -125,7 +133,7 @@ def _converted(raw: Array, entry: Conversion) -> Array:
 
 
 def _check(
-    source: _TableFile, columns: Mapping[str, Array], labels: Mapping[str, str], allow_gaps: bool
+    source: _TableFile, columns: Mapping[str, Array], labels: Mapping[str, str], uneven_time: bool
 ) -> tuple[list[str], tuple[int, ...]]:
     problems: list[str] = []
     warnings: list[str] = []
@@ -140,14 +148,29 @@ def _check(
     gaps: tuple[int, ...] = ()
     time = columns.get(TIME)
     if time is not None and np.isfinite(time).all():
-        gaps = _check_time(source.place, time, problems, warnings if allow_gaps else problems)
+        later = _later(time)
+        kept = np.flatnonzero(later)
+        dropped = time.size - kept.size
+        if uneven_time and 0 < dropped <= ROUNDED_SHARE * time.size:
+            first = source.place(int(np.argmin(later)))
+            warnings.append(f"{dropped} rows whose stamp is not later than all before it are dropped, first at {first}")
+        else:
+            _check_order(source.place, time, problems)
+            kept = np.arange(time.size)
+        gap_list = warnings if uneven_time else problems
+        gaps = _check_gaps(lambda row: source.place(int(kept[row])), time[kept], gap_list)
     if problems:
         raise RecordingError(f"{source.path}: " + "\n  ".join(problems))
     return [f"{source.path}: {warning}" for warning in warnings], gaps
 
 
-def _check_time(place: Callable[[int], str], time: Array, problems: list[str], gap_list: list[str]) -> tuple[int, ...]:
-    """Look at the steps of `time`; returns the rows behind gaps."""
+def _later(time: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Rows whose stamp is later than all before it. (n,)"""
+    return np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
+
+
+def _check_order(place: Callable[[int], str], time: Array, problems: list[str]) -> None:
+    """Stamps that run backwards or stand still."""
     steps = np.diff(time)
     backwards = np.flatnonzero(steps < 0.0)
     if len(backwards):
@@ -159,6 +182,11 @@ def _check_time(place: Callable[[int], str], time: Array, problems: list[str], g
         rounded = len(equal) > ROUNDED_SHARE * len(time)
         hint = "; the stamps seem to be rounded: leave the column out and give rate_hz" if rounded else ""
         problems.append(f"{place(int(equal[0]) + 1)}: the stamp of the line before again{_more(equal)}{hint}")
+
+
+def _check_gaps(place: Callable[[int], str], time: Array, gap_list: list[str]) -> tuple[int, ...]:
+    """Rows behind gaps."""
+    steps = np.diff(time)
     forward = steps[steps > 0.0]
     if not len(forward):
         return ()

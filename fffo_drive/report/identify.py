@@ -70,6 +70,7 @@ def identify_report(
     """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
     words = words_of(source.facts)
     tables = [_parameters(results)]
+    tables += [_effects(results)] if results["effects"] else []
     tables += [_doubts(results)] if results["doubts"] else []
     tables += [_runs(results, words), _dependence(results, words)]
     seconds = sum(record.duration_s for record in records)
@@ -160,6 +161,8 @@ def _parameters(results: dict[str, Any]) -> Table:
         if not p["fitted"]:
             continue
         source = "at a bound" if p["sd"] is None else "fitted, not told" if p["name"] in doubted else "fitted"
+        if p["name"] == "offset_nm":
+            continue  # it stands among the effects
         source = source if p["of_the_model"] else "beside the model"
         rows.append(_parameter_row(p["symbol"], p["unit"], p, source))
         if p["name"] == "inertia_nm_s2_per_rev" and results["units"] == "rotary":
@@ -214,13 +217,43 @@ def _parameter_row(label: str, unit: str, p: dict[str, Any], source: str) -> Row
     return Row(label=label, unit="" if unit == "-" else unit.replace("^2", "²"), cells=cells)
 
 
+def _effects(results: dict[str, Any]) -> Table:
+    rows = []
+    for effect in results["effects"]:
+        for k, p in enumerate(effect["parameters"]):
+            low, high = p["interval_95"] or (None, None)
+            label = f"{effect['name']}: {p['name']}" + (f", {p['run']}" if p["run"] else "")
+            rows.append(
+                Row(
+                    label=label,
+                    unit="" if p["unit"] == "-" else p["unit"],
+                    cells=[
+                        number(p["value"], _digits(p["value"], p["sd"]), low=low, high=high),
+                        number(math.nan if p["sd"] is None else p["sd"], 2),
+                        number(100.0 * effect.get("share_of_the_others_residual", math.nan) if k == 0 else math.nan, 2),
+                        _p(effect["p"]) if k == 0 and "p" in effect else Cell(text=""),
+                        Cell(text=effect["meaning"] if k == 0 else ""),
+                    ],
+                )
+            )
+    return Table(
+        name="effects", title="Beside friction", corner="effect", rows=rows,
+        note="Looked for before anything else, and in the model file: constant torque, direction, gravity, waves of "
+             "the angle. Share: of the squared residual that all others leave. p: of chance, over all that was tried.",
+        columns=[
+            Column(label="value"), Column(label="sd"), Column(label="share", unit="%"), Column(label="p"),
+            Column(label="what it is", words=True),
+        ],
+    )  # fmt: skip
+
+
 def _doubts(results: dict[str, Any]) -> Table:
     rows = [
         Row(
             label=doubt["symbol"],
             cells=[
                 Cell(text=doubt["reason"]),
-                Cell(text=", ".join(SYMBOLS[name] for name in doubt["confused_with"]) or "–"),
+                Cell(text=", ".join(SYMBOLS.get(name, name) for name in doubt["confused_with"]) or "–"),
                 Cell(text=doubt["excitation"]),
             ],
         )

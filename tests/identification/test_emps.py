@@ -15,6 +15,9 @@ from shared_data import shared_files
 from fffo_drive.identification.dataset import load_record
 from fffo_drive.identification.facts import read_facts
 from fffo_drive.identification.fit import FitSettings, fit_records
+from fffo_drive.identification.ladder import climb
+from fffo_drive.identification.layout import EffectStart
+from fffo_drive.identification.regression import regression_start
 from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 
 FACTS = Path(__file__).parent / "emps.yaml"
@@ -44,7 +47,9 @@ def test_the_hold_of_the_command_alone_lowers_the_held_out_error():
 
 @pytest.mark.slow
 def test_a_linear_axis_is_fitted_by_simulation_too():
-    fit = fit_records([emps("DATA_EMPS")], FitSettings(with_offset=True, compare_literal=False))
+    record = emps("DATA_EMPS")
+    constant = EffectStart("torque_offset", {"torque_nm": regression_start([record]).constant_nm})
+    fit = fit_records([record], FitSettings(compare_literal=False, effects=(constant,)), read_facts(FACTS))
     assert fit.value("inertia_nm_s2_per_rev") == pytest.approx(95.1, rel=0.02)
     assert fit.value("offset_nm") == pytest.approx(-3.16, rel=0.1)
     speed = 0.1
@@ -53,3 +58,12 @@ def test_a_linear_axis_is_fitted_by_simulation_too():
     friction = coulomb + (static - coulomb) * np.exp(-((speed / velocity) ** exponent)) + viscous * speed
     assert friction == pytest.approx(20.39 + 203.5 * speed, rel=0.05)
     assert fit.uncertainty.doubts  # no slow reversals in it: presliding cannot be known
+
+
+@pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
+def test_the_first_rung_of_this_axis_is_friction_that_differs_by_direction(name):
+    """The published model with friction by direction has Fv+ below Fv-; the constant is then not needed."""
+    record = emps(name)
+    ladder = climb([record], regression_start([record]), read_facts(FACTS))
+    assert [one.candidate.name for one in ladder.accepted] == ["asymmetric_viscous"]
+    assert ladder.accepted[0].coefficients == pytest.approx([-40.0], rel=0.1)

@@ -16,6 +16,7 @@ from fffo_drive.identification.fit import FitSettings, fit_records
 from fffo_drive.identification.results import model_file, report
 from fffo_drive.model.parameters import read_model, write_model
 
+FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3, gear_ratio=160.0)
 LIMITS = dict.fromkeys(MODEL_PARAMETERS, 0.03) | {"stiffness_per_rev": 0.1, "stribeck_exponent": 0.1}
 
 
@@ -32,8 +33,9 @@ def excited(plant):
 def test_the_truth_is_found(seed):
     plant = random_plant(seed)
     expected = truth(plant)
-    fit = fit_records(excited(plant), FitSettings(compare_literal=False), rated_current_a=8.3)
+    fit = fit_records(excited(plant), FitSettings(compare_literal=False), facts=FACTS)
     assert fit.solution.converged
+    assert fit.effects == ()
     assert fit.warnings == ()
     assert fit.uncertainty.doubts == ()
     for k, name in enumerate(MODEL_PARAMETERS):
@@ -81,12 +83,12 @@ def test_what_fast_sliding_cannot_tell_is_named():
 
 
 @pytest.mark.slow
-def test_an_offset_is_fitted_when_asked_for():
+def test_an_offset_is_found_and_fitted():
     base = chirp_record(40.0)
     offset_nm = 2e-3
     moved = record_of(base.current_a - offset_nm / 0.148, lsb_rev=2.0**-15, noise_rev=1e-5)
     seen = type(moved)(**{**vars(moved), "current_a": base.current_a})
-    fit = fit_records([seen], FitSettings(with_offset=True, compare_literal=False))
+    fit = fit_records([seen], FitSettings(compare_literal=False))
     assert fit.value("offset_nm") == pytest.approx(offset_nm, rel=0.03)
 
 

@@ -19,6 +19,7 @@ from fffo_drive.identification.residuals import (
     dependences,
     effective_samples,
     residual_summary,
+    run_residuals,
     torque_residual,
     whiteness,
 )
@@ -53,7 +54,7 @@ def test_an_asymmetry_is_seen_as_one():
 
 
 def test_the_summary_is_plain_numbers():
-    summary = residual_summary([chirp_record(10.0, lsb_rev=2.0**-15)], TRUTH)
+    summary = residual_summary(run_residuals([chirp_record(10.0, lsb_rev=2.0**-15)], TRUTH))
     assert json.loads(json.dumps(summary)).keys() == {"synthetic"}
     run = summary["synthetic"]
     assert sum(run["histogram"]["counts"]) > 1000

@@ -165,7 +165,7 @@ def test_rounded_stamps_get_advice(table):
 
 
 def test_gaps_may_be_allowed(table):
-    found = table(FIVE.replace("0.4,", "0.9,"), allow_gaps=True)
+    found = table(FIVE.replace("0.4,", "0.9,"), uneven_time=True)
     assert found.gaps == (4,)
     assert "line 6: a gap" in found.warnings[0]
     assert "log.csv" in found.warnings[0]

@@ -20,7 +20,7 @@ from synthetic import AXIS
 from fffo_drive.identification.coordinates import MODEL_PARAMETERS, SYMBOLS
 from fffo_drive.identification.dataset import Record, load_record
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
-from fffo_drive.identification.facts import read_facts
+from fffo_drive.identification.facts import DriveFacts, read_facts
 from fffo_drive.identification.fit import Fit, FitSettings, fit_records
 from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 from fffo_drive.model import friction
@@ -53,6 +53,9 @@ class Truth(NamedTuple):
     sd: np.ndarray[Any, Any]
 
 
+FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3)
+
+
 def excitation(plant: Any, repeats: int) -> list[Record]:
     """Chirp and recipe on a plant."""
     chirp = identification_sequence(60.0, PERIOD_S, 0.3, 1.1, 0.01, 10.0)
@@ -62,7 +65,7 @@ def excitation(plant: Any, repeats: int) -> list[Record]:
 
 def against_truth(plant: Any, repeats: int) -> Truth:
     """Fit a plant and compare."""
-    fit: Fit = fit_records(excitation(plant, repeats), FitSettings(compare_literal=False), 8.3)
+    fit: Fit = fit_records(excitation(plant, repeats), FitSettings(compare_literal=False), FACTS)
     expected = np.array(list(truth(plant).values()))
     count = len(MODEL_PARAMETERS)
     found = fit.physical[:count]

@@ -1,0 +1,363 @@
+"""The first rungs: what acts on many machines and is looked for before anything else, by linear least squares.
+
+A constant torque, friction that differs by direction, gravity, and waves at the orders of the machine, in this order,
+on the rows of `rows`. A rung is climbed while something on it is worth its columns; then the next. What is accepted
+explains held-out rows (`criterion`), is no chance among all that was tried, and takes more than `LEAST_SHARE` of the
+squared residual; in the end each has to, given all others.
+
+A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
+from .dataset import Record
+from .facts import DriveFacts
+from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER
+from .layout import EffectStart
+from .regression import TorqueStart
+from .rows import CONSTANT, Rows, least_squares, rigid_columns, rows_at, stretches_of, turns_one_way
+
+Floats = npt.NDArray[np.float64]
+
+CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
+RUNGS = ("constant torque", "direction", "gravity", "waves")
+LARGEST_P = 0.01  # over all that was tried
+LEAST_SHARE = 0.02  # of the squared residual
+MOST_EFFECTS = 6
+SPEED_CLASSES = 6  # each with a level of noise of its own
+HIGHEST_ORDER = 200
+STANDING_OUT = 6  # orders of a scan that are tried beside the declared ones
+SLOW_QUANTILE = 0.1  # of speed: an order is seen where the axis turns this slowly ...
+SEEN_HZ = 1.5  # ... if it is below the cut-off there; the cut-off is so many times what the declared orders ask
+HIGHEST_CUTOFF_HZ = 150.0
+HIGHEST_CUTOFF_PERIODS = 0.15
+GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
+WAVE_PERIODS = 2.0  # a wave has to come back
+SAME_COLUMNS = 1e-4  # of a column's squared norm has to be left beside what is known
+
+
+class Candidate(NamedTuple):
+    """Something that may act: an effect at one shape."""
+
+    rung: int
+    name: str  # of the law
+    strengths: tuple[str, ...]
+    shape: Mapping[str, float]
+    order: float  # per motor turn; 0: no wave
+    per_run: bool  # a phase for each run
+
+
+class Accepted(NamedTuple):
+    """A candidate that stands, with what speaks for it given all others."""
+
+    candidate: Candidate
+    coefficients: Floats  # strengths; of each run where it has a phase for each
+    gain: float  # nats on rows that the fit did not see
+    gain_sd: float
+    p: float  # chance, over all that was tried
+    share: float  # of the squared residual that the others leave
+
+    def start(self, runs: int) -> EffectStart:
+        """Where a refit begins."""
+        names = self.candidate.strengths
+        shape = dict(self.candidate.shape)
+        if not self.candidate.per_run:
+            return EffectStart(self.candidate.name, shape | dict(zip(names, self.coefficients.tolist(), strict=True)))
+        by_run = self.coefficients.reshape(runs, len(names))
+        return EffectStart(self.candidate.name, shape, {name: by_run[:, k].tolist() for k, name in enumerate(names)})
+
+
+class Ladder(NamedTuple):
+    """What was accepted, and the start of the fit with it."""
+
+    accepted: tuple[Accepted, ...]
+    start: TorqueStart
+    tried: int
+    cutoff_hz: float
+
+
+class _Bench(NamedTuple):
+    """The rows, and what every model has."""
+
+    rows: Rows
+    folds: Folds
+    base: Floats  # (m, p) columns of the axis itself
+    classes: npt.NDArray[np.int64]
+    level_nm: Floats  # of friction at these speeds, by the start
+    runs: int
+
+
+class _Weighted(NamedTuple):
+    """Target and known columns, white, and what is left of the target. (m,), (m, q), (m,)"""
+
+    weight: Floats
+    target: Floats
+    known: Floats
+    residual: Floats
+
+
+def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None = None) -> Ladder:
+    """Climb the rungs on records of one rate, beside an axis as the regression found it."""
+    linear = facts is not None and facts.units == "linear"
+    bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
+    same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
+    chosen: list[Candidate] = []
+    tried = 0
+    for rung in range(CONSTANT_TORQUE, CONSTANT_TORQUE + 2 if linear else WAVES + 1):
+        while len(chosen) < MOST_EFFECTS:
+            candidates, looked_at = _on_rung(bench, rung, chosen, facts, same_zero)
+            tried += looked_at
+            best = _best(bench, chosen, candidates, max(looked_at, 1))
+            if best is None:
+                break
+            chosen.append(best)
+    while chosen:
+        found = [_given_others(bench, chosen, k, max(tried, 1)) for k in range(len(chosen))]
+        weak = [k for k, one in enumerate(found) if not _stands(one)]
+        if not weak:
+            return Ladder(tuple(found), _improved(bench, chosen, start), tried, cutoff_hz)
+        # of two that say the same neither is needed given the other: the higher rung goes first
+        del chosen[max(weak, key=lambda k: (chosen[k].rung, -found[k].gain))]
+    return Ladder((), start, tried, cutoff_hz)
+
+
+def _declared_orders(facts: DriveFacts | None) -> list[float]:
+    """Periods a motor turn of poles, slots, and of the cogging that the two make."""
+    if facts is None:
+        return []
+    orders: list[float] = [facts.pole_pairs] if facts.pole_pairs else []
+    if facts.slots:
+        orders += [facts.slots, 2.0 * facts.slots]
+        if facts.pole_pairs:
+            orders.append(float(np.lcm(facts.slots, 2 * facts.pole_pairs)))
+    return sorted({float(order) for order in orders})
+
+
+def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float]) -> tuple[_Bench, float]:
+    period_s = records[0].period_s
+    highest_hz = min(HIGHEST_CUTOFF_HZ, HIGHEST_CUTOFF_PERIODS / period_s)
+    cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / period_s)
+    stretches, _ = stretches_of(records, cutoff_hz)
+    slow_rps = _slow_rps(rows_at(stretches, cutoff_hz, start.delay_s))
+    asked_hz = min(highest_hz, SEEN_HZ * max(orders, default=0.0) * slow_rps)
+    if asked_hz > cutoff_hz:
+        cutoff_hz = asked_hz
+        stretches, _ = stretches_of(records, cutoff_hz)
+    rows = rows_at(stretches, cutoff_hz, start.delay_s)
+    speed = np.abs(rows.velocity_rps)
+    fall = np.exp(-((speed / start.stribeck_velocity_rps) ** start.stribeck_exponent))
+    columns = rigid_columns(rows)
+    base = np.column_stack([columns[:, :CONSTANT], fall * rows.direction])
+    edges = np.quantile(speed[rows.sliding], np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[1:-1])
+    level_nm = start.coulomb_nm + (start.static_nm - start.coulomb_nm) * fall
+    folds = folds_of(rows.bounds, rows.period_s)
+    return _Bench(rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records)), cutoff_hz
+
+
+def _slow_rps(rows: Rows) -> float:
+    return float(np.quantile(np.abs(rows.velocity_rps[rows.sliding]), SLOW_QUANTILE))
+
+
+def _on_rung(
+    bench: _Bench, rung: int, chosen: Sequence[Candidate], facts: DriveFacts | None, same_zero: bool
+) -> tuple[list[Candidate], int]:
+    """What may still be tried on a rung, and how many there were to look at."""
+    if rung == CONSTANT_TORQUE:
+        found = [Candidate(rung, "torque_offset", ("torque_nm",), {}, 0.0, False)]
+    elif rung == DIRECTION_RUNG:
+        found = [
+            Candidate(rung, "asymmetric_coulomb", ("share",), {}, 0.0, False),
+            Candidate(rung, "asymmetric_viscous", ("excess_nm_per_rps",), {}, 0.0, False),
+        ]
+    elif rung == GRAVITY:
+        ratios = {1.0, (facts.gear_ratio if facts is not None else None) or 1.0}
+        found = [
+            Candidate(rung, "unbalance", ("cos_nm", "sin_nm"), {"ratio": ratio}, 1.0 / ratio, per_run)
+            for ratio in sorted(ratios, reverse=True)
+            for per_run in ((False,) if same_zero else (False, True))
+        ]
+    else:
+        orders, looked_at = _orders(bench, chosen, facts)
+        found = [
+            Candidate(rung, "cogging", ("cos_nm", "sin_nm"), {"order": order}, order, per_run)
+            for order in orders
+            for per_run in ((False,) if same_zero else (False, True))
+        ]
+        taken = {candidate.order for candidate in chosen}
+        found = [one for one in found if one.order not in taken and _passed(bench, one.order, WAVE_PERIODS)]
+        return found, looked_at * (1 if same_zero else 2)
+    taken_names = {(candidate.name, candidate.order) for candidate in chosen}
+    if turns_one_way(bench.rows.direction[bench.rows.sliding]) and rung in (CONSTANT_TORQUE, DIRECTION_RUNG):
+        return [], 0  # they are Coulomb friction there
+    found = [
+        one for one in found if (one.name, one.order) not in taken_names and _passed(bench, one.order, GRAVITY_PERIODS)
+    ]
+    return found, len(found)
+
+
+def _passed(bench: _Bench, order: float, periods: float) -> bool:
+    """Whether the motion goes through so many periods."""
+    return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= periods
+
+
+def _orders(bench: _Bench, chosen: Sequence[Candidate], facts: DriveFacts | None) -> tuple[list[float], int]:
+    """Declared orders and those that stand out of a scan of whole ones; and how many were looked at."""
+    slow_rps = max(_slow_rps(bench.rows), 1e-9)
+    highest = min(HIGHEST_ORDER, int(bench.rows.cutoff_hz / slow_rps))
+    declared = [order for order in _declared_orders(facts) if order <= highest]
+    ranked = np.argsort(_scanned(bench, _weighted(bench, chosen), highest), kind="stable")[::-1] + 1
+    standing = [float(order) for order in ranked[:STANDING_OUT] if float(order) not in declared]
+    return [*declared, *standing], highest
+
+
+def _scanned(bench: _Bench, white: _Weighted, highest: int) -> Floats:
+    """What a wave of each whole order up to `highest` explains, with a phase for each run. (highest,)
+
+    The residual has nothing left of the known columns, so that they need not be projected out of the waves.
+    """
+    rows, residual = bench.rows, clipped(white.residual)
+    edges = np.flatnonzero(np.diff(rows.run, prepend=-1))
+    turn = np.exp(2j * np.pi * rows.position_rev)
+    wave = np.ones(rows.run.size, dtype=np.complex128)
+    found = np.zeros(highest)
+    for order in range(1, highest + 1):
+        wave *= turn
+        column = wave * (white.weight / (1.0 + (order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER))
+        product = np.add.reduceat(column * residual, edges)
+        power = np.add.reduceat(np.abs(column) ** 2, edges)
+        square = np.add.reduceat(column * column, edges)
+        # the 2 x 2 normal equations of cosine and sine, in complex numbers
+        determinant = np.maximum(power**2 - np.abs(square) ** 2, SAME_COLUMNS * power**2 + 1e-300)
+        explained = 2.0 * (power * np.abs(product) ** 2 - (np.conj(square) * product**2).real) / determinant
+        found[order - 1] = float(explained.sum())
+    return found
+
+
+def _columns(bench: _Bench, candidate: Candidate) -> Floats:
+    """What the strengths of a candidate multiply. (m, strengths), or (m, runs x strengths)"""
+    rows = bench.rows
+    if candidate.name == "torque_offset":
+        return np.ones((rows.run.size, 1))
+    if candidate.name == "asymmetric_coulomb":
+        return bench.level_nm[:, None]
+    if candidate.name == "asymmetric_viscous":
+        return np.abs(rows.velocity_rps)[:, None]
+    angle = 2.0 * np.pi * candidate.order * rows.position_rev
+    passed = 1.0 / (1.0 + (candidate.order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER)
+    wave = passed[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    if not candidate.per_run:
+        return np.asarray(wave)
+    return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])
+
+
+def _weighted(bench: _Bench, chosen: Sequence[Candidate]) -> _Weighted:
+    """The model with what was chosen: its columns and the target, each row over the noise of its class of speed."""
+    kept, torque_nm = bench.rows.sliding, bench.rows.torque_nm
+    known = np.column_stack([bench.base, *(_columns(bench, one) for one in chosen)])
+    weight = kept.astype(np.float64)
+    for _ in range(2):  # once unweighted, for the levels
+        solution, _ = least_squares(known * weight[:, None], torque_nm * weight)
+        residual = torque_nm - known @ solution
+        weight = levels(residual, kept, bench.classes)
+    return _Weighted(weight, torque_nm * weight, known * weight[:, None], residual * weight)
+
+
+def _beside(white: _Weighted, columns: Floats) -> Floats:
+    """Columns (m, k), white, without what the known ones say; none where nothing is left."""
+    own = columns * white.weight[:, None]
+    square = np.einsum("ij,ij->j", own, own)
+    scale = np.linalg.norm(white.known, axis=0)
+    known = white.known / np.where(scale > 0.0, scale, 1.0)
+    normal = known.T @ known + 1e-10 * np.eye(known.shape[1])
+    left = own - known @ np.linalg.solve(normal, known.T @ own)
+    free = np.einsum("ij,ij->j", left, left) > SAME_COLUMNS * square
+    return np.asarray(left[:, free])
+
+
+def _explained(white: _Weighted, columns: Floats) -> float:
+    """Share of the squared residual (outliers pulled in) that columns explain beside the known ones."""
+    left = _beside(white, columns)
+    if not left.shape[1]:
+        return 0.0
+    pulled = clipped(white.residual)
+    _, rest = least_squares(left, pulled)
+    energy = float(pulled @ pulled)
+    return 1.0 - rest / energy if energy > 0.0 else 0.0
+
+
+def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> float:
+    """p of the windows' scores."""
+    left = _beside(white, columns)
+    if not left.shape[1]:
+        return 1.0
+    scores = left * clipped(white.residual)[:, None]
+    sums = np.column_stack([np.bincount(bench.folds.window, column).astype(np.float64) for column in scores.T])
+    return hotelling_p(sums, tried)
+
+
+def _best(bench: _Bench, chosen: Sequence[Candidate], candidates: Sequence[Candidate], tried: int) -> Candidate | None:
+    """The candidate of a rung with the largest gain; of those that are as good the first with the fewest numbers."""
+    white = _weighted(bench, chosen)
+    without = unseen_loss(white.residual, white.known, bench.folds)
+    passed = []
+    for candidate in candidates:
+        columns = _columns(bench, candidate)
+        if _explained(white, columns) <= LEAST_SHARE or _chance(bench, white, columns, tried) > LARGEST_P:
+            continue
+        with_it = unseen_loss(
+            white.residual, np.column_stack([white.known, columns * white.weight[:, None]]), bench.folds
+        )
+        found = gain(without, with_it, bench.folds, bench.rows.sliding)
+        if found.holds:
+            passed.append((candidate, found, with_it, columns.shape[1]))
+    if not passed:
+        return None
+    top = max(passed, key=lambda one: one[1].value)
+    family = []
+    for one in passed:
+        behind = gain(one[2], top[2], bench.folds, bench.rows.sliding)
+        if one is top or behind.value <= SDS * behind.sd:
+            family.append(one)
+    return min(family, key=lambda one: one[3])[0]
+
+
+def _given_others(bench: _Bench, chosen: Sequence[Candidate], k: int, tried: int) -> Accepted:
+    """What one of them is worth beside all others."""
+    others = [one for j, one in enumerate(chosen) if j != k]
+    white = _weighted(bench, others)
+    columns = _columns(bench, chosen[k])
+    own = columns * white.weight[:, None]
+    whole = np.column_stack([white.known, own])
+    without = unseen_loss(white.residual, white.known, bench.folds)
+    found = gain(without, unseen_loss(white.residual, whole, bench.folds), bench.folds, bench.rows.sliding)
+    solution, _ = least_squares(whole, white.target)
+    return Accepted(
+        chosen[k], solution[white.known.shape[1] :], found.value, found.sd,
+        _chance(bench, white, columns, tried), _explained(white, columns),
+    )  # fmt: skip
+
+
+def _stands(one: Accepted) -> bool:
+    return one.gain > SDS * one.gain_sd and one.share > LEAST_SHARE and one.p <= LARGEST_P
+
+
+def _improved(bench: _Bench, chosen: Sequence[Candidate], start: TorqueStart) -> TorqueStart:
+    """The start of the fit with what was accepted beside it; as it was where that makes no axis."""
+    white = _weighted(bench, chosen)
+    solution, _ = least_squares(white.known, white.target)
+    inertia, viscous, coulomb, excess = (float(value) for value in solution[: bench.base.shape[1]])
+    if not (inertia > 0.0 and coulomb > 0.0):
+        return start
+    return start._replace(
+        inertia_nm_s2_per_rev=inertia,
+        viscous_nm_per_rps=max(viscous, 1e-2 * start.viscous_nm_per_rps),
+        coulomb_nm=coulomb,
+        static_nm=coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0)),
+    )

@@ -1,0 +1,172 @@
+"""Rows of a force balance: motor torque and what the motion needs, all through one zero-phase filter.
+
+Command, position and the sign of the motion are low-passed alike, so that a linear relation between them stays one, and
+thinned to four rows a period of the cut-off. Rows count where the axis surely slides: presliding is masked by travel
+after a reversal, and so are rows that stand on samples which were filled in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .dataset import DataError, Record
+from .kinematics import (
+    Motion,
+    acting_torque_nm,
+    low_pass,
+    motion_of,
+    sliding_mask,
+    sure_direction,
+    travel_since_reversal_rev,
+    trusted,
+)
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+ROWS_A_PERIOD = 4.0  # of the filter's cut-off
+ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns
+LEAST_OTHER_WAY = 0.02  # of the rows have to turn the other way
+SINGULAR = 1e-12  # of a normal matrix: a millionth of its columns
+LONGEST_DELAY_SAMPLES = 24
+LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
+
+
+class Stretch(NamedTuple):
+    """One stretch without a gap, filtered once: a delay and a filter commute. (n,) but for `rows`."""
+
+    record: int
+    motion: Motion
+    torque_nm: Floats  # without delay
+    direction: Floats  # sign of the motion behind the filter
+    sliding: Mask  # surely
+    rows: Integers  # samples that are rows
+
+
+class Rows(NamedTuple):
+    """Rows of all stretches, joined; (m,) each."""
+
+    run: Integers  # number of the record
+    position_rev: Floats
+    velocity_rps: Floats
+    acceleration_rps2: Floats
+    direction: Floats
+    torque_nm: Floats  # of the motor, as it acts
+    sliding: Mask  # rows that count
+    bounds: tuple[tuple[int, int], ...]  # rows (begin, end) of each stretch
+    period_s: float  # between rows
+    cutoff_hz: float
+
+
+def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[Stretch], float]:
+    """Stretches of records of one rate, and the travel (rev) after which presliding is over for sure.
+
+    Raises DataError where none is long enough for the filter.
+    """
+    parts = [
+        (number, record, part)
+        for number, record in enumerate(records)
+        for part in record.segments()
+        if part.stop - part.start > 4.0 / (cutoff_hz * record.period_s)
+    ]
+    if not parts:
+        raise DataError("all stretches of the logs are too short for the filter")
+    motions = [motion_of(record, part, cutoff_hz) for _, record, part in parts]
+    travel_rev = _sliding_travel_rev(motions, max(record.lsb_rev for record in records))
+    step = max(1, int(1.0 / (ROWS_A_PERIOD * cutoff_hz * records[0].period_s)))
+    found = []
+    for (number, record, part), motion in zip(parts, motions, strict=True):
+        sliding = sliding_mask(motion, travel_rev, 2.0 / cutoff_hz) & trusted(record, part, cutoff_hz)
+        direction = low_pass(sure_direction(motion), cutoff_hz, record.period_s)
+        torque_nm = acting_torque_nm(record, part, 0.0, cutoff_hz)
+        rows = np.arange(0, part.stop - part.start, step)
+        found.append(Stretch(number, motion, torque_nm, direction, sliding, rows))
+    return found, travel_rev
+
+
+def _sliding_travel_rev(motions: Sequence[Motion], lsb_rev: float) -> float:
+    """Travel after which presliding is over: a share of a typical stroke, at least some counts."""
+    strokes: list[Floats] = []
+    for motion in motions:
+        travel = travel_since_reversal_rev(motion)
+        strokes.append(travel[np.flatnonzero(np.diff(travel) < 0.0)])
+    stroke = np.concatenate(strokes) if strokes else np.zeros(0)
+    stroke = stroke[stroke > 50.0 * lsb_rev]
+    typical = float(np.median(stroke)) if stroke.size else 0.0
+    return max(20.0 * lsb_rev, min(0.1 * typical, 2000.0 * lsb_rev))
+
+
+def rows_at(stretches: Sequence[Stretch], cutoff_hz: float, delay_s: float) -> Rows:
+    """The rows of stretches, the torque `delay_s` behind the command."""
+    period_s = stretches[0].motion.period_s
+    step = int(stretches[0].rows[1] - stretches[0].rows[0])
+    bounds, begin = [], 0
+    torques = []
+    for stretch in stretches:
+        bounds.append((begin, begin + stretch.rows.size))
+        begin += stretch.rows.size
+        late = stretch.rows - delay_s / period_s
+        torques.append(np.interp(late, np.arange(stretch.torque_nm.size), stretch.torque_nm))
+    return Rows(
+        np.concatenate([np.full(s.rows.size, s.record, dtype=np.int64) for s in stretches]),
+        np.concatenate([s.motion.position_rev[s.rows] for s in stretches]),
+        np.concatenate([s.motion.velocity_rps[s.rows] for s in stretches]),
+        np.concatenate([s.motion.acceleration_rps2[s.rows] for s in stretches]),
+        np.concatenate([s.direction[s.rows] for s in stretches]),
+        np.concatenate(torques),
+        np.concatenate([s.sliding[s.rows] for s in stretches]),
+        tuple(bounds),
+        step * period_s,
+        cutoff_hz,
+    )
+
+
+def rigid_columns(rows: Rows) -> Floats:
+    """What inertia, viscous friction, Coulomb friction and a constant torque multiply, of all rows. (m, 4)"""
+    return np.column_stack([rows.acceleration_rps2, rows.velocity_rps, rows.direction, np.ones(rows.run.size)])
+
+
+def delay_between(stretches: Sequence[Stretch], cutoff_hz: float) -> float:
+    """Delay (s) from command to torque at which the rigid balance leaves the least: scanned, a parabola at its end."""
+    period_s = stretches[0].motion.period_s
+    samples = max(LONGEST_DELAY_SAMPLES, math.ceil(LONGEST_DELAY_S / period_s))
+    delays: Floats = np.arange(0.0, samples + 1, 2) * period_s
+    costs = []
+    for delay_s in delays:
+        rows = rows_at(stretches, cutoff_hz, float(delay_s))
+        costs.append(least_squares(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding])[1])
+    return parabola_minimum(delays, np.array(costs))
+
+
+def turns_one_way(direction: Floats) -> bool:
+    """Whether hardly a row (m,) has the other sign: Coulomb friction and a constant torque are then one thing."""
+    return bool(min(np.mean(direction > 0.0), np.mean(direction < 0.0)) < LEAST_OTHER_WAY) if direction.size else True
+
+
+def least_squares(columns: Floats, target: Floats) -> tuple[Floats, float]:
+    """Coefficients (p,) of `columns` (m, p) for `target` (m,), and the squared residual.
+
+    By the normal equations of scaled columns; what columns have in common to a millionth is shared between them.
+    """
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    scale[scale == 0.0] = 1.0
+    normal = (columns.T @ columns) / np.outer(scale, scale)
+    solution = np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True) @ ((columns.T @ target) / scale) / scale
+    residual = target - columns @ solution
+    return solution, float(residual @ residual)
+
+
+def parabola_minimum(x: Floats, y: Floats) -> float:
+    """Where a parabola through the smallest of `y` (n,) over even `x` (n,) and its neighbours has its minimum."""
+    k = int(np.argmin(y))
+    if k in (0, y.size - 1):
+        return float(x[k])
+    curvature = y[k - 1] - 2.0 * y[k] + y[k + 1]
+    shift = 0.5 * (y[k - 1] - y[k + 1]) / curvature if curvature > 0.0 else 0.0
+    return float(x[k] + shift * (x[1] - x[0]))
