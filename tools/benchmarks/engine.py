@@ -18,6 +18,7 @@ import numpy as np
 
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.model.parameters import ModelFile, Quantity
 
 Call = tuple[Callable[..., object], tuple[object, ...]]
 
@@ -48,19 +49,19 @@ def diagnosed(
     said = report(found)
     said["first_p"] = getattr(found, "first_p", None)
     said["ignored"] = sorted(name for key, names in asked.items() if key not in known for name in names)
-    said["base"] = _base_numbers(found.model_after)
+    said["base"], said["fitted"] = _axis_numbers(found.model_before), _axis_numbers(found.model_after)
     said["process"] = {
         "wall_s": time.monotonic() - begin, "cpu_s": time.process_time(), "peak_mb": peak_mb(),
     }  # fmt: skip
     return said
 
 
-def _base_numbers(model: Any) -> dict[str, list[float | None]]:
-    """Value and standard deviation of what the base model has, by name."""
-    if model is None:  # none is offered where nothing carries over
+def _axis_numbers(model: ModelFile | None) -> dict[str, list[float | None]]:
+    """Value and standard deviation of inertia, delay and friction, by name; nothing where no model is offered."""
+    if model is None:
         return {}
-    kept = {"inertia_kg_m2": model.inertia_kg_m2, "delay_s": model.delay_s}
-    kept |= {name: getattr(model.friction, name) for name in ("coulomb_nm", "viscous_nm_per_rps")}
+    kept = {"inertia_kg_m2": model.inertia_kg_m2, "delay_s": model.delay_s, "sensor_delay_s": model.sensor_delay_s}
+    kept |= {name: value for name, value in model.friction if isinstance(value, Quantity)}
     return {name: [quantity.value, quantity.sd] for name, quantity in kept.items()}
 
 

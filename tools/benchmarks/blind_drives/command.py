@@ -30,8 +30,8 @@ NOTES = [
     "truth leaves no less. Drives whose held-out run hardly shows the effect (removable part below a tenth of floor2) "
     "are left out.",
     "A wave of more than 8 periods a turn is drawn by its rms over Coulomb friction, as a refit takes in nothing of "
-    "it; its name counts with its order (to 1 %). A name that a drive cannot have gets another drive, so that all names "
-    "come as often as they are drawn.",
+    "it; its name counts with its order (to 1 %). A name that a drive cannot have gets another drive, so that all "
+    "names come as often as they are drawn.",
     "Changes of delay, Stribeck, presliding and lag parameters are not drawn: on one surface a refit takes them in.",
 ]
 DRIVES_PURPOSE = "The eight drives of shared/data/blind, whose effects nobody has told: what is found in them."

@@ -17,7 +17,9 @@ from .score import wilson
 # and its like one sort of it, "x" a table.
 SERVED_BY: dict[str, frozenset[str]] = {
     "odd_speed_band": frozenset({"unknown:velocity"}),
-    "odd_direction_angle": frozenset({"unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)"}),
+    "odd_direction_angle": frozenset({
+        "unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)",
+    }),
     "odd_fatigue": frozenset({"unknown:memory"}),
     "odd_stick_patch": frozenset({
         "unknown:motor_angle", "motor_angle x velocity", "motor_angle x speed", "motor_angle x speed (drag)",

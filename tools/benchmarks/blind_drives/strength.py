@@ -226,7 +226,7 @@ def calibrate(
 def _wave(
     plant: PlantConfig, gains: Gains, asked: tuple[Profile, ...], variant: Variant, share: float
 ) -> Calibrated | None:
-    """A wave of many periods whose rms is this share of Coulomb friction (a ripple: of the torque that it is part of)."""
+    """A wave of many periods whose rms is this share of Coulomb friction (a ripple: of the torque it is part of)."""
     size = math.sqrt(2.0) * share * (plant.friction.coulomb_nm if variant.name == "cogging" else 1.0)
     effected = replace(plant, effects=(variant.at(size),))
     sound = not effected.errors() and is_sound(quiet_runs(effected, gains, asked))
