@@ -203,7 +203,7 @@ def draw(without: Sequence[dict[str, Any]], with_one: Sequence[dict[str, Any]], 
     import matplotlib as mpl
 
     mpl.use("svg")
-    mpl.rcParams["svg.hashsalt"] = NAME  # the same picture, byte for byte
+    mpl.rcParams |= {"svg.hashsalt": NAME, "svg.fonttype": "none"}  # the same picture, byte for byte, and small
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
