@@ -107,10 +107,11 @@ def planted_effect(seed: int) -> EffectConfig:
 
 
 def size_z(finding: dict[str, Any], said_as: str, true: float) -> float | None:
-    """Error of a size over its standard deviation; that of a WAVE is the length of its cosine and sine."""
+    """Error of a size over its standard deviation; that of a WAVE is the length of its cosine and sine. Signs are left
+    out: a plant's torque is a load in a model."""
     values, sd = finding["parameters"], finding["sd"]
     if said_as != WAVE:
-        return None if not sd.get(said_as) else float((values[said_as] - true) / sd[said_as])
+        return None if not sd.get(said_as) else float((abs(values[said_as]) - true) / sd[said_as])
     cos, sin = values["cos_nm"], values["sin_nm"]
     if isinstance(cos, dict) or not sd.get("cos_nm") or not sd.get("sin_nm"):
         return None  # a phase of its own a run: several sizes

@@ -17,7 +17,7 @@ import warnings
 import numpy as np
 
 THRESHOLDS = (0.003, 0.01, 0.03, 0.1)  # of the torque's standard deviation, chosen on runs left out
-MOST_TERMS = 30
+MOST_TERMS = 20
 TREES = 300
 FROLS_STEP = 4  # every so many rows: it is slow
 SMOOTH = 6  # regressors before the sines and cosines, which trees can do without
@@ -65,15 +65,15 @@ def frols(X, y, run, held, base):
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
 
+    X, held = with_products(X, base), with_products(held, base)
     model = FROLS(
         order_selection=True, n_info_values=MOST_TERMS, info_criteria="bic", model_type="NFIR",
         xlag=[[1]] * X.shape[1], basis_function=Polynomial(degree=1),
     )  # fmt: skip
-    X, held = with_products(X, base), with_products(held, base)
-    scale = X.std(axis=0).clip(1e-12)
-    some, wanted = (X / scale)[::FROLS_STEP], y[::FROLS_STEP]
+    scale, size = X.std(axis=0).clip(1e-12), y.std()  # it takes a small torque for none
+    some, wanted = (X / scale)[::FROLS_STEP], y[::FROLS_STEP] / size
     model.fit(X=np.roll(some, -1, axis=0)[:-1], y=wanted[:-1, None])
-    said = np.ravel(model.predict(X=np.roll(held / scale, -1, axis=0), y=np.zeros((len(held), 1))))
+    said = size * np.ravel(model.predict(X=np.roll(held / scale, -1, axis=0), y=np.zeros((len(held), 1))))
     chosen = [int(code) // 1000 - 2 for code in np.ravel(model.final_model) if code >= 2000]  # 2001: the first input
     terms = len(model.final_model)
     return said, terms, sum(number >= base for number in chosen)
