@@ -214,6 +214,36 @@ def test_an_ablation_counts_the_drives_whose_answer_changes():
     assert "swap" in found["notes"][0]  # what could not be switched off is told
 
 
+COMPARED = """
+import json, pathlib
+import common
+from drive_folders import DriveFolder
+from peers import peers_report
+
+def ours(nm, low, rest=None):
+    figures = {"torque_rms_nm": nm, "interval_95": {"torque_rms_nm": [low, 2 * nm - low]}}
+    return {"verdict": "no_effect_found", "effects": [], "unexplained_rest": rest,
+            "before": {"held_out": figures}, "after": {"held_out": figures}}
+
+def theirs(*errors_nm):
+    peers = {f"peer {k}": {"held_nm": nm, "terms": 5, "more": 3, "seconds": 1.0} for k, nm in enumerate(errors_nm)}
+    return {"peers": {**peers, "broken": {"failure": "no", "seconds": 0.1}}, "command_nm": 10.0, "base_nm": 1.0}
+
+drives = [DriveFolder(name, pathlib.Path(name), {"effects": []}) for name in "abc"]
+said = [(ours(1.0, 0.9), theirs(0.97, 2.0)), (ours(1.0, 0.9), theirs(2.0, 0.5)),
+        (ours(1.0, 0.9, {"rms_nm": 1.0}), theirs(0.5, 2.0))]
+report = peers_report(drives, said)
+print(json.dumps({"near": report.facts["near"], "untold": report.facts["untold"], "text": report.markdown()}))
+"""
+
+
+def test_a_peer_that_is_better_by_more_than_our_interval_must_be_told():
+    found = said(COMPARED)
+    assert found["near"] == 1  # 1.0 is within 1.05 times 0.97
+    assert found["untold"] == 1  # of the two drives with a better peer one says that something is left
+    assert "peer 0 | 3.0" in found["text"]
+
+
 PEERS = """
 import json
 import common

@@ -112,12 +112,12 @@ def run() -> int:
         calls: list[Call] = [(fit_peers, each) for each in zip(drives, ours, theirs, strict=True)]
         in_parallel(calls, 2, progress, fresh=True)
         said = [(json.loads(a.read_text()), json.loads(b.read_text())) for a, b in zip(ours, theirs, strict=True)]
+    return finish(peers_report(drives, said), options)
+
+
+def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> Report:
+    """A line a drive. `said`: our report and the peers' answer of each."""
     report = Report(NAME, PURPOSE)
-    _figures(report, drives, said)
-    return finish(report, options)
-
-
-def _figures(report: Report, drives: list[DriveFolder], said: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
     names = list(said[0][1]["peers"])
     table, near, untold = [], 0, 0
     false_terms: dict[str, list[int]] = {name: [] for name in names}
@@ -168,6 +168,7 @@ def _figures(report: Report, drives: list[DriveFolder], said: list[tuple[dict[st
         "is over the rows of the diagnosis. In brackets: terms (of gplearn: nodes of its program) and time.",
         f"Versions: {', '.join(line for line in _pinned() if '==' in line)}.",
     ]
+    return report
 
 
 def _cell(peer: dict[str, Any], scale: float) -> str:
