@@ -74,6 +74,31 @@ def test_nothing_is_gained_by_listing_more():
     assert rejected.false_findings == ()
 
 
+def test_a_wave_counts_with_its_order_alone_and_strong_waves_of_many_periods_are_counted_apart():
+    wave = {**effect(), "parameters": {"order": 24.0}, "share_of_coulomb": 0.2}
+    faint = {**wave, "share_of_coulomb": 0.1}
+    right, wrong = ({**finding("cogging"), "parameters": {"order": order}} for order in (24.05, 12.0))
+    drives = [scored([wave], [right]), scored([wave], [wrong]), scored([faint], [right])]
+    assert [drive.guesses[0].in_family for drive in drives] == [True, False, True]
+    assert score.summarise(drives).waves[:2] == (1, 2)
+
+
+def test_a_missed_effect_is_silent_where_no_rest_is_told():
+    missed = scored([effect()], [finding("quadratic_drag")])
+    told = score.score_drive(
+        {"seed": 7, "effects": [effect()]},
+        {
+            "verdict": "nothing_carries_over", "effects": [], "seconds": 20.0, "unexplained_rest": {"rms_nm": 1.0},
+            "before": {"held_out": {"torque_rms_nm": 2.0, "torque_relative_percent": 20.0}},
+            "after": {"held_out": None},
+        },
+        1.0,
+    )  # fmt: skip
+    assert [drive.silent for drive in (missed, told, scored([effect()], [finding("cogging")]))] == [True, False, False]
+    assert told.torque_percent == (20.0, 20.0)  # no model is offered: all is as it was
+    assert score.summarise([missed, told]).silent[:2] == (1, 2)
+
+
 def test_two_effects_are_matched_in_any_order_and_exact_names_first():
     both = scored([effect("cogging"), effect("unbalance")], [finding("unbalance", ["cogging"]), finding("cogging")])
     assert [guess.named for guess in both.guesses] == [True, True]

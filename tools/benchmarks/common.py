@@ -131,6 +131,10 @@ class Report:
         self.lines.append(Line(what, f"{value:.{digits}g} {unit}".rstrip(), limit, met))
         self.facts[what] = value
 
+    def bounded(self, what: str, figure: str, met: bool | None = None, target: str = "") -> None:
+        """A figure in words, with what it must reach in words too."""
+        self.lines.append(Line(what, figure, target, met))
+
     def table(self, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """A table below the figures."""
         lines = [header, ["---"] * len(header), *rows]

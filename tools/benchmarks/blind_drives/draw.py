@@ -2,6 +2,7 @@
 
 Of five seeds in a row three have effects: of six such drives four have one of the library, one has two, and one has an
 effect that is in no library. The order of names is a permutation per round, so that each comes as often as another.
+Drives of the odd kinds alone come in turn: each of the ten once in ten seeds.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ ODD_AXES = {
     "odd_cable": ("memory", "travel_since_reversal"),
 }
 ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+MANY_PERIODS = range(4, 73)  # waves a turn: slots, poles and their least common multiple
+MIXED, ODD = "mixed", "odd"  # what a set is drawn from
+WAVES = ("cogging", "torque_ripple", "friction_ripple")
 SMALL_MOTOR_A = 2.5
 WITH_EFFECTS = 3  # of
 OF_SEEDS = 5
@@ -64,8 +68,10 @@ class Variant:
         return EffectConfig(self.name, {**self.fixed, **more, self.strength: self.sign * size})
 
 
-def kind_of(seed: int) -> tuple[int, bool]:
+def kind_of(seed: int, kinds: str = MIXED) -> tuple[int, bool]:
     """How many effects a drive of this seed has, and whether one is in no library."""
+    if kinds == ODD:
+        return 1, True
     place = seed % OF_SEEDS
     if place >= WITH_EFFECTS:
         return 0, False
@@ -73,8 +79,10 @@ def kind_of(seed: int) -> tuple[int, bool]:
     return (2 if turn == 4 else 1), turn == 5
 
 
-def effect_names(seed: int) -> list[str]:
-    """Names in the order in which they are tried for this seed, the first being its turn."""
+def effect_names(seed: int, kinds: str = MIXED) -> list[str]:
+    """Names of which the first is that of this seed; the others may stand beside it."""
+    if kinds == ODD:
+        return [sorted(ODD_AXES)[seed % len(ODD_AXES)]]
     _, odd = kind_of(seed)
     known = sorted(name for name in EFFECTS if name.startswith("odd_") == odd)
     left = [name for name in known if name not in IN_THE_BASE and name != "thermal_drift"]
@@ -169,7 +177,10 @@ def _even(low: float, high: float) -> Callable[[Draw], float]:
 
 
 def _order(draw: Draw) -> float:
-    """Mostly whole, at times half, gear-related or free."""
+    """Half of them many periods a turn, all octaves alike; else mostly whole, at times half, gear-related or free."""
+    if draw.uniform() < 0.5:
+        weights = 1.0 / np.array(MANY_PERIODS)
+        return float(draw.choice(MANY_PERIODS, p=weights / weights.sum()))
     kind = draw.uniform()
     if kind < 0.65:
         return float(draw.choice(ORDERS))
@@ -255,6 +266,6 @@ def effect_draws(seed: int) -> Draw:
     return np.random.default_rng((seed, 2))
 
 
-def plant_draws(seed: int) -> Draw:
-    """The generator of a drive's parameters."""
-    return np.random.default_rng((seed, 1))
+def plant_draws(seed: int, attempt: int = 0) -> Draw:
+    """The generator of a drive's parameters; an attempt of its own for each plant that could not have its effect."""
+    return np.random.default_rng((seed, 1, attempt) if attempt else (seed, 1))

@@ -14,7 +14,9 @@ import numpy as np
 from fffo_drive.drive.simulated.parameters import PlantConfig
 
 from .draw import (
+    MIXED,
     ODD_AXES,
+    WAVES,
     base_plant,
     chirp_current_a,
     effect_draws,
@@ -30,6 +32,7 @@ from .simulate import Gains, Run, simulate
 from .strength import Calibrated, calibrate, is_sound, quiet_runs
 
 DRAWS_OF_A_NAME = 3
+MOST_PLANTS = 8  # for one name: each comes as often as it was drawn, and not as often as it is easy
 MOST_PARTNERS = 6
 # two of one group are never put into one drive: together they are one effect of another size
 GROUPS = (
@@ -55,6 +58,7 @@ class BlindDrive:
     gains: Gains
     asked: tuple[Profile, ...]
     effects: tuple[Calibrated, ...]
+    plants: int = 1  # how many were drawn until one could have the effects of this seed
 
     def runs(self, with_effects: bool = True) -> list[Run]:
         """The four runs with all their noise; without effects: the twin of the drive, under the same noise."""
@@ -80,34 +84,46 @@ class BlindDrive:
                 "axes": list(ODD_AXES.get(found.variant.name, ())),
                 "parameters": dict(found.variant.at(found.size).parameters),
                 "share_of_friction_after_refit": found.share,
+                "share_of_coulomb": self._of_coulomb(found),
             }
             for found in self.effects
         ]
-        return {"seed": self.seed, "effects": effects, "plant": asdict(replace(self.plant, effects=()))}
+        plant = asdict(replace(self.plant, effects=()))
+        return {"seed": self.seed, "plants": self.plants, "effects": effects, "plant": plant}
+
+    def _of_coulomb(self, found: Calibrated) -> float | None:
+        """Amplitude of a wave over Coulomb friction; that of a ripple is a share of the torque, which is at least that
+        while the axis moves. None for what is no wave."""
+        if found.variant.name not in WAVES:
+            return None
+        return found.size / self.plant.friction.coulomb_nm if found.variant.name == "cogging" else found.size
 
 
-def make_drive(seed: int, friction: str = "single_2sep") -> BlindDrive:
-    """The drive of a seed. `friction`: "single_2sep" or "five_surfaces"."""
-    count, odd = kind_of(seed)
-    names = effect_names(seed) if count else []
+def make_drive(seed: int, friction: str = "single_2sep", kinds: str = MIXED) -> BlindDrive:
+    """The drive of a seed. `friction`: "single_2sep" or "five_surfaces"; `kinds`: MIXED, or ODD for those alone.
+
+    Raises RuntimeError where none of `MOST_PLANTS` plants can have the effect whose turn it is.
+    """
+    count, _ = kind_of(seed, kinds)
+    names = effect_names(seed, kinds) if count else []
     draw = effect_draws(seed)
-    for name in names:
-        plant = with_limits(base_plant(plant_draws(seed), seed, friction), [name])
+    for attempt in range(MOST_PLANTS):
+        plant = with_limits(base_plant(plant_draws(seed, attempt), seed, friction), names[:1])
         gains = gains_of(plant)
         asked = profiles(seed, chirp_current_a(plant))
-        first = _calibrated(plant, gains, asked, name, draw)
+        if not names:
+            return _with(seed, plant, gains, asked, ())
+        first = _calibrated(plant, gains, asked, names[0], draw)
         if first is None:
             continue
-        if count == 1:
-            return _with(seed, plant, gains, asked, (first,))
-        drive = _with_partner(seed, plant, gains, asked, first, names)
+        drive = _with(seed, plant, gains, asked, (first,))
+        if count == 2:
+            drive = _with_partner(seed, plant, gains, asked, first, names)
         if drive is not None:
-            return drive
-    if names:
-        kind = "outside the library" if odd else "of the library"
-        raise RuntimeError(f"seed {seed}: no effect {kind} reaches its share of the friction torque on this drive")
-    plant = with_limits(base_plant(plant_draws(seed), seed, friction), [])
-    return _with(seed, plant, gains_of(plant), profiles(seed, chirp_current_a(plant)), ())
+            return replace(drive, plants=attempt + 1)
+    raise RuntimeError(
+        f"seed {seed}: {names[0]} reaches its share of the friction torque on none of {MOST_PLANTS} plants"
+    )
 
 
 def _with(

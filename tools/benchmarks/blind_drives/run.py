@@ -1,6 +1,6 @@
 """Hand blind drives to the diagnosis, which sees a folder of logs and nothing else, and keep what it says.
 
-A process a drive, two at a time; each report is a file, so an interrupted run goes on where it stopped. Beside it the
+Each report is a file, so an interrupted run goes on where it stopped. Beside it the
 floor: the held-out torque error of the base model on the twin of the drive, simulated without the effects under the
 same noise. An oracle that is told the true effects leaves no less than that.
 """
@@ -8,13 +8,14 @@ same noise. An oracle that is told the true effects leaves no less than that.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from engine import diagnosed, write_answer
 
-from fffo_drive.diagnosis.results import report
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig, ThermalConfig
 from fffo_drive.drive.simulated.surfaces import FrictionConfig, SingleSurface, Surface
 from fffo_drive.identification.dataset import Record, load_records
@@ -28,16 +29,19 @@ from .simulate import Run
 FITTED = ("identify", "track", "recipe")
 
 
-def diagnose_folder(folder: Path, answer: Path) -> None:
+def diagnose_folder(folder: Path, answer: Path, without: Iterable[str] = (), ablate: Iterable[str] = ()) -> None:
     """Diagnose one drive by its logs and declared facts; the report goes to `answer`. An answer that exists is kept."""
     if answer.exists():
         return
-    from fffo_drive.diagnosis.diagnose import diagnose  # loads slowly, and only in the processes that need it
+    fit, held_out, facts = records_of(folder)
+    write_answer(answer, diagnosed(fit, held_out, facts, without, ablate))
 
+
+def records_of(folder: Path) -> tuple[list[Record], list[Record], DriveFacts]:
+    """The runs that are fitted, the held-out ones, and the declared facts of a drive."""
     facts = read_facts(folder / "drive.yaml")
     fit = load_records([folder / f"{name}.csv.gz" for name in FITTED], facts)
-    held_out = load_records([folder / f"{HELD_OUT}.csv.gz"], facts)
-    _write(answer, report(diagnose(fit, held_out, facts)))
+    return fit, load_records([folder / f"{HELD_OUT}.csv.gz"], facts), facts
 
 
 def floor_of(truth_path: Path, answer: Path) -> None:
@@ -51,22 +55,7 @@ def floor_of(truth_path: Path, answer: Path) -> None:
     facts = DriveFacts.model_validate(drive.facts())
     records = {run.profile.name: record_of(run, facts) for run in drive.runs(with_effects=False)}
     figures = base_figures([records[name] for name in FITTED], [records[HELD_OUT]], facts)
-    _write(answer, {"torque_rms_nm": figures.torque_rms_nm.value})
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(content, default=_plain, indent=1) + "\n")
-    part.replace(path)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value)
+    write_answer(answer, {"torque_rms_nm": figures.torque_rms_nm.value})
 
 
 def drive_from_truth(truth: dict[str, Any]) -> BlindDrive:

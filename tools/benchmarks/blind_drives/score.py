@@ -19,6 +19,8 @@ NORMAL_95 = 1.959964
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
 RESAMPLES = 4000
 NOTHING = "(nothing)"
+FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12.0, 72.0, 0.15  # a turn; amplitude over Coulomb friction
+ORDER_TOLERANCE = 0.01  # of a wave's order, for its name to count
 
 
 class Share(NamedTuple):
@@ -58,6 +60,7 @@ class Guess(NamedTuple):
     said: str  # name of the finding that was matched, or of the first finding that matches nothing
     named: bool
     in_family: bool
+    is_target_wave: bool = False  # of FEWEST to MOST periods a turn, and STRONG enough that it must be found
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class Scored:
     removed: float | None  # share of the squared held-out error that the oracle removes; None: hardly shown there
     seconds: float
     torque_percent: tuple[float, float]  # held-out, before and after
+    silent: bool  # an effect is not among the findings, and nothing says that something is left
+    peak_mb: float | None  # of the process; None in reports of earlier code
 
     @property
     def has_effects(self) -> bool:
@@ -90,13 +95,17 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
             match = next((f for f in left if guesses[k] is None and _matches(effect, f, exact)), None)
             if match is not None:
                 left.remove(match)
-                guesses[k] = Guess(effect["name"], effect["in_library"], match["name"], exact, True)
+                guesses[k] = Guess(
+                    effect["name"], effect["in_library"], match["name"], exact, True, _is_target_wave(effect)
+                )
     spare = list(left)
     for k, effect in enumerate(effects):
         if guesses[k] is None:
             said = spare.pop(0)["name"] if spare else NOTHING
-            guesses[k] = Guess(effect["name"], effect["in_library"], said, False, False)
-    before, after = (report[when]["held_out"] for when in ("before", "after"))
+            guesses[k] = Guess(effect["name"], effect["in_library"], said, False, False, _is_target_wave(effect))
+    before = report["before"]["held_out"]
+    after = report["after"]["held_out"] or before  # nothing that carries over is no model: all is as before
+    told = report["verdict"] == "unexplained" or report.get("unexplained_rest") is not None
     matched = len(effects) - sum(1 for guess in guesses if guess is not None and not guess.in_family)
     false = [f["name"] for f in (left + accepted[len(counted) :])] if effects else [f["name"] for f in accepted]
     assert matched + len(false) == len(accepted)
@@ -108,14 +117,27 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
         removed=_removed(before["torque_rms_nm"], after["torque_rms_nm"], floor_rms_nm) if effects else None,
         seconds=float(report["seconds"]),
         torque_percent=(before["torque_relative_percent"], after["torque_relative_percent"]),
+        silent=matched < len(effects) and not told,
+        peak_mb=report.get("process", {}).get("peak_mb"),
     )
+
+
+def _is_target_wave(effect: Mapping[str, Any]) -> bool:
+    order, share = effect.get("parameters", {}).get("order", 0.0), effect.get("share_of_coulomb") or 0.0
+    return FEWEST_PERIODS <= order <= MOST_PERIODS and share >= STRONG_SHARE
 
 
 def _matches(effect: Mapping[str, Any], finding: Mapping[str, Any], exact: bool) -> bool:
     names = [finding["name"]] if exact else [finding["name"], *finding["alternatives"]]
     if effect["in_library"]:
-        return effect["name"] in names
+        return effect["name"] in names and _same_order(effect, finding)
     return any(name.startswith("unknown:") and name.partition(":")[2] in effect["axes"] for name in names)
+
+
+def _same_order(effect: Mapping[str, Any], finding: Mapping[str, Any]) -> bool:
+    """A wave of another order is another wave."""
+    true, said = (one.get("parameters", {}).get("order") for one in (effect, finding))
+    return true is None or said is None or abs(said - true) <= ORDER_TOLERANCE * true
 
 
 def _removed(before: float, after: float, floor: float | None) -> float | None:
@@ -165,7 +187,11 @@ class Summary:
     extra_drives: Share  # drives with effects on which something stands beside the truth
     unexplained_free: Share  # effect-free drives of which something is said to be left
     worse_drives: Share  # drives with effects whose held-out torque error is larger after than before
+    waves: Share  # of strong waves of many periods: first or in the family
+    silent: Share  # drives with effects that are not named, and nothing is said of a rest
     slowest_s: float
+    median_s: float
+    peak_mb: float
 
 
 def summarise(scored: Sequence[Scored]) -> Summary:
@@ -183,7 +209,11 @@ def summarise(scored: Sequence[Scored]) -> Summary:
         extra_drives=wilson(sum(_extra(one) for one in effected), len(effected)),
         unexplained_free=wilson(sum(one.verdict == "unexplained" for one in free), len(free)),
         worse_drives=wilson(sum(one.torque_percent[1] > one.torque_percent[0] for one in effected), len(effected)),
+        waves=wilson(sum(g.in_family for g in known if g.is_target_wave), sum(g.is_target_wave for g in known)),
+        silent=wilson(sum(one.silent for one in effected), len(effected)),
         slowest_s=max((one.seconds for one in scored), default=0.0),
+        median_s=float(np.median([one.seconds for one in scored])) if scored else 0.0,
+        peak_mb=max((one.peak_mb or 0.0 for one in scored), default=0.0),
     )
 
 

@@ -3,6 +3,9 @@
 The motion with the effect is simulated without noise. What the torque balance with the true base parameters leaves is
 the effect's torque; what a refit of inertia, delay and all friction parameters to that motion still leaves is the part
 that a base model cannot take in. The friction in the refit is the plant's own, stepped along the motion.
+
+A wave of many periods a turn lies mostly above the band of that balance, which would let only enormous ones count. No
+base model takes it in, so its strength is that of the wave itself: rms over Coulomb friction.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from fffo_drive.drive.simulated.pack import plant_parameters
 from fffo_drive.drive.simulated.parameters import PlantConfig, delay_budget, noiseless
 from fffo_drive.jit import njit
 
-from .draw import Draw, Variant
+from .draw import WAVES, Draw, Variant
 from .profiles import CLOSED_LOOP, HELD_OUT, PERIOD_S, Profile
 from .simulate import Gains, Run, simulate
 
@@ -28,6 +31,7 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 LOWEST, HIGHEST = 0.05, 0.30  # share of the friction torque that an effect has after the refit
 CLOSE_ENOUGH = 1.2
 TRIALS = 7
+MOST_PERIODS = 8.0  # a turn, of a wave that the balance shows at the usual speeds
 CUTOFF_HZ = 60.0
 DECIMATION = 10
 MOVING_RPS = 0.05
@@ -193,6 +197,8 @@ def calibrate(
 ) -> Calibrated | None:
     """The strength at which the effect has a drawn share of the friction torque. None: this effect cannot have it."""
     wanted = float(np.exp(draw.uniform(math.log(LOWEST * 1.15), math.log(HIGHEST / 1.1))))
+    if variant.name in WAVES and variant.fixed["order"] > MOST_PERIODS:
+        return _wave(plant, gains, asked, variant, wanted)
     low, high = variant.lowest, variant.highest
     size = variant.first
     best: Calibrated | None = None
@@ -215,3 +221,13 @@ def calibrate(
         if high / low < 1.02:
             break
     return best
+
+
+def _wave(
+    plant: PlantConfig, gains: Gains, asked: tuple[Profile, ...], variant: Variant, share: float
+) -> Calibrated | None:
+    """A wave of many periods whose rms is this share of Coulomb friction (a ripple: of the torque it is part of)."""
+    size = math.sqrt(2.0) * share * (plant.friction.coulomb_nm if variant.name == "cogging" else 1.0)
+    effected = replace(plant, effects=(variant.at(size),))
+    sound = not effected.errors() and is_sound(quiet_runs(effected, gains, asked))
+    return Calibrated(variant, size, share) if sound else None

@@ -1,0 +1,77 @@
+"""Leave one kind out: the effects that are in no library, diagnosed without the curves that serve their kind.
+
+Right is `unknown:` on an axis that can be defended, or a rest that is told; wrong is a law's name or another axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from common import Report
+from engine import first_names, rest_is_told
+
+from .score import wilson
+
+# All that shows the kind directly, as the search calls it: a word takes away every curve over that axis, "drag(...)"
+# and its like one sort of it, "x" a table.
+SERVED_BY: dict[str, frozenset[str]] = {
+    "odd_speed_band": frozenset({"unknown:velocity"}),
+    "odd_direction_angle": frozenset({
+        "unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)",
+    }),
+    "odd_fatigue": frozenset({"unknown:memory"}),
+    "odd_stick_patch": frozenset({
+        "unknown:motor_angle", "motor_angle x velocity", "motor_angle x speed", "motor_angle x speed (drag)",
+    }),
+    "odd_current_heating": frozenset({"unknown:memory"}),
+    "odd_two_levels": frozenset({"unknown:memory", "velocity x memory", "memory x speed"}),
+    "odd_alternate_turns": frozenset({"unknown:motor_angle"}),
+    "odd_eddy_brake": frozenset({"unknown:current", "velocity x current"}),
+    "odd_late_kick": frozenset({"unknown:travel_since_reversal", "travel_since_reversal x speed"}),
+    "odd_cable": frozenset({"unknown:memory"}),
+}  # fmt: skip
+MOST_WRONG = 0.05
+
+
+class LeftOut(NamedTuple):
+    """One drive."""
+
+    seed: int
+    kind: str
+    said: str
+    outcome: str  # "right axis", "rest told", "wrong" or "silent"
+
+
+def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
+    """What became of the one effect of a drive whose kind was left out."""
+    effect = truth["effects"][0]
+    accepted = [finding["name"] for finding in report["effects"] if finding["accepted"]]
+    allowed = {f"unknown:{axis}" for axis in effect["axes"]}
+    if any(name not in allowed for name in accepted):
+        outcome = "wrong"
+    elif accepted:
+        outcome = "right axis"
+    else:
+        outcome = "rest told" if rest_is_told(report) else "silent"
+    return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome)
+
+
+def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report:
+    """Figures and a line a drive."""
+    report = Report("blind_left_out", __doc__ or "")
+    for outcome in ("right axis", "rest told", "wrong", "silent"):
+        share = wilson(sum(one.outcome == outcome for one in judged), len(judged))
+        if outcome == "wrong":
+            report.bounded("wrong name or axis", str(share), share.value <= MOST_WRONG, f"<= {100 * MOST_WRONG:.0f} %")
+        else:
+            report.bounded(outcome, str(share))
+        report.facts[outcome] = share.found
+    rows = [
+        [one.kind, str(one.seed), ", ".join(f"`{n}`" for n in sorted(SERVED_BY[one.kind])), one.said, one.outcome]
+        for one in sorted(judged, key=lambda one: (one.kind, one.seed))
+    ]
+    report.table(["kind", "drive", "left out of the search", "said", "is"], rows)
+    if ignored:
+        report.notes.append("**The search left nothing out:** this version of it cannot. The figures are of all of it.")
+    return report
