@@ -1,10 +1,10 @@
 """A small simulated machine that shares nothing with the controller's model: Dahl friction, an encoder, a warm bearing.
 
-    2 pi J dv/dt = T - z (1 + share |T|) level(t) g(v) - B v - load(position, t),  dz/dt = (v - |v| z) / presliding
+    2 pi J dv/dt = T - z (Fc + share |T|) h(v) level(t) - B v - load(position, t),  dz/dt = (v - |v| z) / presliding
 
-z is the bristle, -1 to 1; g = Fc + (Fs - Fc) exp(-(v / vs)^2); T follows the command late and through a lag. The load is
-what the cases are about (a constant, waves of the angle, pulses) and a coloured torque that no model explains. Every
-number of a case is in its `Machine`, all noise comes from a seed: records are the same on every call.
+z is the bristle, -1 to 1; h = 1 + (Fs / Fc - 1) exp(-(v / vs)^2); T follows the command late and through a lag. The
+load is what the cases are about (a constant, waves of the angle, pushes) and a coloured torque that no model explains.
+Every number of a case is in its `Machine`, all noise comes from a seed: records are the same on every call.
 """
 
 from __future__ import annotations
@@ -113,6 +113,7 @@ def _advance(p, waves, reference, mode, gain, second, random, out):
                 else:
                     load += wave
             clock = (begin + k * period) / every
+            load -= pulse * wide / every  # no constant torque is left of the pushes
             if (clock - math.floor(clock)) * every < wide:
                 load += pulse
             way = 1.0 if v > 0.0 else -1.0
@@ -131,9 +132,8 @@ def coloured(random, n, bandwidth_hz, period_s):
 
 
 def run(
-    machine, reference, mode=VELOCITY, gains=(1.0, 10.0), period_s=0.001, name="run", begin_s=0.0, start_rev=0.0, seed=1,
-    with_reference=True,
-):  # fmt: skip
+    machine, reference, mode=VELOCITY, gains=(1.0, 10.0), period_s=0.001, name="run", begin_s=0.0, start_rev=0.0, seed=1
+):
     """The record of one run. `gains`: A/rps and A/rev (VELOCITY), A/rev and A/rps (POSITION)."""
     m, n = machine, reference.size
     random = np.random.default_rng(seed)
@@ -152,10 +152,8 @@ def run(
     )  # fmt: skip
     waves = np.array([(w.order, w.size_nm, w.phase_rev, float(w.friction)) for w in m.waves]).reshape(-1, 4)
     out = np.zeros((4, n))
-    _advance(
-        tuple(map(float, numbers)), waves, np.ascontiguousarray(reference, dtype=float), mode, *gains, noise, out
-    )
-    closed = mode == VELOCITY and with_reference
+    _advance(tuple(map(float, numbers)), waves, np.ascontiguousarray(reference, dtype=float), mode, *gains, noise, out)
+    closed = mode == VELOCITY
     return Record(
         name=name, path=Path(name), period_s=period_s, torque_constant_nm_per_a=m.torque_constant_nm_per_a,
         current_a=out[0].copy(), position_rev=out[1].copy(), velocity_rps=out[2].copy(),
