@@ -66,6 +66,7 @@ class Machine:
     velocity_lag_s: float = 0.0015
     current_lsb_a: float = 1e-3
     current_limit_a: float = 50.0
+    anti_cogging_share: float = 0.0  # of the waves, that the drive itself adds to its command by the measured angle
 
 
 @njit
@@ -73,7 +74,7 @@ def _advance(p, waves, reference, mode, gain, second, random, out):
     """One run. `random` (4, n): coloured torque, Coulomb level, current, encoder; `out` (4, n): command, position,
     velocity estimate, true velocity."""
     (inertia, coulomb, viscous, kt, static, stribeck, presliding, offset, load_share, cable, pulse, every, wide, delay,
-     lag, lsb, eccentric, velocity_lag, period, current_lsb, limit, x, begin) = p  # fmt: skip
+     lag, lsb, eccentric, velocity_lag, period, current_lsb, limit, x, begin, anti_cogging) = p  # fmt: skip
     steps = round(period / SUBSTEP_S)
     late = int(delay / period)
     fresh = round((delay - late * period) / SUBSTEP_S)
@@ -93,6 +94,8 @@ def _advance(p, waves, reference, mode, gain, second, random, out):
             command = gain * (reference[k] - counted) - second * estimate
         else:
             command = reference[k]
+        for w in range(waves.shape[0]):
+            command += anti_cogging / kt * waves[w, 1] * math.cos(2.0 * math.pi * (waves[w, 0] * counted - waves[w, 2]))
         command = min(max(command, -limit), limit)
         command = math.floor(command / current_lsb + 0.5) * current_lsb
         out[0, k] = command
@@ -148,7 +151,7 @@ def run(
         m.inertia_kg_m2, m.coulomb_nm, m.viscous_nm_per_rps, m.torque_constant_nm_per_a, m.static_nm, m.stribeck_rps,
         m.presliding_rev, m.offset_nm, m.load_share, m.cable_nm_per_rev, m.pulse_nm, m.pulse_every_s, m.pulse_s,
         m.delay_s, m.current_lag_s, m.lsb_rev, m.eccentricity_rev, m.velocity_lag_s, period_s, m.current_lsb_a,
-        m.current_limit_a, start_rev, begin_s,
+        m.current_limit_a, start_rev, begin_s, m.anti_cogging_share,
     )  # fmt: skip
     waves = np.array([(w.order, w.size_nm, w.phase_rev, float(w.friction)) for w in m.waves]).reshape(-1, 4)
     out = np.zeros((4, n))
