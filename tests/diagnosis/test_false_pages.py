@@ -19,7 +19,7 @@ NAMED = ("disc", "coupled", "wrist", "waves_slow", "waves_fast", "arm")
 UNNAMED = ("payload", "oneway", "clock")
 # laws that take their part of the motor's torque away, or need what none of these machines has
 NOT_THERE = {"current_lag", "voltage_limit", "elasticity", "delay", "torque_saturation", "dead_zone", "backlash"}
-LONG_CURVES = {"unknown:output_angle", "unknown:time", "unknown:frequency"}
+LONG_CURVES = {"unknown:output_angle", "unknown:frequency"}
 ALPHA = 0.01
 DELAY_S = 0.003  # of command to torque, about, of all of them
 SIGN_RPS = 0.02  # slower than this a machine stands
