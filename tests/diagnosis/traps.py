@@ -51,9 +51,9 @@ def disc() -> Trap:
         warming_s=60.0, wander_share=0.03, rough_nm=0.0008, rough_hz=3.0, current_noise_a=0.004, presliding_rev=1e-4,
         encoder_noise_rev=2e-6, eccentricity_rev=2e-5, current_lsb_a=0.0027, current_limit_a=8.0,
     )  # fmt: skip
-    peaks_nm = (0.16, 0.14, 0.18, 0.15, 0.17, 0.16)
+    peaks_nm = (0.2, 0.18, 0.22, 0.19, 0.21, 0.2)
     references = {
-        f"sines-{k}": sines(10 + k, 12.0, MS, peak / machine.torque_constant_nm_per_a, 1.5, 7.0, slope=0.0)
+        f"sines-{k}": sines(10 + k, 12.0, MS, peak / machine.torque_constant_nm_per_a, 2.0, 9.0, slope=0.0)
         for k, peak in enumerate(peaks_nm, 1)
     }
     runs = _one_after_another(machine, references, (0.0, 0.0), seed=100, mode=TORQUE)
