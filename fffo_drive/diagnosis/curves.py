@@ -195,7 +195,14 @@ def kind_of_curve(curve: Curve) -> str:
     """What a search without a kind of curve leaves out: the channel of a table, `kind(axis)` of a curve."""
     if curve.pair is not None:
         return curve.pair.name
-    kinds = {PLAIN: "torque", FRICTION: "friction", VISCOUS: "viscous", RESPONSE: "response", WOUND: "wound", BRAKE: "drag"}
+    kinds = {
+        PLAIN: "torque",
+        FRICTION: "friction",
+        VISCOUS: "viscous",
+        RESPONSE: "response",
+        WOUND: "wound",
+        BRAKE: "drag",
+    }
     current = ", current" if curve.shapes.get("of_current", 0.0) else ""
     turns = curve.shapes.get("scale", 0.0)
     period = f", {turns:g}" if curve.name.removeprefix(UNKNOWN) in ANGLES and turns > 1.0 else ""

@@ -1,4 +1,4 @@
-"""The diagnosis of an axis: base fit, search, selection, proof, verdict."""
+"""The diagnosis of an axis: runs first, base fit, search, proof, rest, verdict."""
 
 from __future__ import annotations
 
@@ -9,65 +9,71 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from .. import __version__
-from ..identification.dataset import DataError, Record
+from ..identification.coordinates import PARAMETERS
+from ..identification.criterion import Gain
+from ..identification.dataset import DataError, Record, one_rate
 from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
+from ..identification.ranking import ranked
+from ..identification.runs import RunsLook, look_at_runs
 from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
-from ..model.parameters import EffectModel, FrictionModel, ModelFile, Provenance, Quantity, effect_model
+from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity, effect_model
 from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
-from .candidates import Effect
-from .cautions import cautions
-from .finishing import merged_datum, standard_deviations
-from .fitting import Data, Fitted, consistent_scenes, loads_of, raw_share
-from .paths import Rows, Stretch, make_filter, rows_of, stretches_of
+from .channels import channels
+from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
+from .gates import needed_rows
 from .pictures import ceiling, picture, run_figures
-from .proof import data_of, error_figures, with_own_datum
-from .results import Channel, Diagnosis, ErrorFigures, Finding, Number, Rival
-from .selection import (
-    Search,
-    Selection,
-    acting_rows,
-    effect_rms,
-    evidence_of,
-    family,
-    select,
-)
+from .proof import Proof, data_of, error_figures, with_own_datum
+from .rest import rest_of
+from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
+from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
+from .scenes import Effect, load_rows
+from .select import Accepted, Refused, Selection, Selector
 from .startup import fit_base, start_physical
-from .tables import with_table
-from .where import where
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-LEAST_LEFT = 0.1  # of the squared residual, for what is left over to be called unexplained
+MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts")  # that can be ablated
 KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
+ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
+DELAY_TOLERANCE_S = 0.0015  # beyond the declared delay, from which on it is noted
+SHOWN_TRIALS = 30
 
 
 class DiagnosisSettings(NamedTuple):
     """What a diagnosis goes by."""
 
     false_alarm_rate: float = 0.01  # over the whole search
-    usual_delay_s: float = 0.003  # command to torque, where nothing is declared: the paper's
-    delay_tolerance_s: float = 0.0015
+    without: frozenset[str] = frozenset()  # laws, `unknown:AXIS`, kinds of curves or pairs that are left out
+    ablate: frozenset[str] = frozenset()  # of MECHANISMS, switched off
+    cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
 
 
 def prepared(
-    records: Sequence[Record], facts: DriveFacts, model: ModelFile | None
-) -> tuple[list[Stretch], Rows, Floats]:
-    """Stretches, rows, and base parameters to start from."""
+    records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter
+) -> tuple[Data, Fitted]:
+    """Data with its levels of noise, and the base model fitted."""
+    stretches = stretches_of(records, filter_)
+    if not stretches:
+        raise DataError("no run has a stretch without a gap that is long enough")
+    rows = rows_of(stretches, filter_)
+    start = physical_of(model) if model is not None else start_physical(facts, stretches, rows)
+    return fit_base(stretches, rows, start, len(records))
+
+
+def filter_for(records: Sequence[Record], facts: DriveFacts, settings: DiagnosisSettings) -> Filter:
+    """The filter that all signals share."""
     if not records:
         raise DataError("no runs to fit: at least one is needed")
-    stretches = stretches_of(records)
-    if not stretches:
-        raise DataError("no run has a stretch of two seconds without a gap")
-    rows = rows_of(stretches, make_filter(records[0].period_s))
-    start = physical_of(model) if model is not None else start_physical(records, facts, stretches, rows)
-    return stretches, rows, start
+    cutoff_hz = settings.cutoff_hz or cutoff_of(records, facts.units == "rotary")
+    return make_filter(records[0].period_s, cutoff_hz)
 
 
 def physical_of(model: ModelFile) -> Floats:
@@ -84,11 +90,12 @@ def physical_of(model: ModelFile) -> Floats:
 def base_figures(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, model: ModelFile | None = None
 ) -> ErrorFigures:
-    """Errors of the base model alone on held-out runs: the `before` of a diagnosis."""
-    stretches, rows, start = prepared(fit, facts, model)
-    _, base, _ = fit_base(stretches, rows, start, len(fit))
-    data = data_of(held_out, base.physical)
-    return error_figures(held_out, data, with_own_datum(data, base)[0])
+    """Errors of the base model alone on held-out runs: the `before` of a diagnosis without effects."""
+    filter_ = filter_for(fit, facts, DiagnosisSettings())
+    _, base = prepared(fit, facts, model, filter_)
+    data = data_of(held_out, filter_, base)
+    found = with_own_datum(data, base)[0]
+    return error_figures(data, found, needed_rows(data, found))
 
 
 def diagnose(
@@ -102,244 +109,260 @@ def diagnose(
     begin = time.monotonic()
     settings = settings or DiagnosisSettings()
     tell = progress or (lambda share, text: None)
-    tell(0.0, "base model")
-    stretches, rows, start = prepared(fit, facts, model)
-    data, base, matrix = fit_base(stretches, rows, start, len(fit))
-    tell(0.2, "search")
-    search = Search(facts, settings.false_alarm_rate, lambda share, text: tell(0.2 + 0.55 * share, text))
-    selected = select(data, base, matrix, search)
-    selected = with_table(selected, settings.false_alarm_rate, lambda share: tell(0.75 + 0.1 * share, "pairs of axes"))
-    fitted = merged_datum(selected.data, selected.sensitivities, selected.fitted)
-    selected = selected._replace(fitted=fitted)
-    tell(0.85, "proof")
-    found = assemble(fit, held_out, facts, selected, settings)
+    records = one_rate([*fit, *held_out])
+    fit, held_out = records[: len(fit)], records[len(fit) :]
+    with threadpool_limits(1):  # small matrices: the threads here are over candidates
+        tell(0.0, "runs")
+        look = runs_look(fit)
+        tell(0.02, "base model")
+        filter_ = filter_for(fit, facts, settings)
+        data, base = prepared(fit, facts, model, filter_)
+        tell(0.1, "search")
+        selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
+        selected = selector.run(data, base)
+        tell(0.75, "proof")
+        found = assemble(fit, held_out, facts, selected, settings, look, tell)
     tell(1.0, "done")
     return replace(found, seconds=time.monotonic() - begin)
 
 
+def runs_look(records: Sequence[Record]) -> RunsLook | None:
+    """Each run by itself; None where none of them slides long enough."""
+    try:
+        return look_at_runs(records)
+    except DataError:
+        return None
+
+
 def assemble(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection,
-    settings: DiagnosisSettings,
+    settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
 ) -> Diagnosis:  # fmt: skip
     """Everything that is said about a selection."""
     data, base, fitted = selected.data, selected.base, selected.fitted
-    base_sd, effect_sd = standard_deviations(data, selected.sensitivities, fitted)
-    proof = _Proof(held_out, base, fitted)
-    probabilities = [*selected.probabilities, *[1.0] * len(fitted.effects)]
-    findings = [
-        _finding(facts, selected, number, probabilities[number], effect_sd, proof, settings)
-        for number in range(len(fitted.effects))
-    ]
-    findings = delay_finding(fitted, facts, settings) + findings
-    findings.sort(key=lambda f: (not f.accepted, -f.explained_fraction))
-    left = evidence_of(data, selected.sensitivities, fitted)[0]
-    evidence, scenes = evidence_of(data, selected.sensitivities, base)
-    lives = where((evidence, left), scenes, settings.false_alarm_rate)
-    verdict, headline = _verdict(findings, selected, lives.beyond, settings)
+    proof = Proof(held_out, data.rows.filter, base, selected.ladder, fitted) if held_out else None
+    worse = proof.worse() if proof is not None else ""
+    base_matrix = jacobian(data, base)
+    sd = standard_deviations(data, fitted, selected.matrix)
+    findings = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
+    findings += [_refused(one) for one in selected.refused if one.name not in {f.name for f in findings if f.accepted}]
+    findings = ranked(findings, key=lambda f: (0.0 if f.accepted else 2.0) - f.explained_fraction)
+    repeats = ceiling(data, base, fitted)
+    tell(0.85, "what is left")
+    rest = rest_of(data, fitted, repeats)
+    tell(0.95, "where it lives")
+    lives = channels(data, (base, base_matrix), (fitted, selected.matrix), settings.false_alarm_rate)
     accepted = [f for f in findings if f.accepted]
-    energies = tuple(float(s.trials[0].explained) if s.trials else 0.0 for s in selected.screenings)
+    remarks = contradictions(selected, fit)
+    verdict, headline = verdict_of(accepted, worse, rest, remarks, proof)
+    needed = needed_rows(data, selected.ladder)
+    base_sd = standard_deviations(data, base, base_matrix)
     return Diagnosis(
         verdict=verdict,
         headline=headline,
         findings=tuple(findings),
-        before=proof.before,
-        after=proof.after,
-        fit_before=error_figures(fit, data, base, velocity=False),
-        fit_after=error_figures(fit, data, fitted, velocity=False),
-        ceiling=ceiling(data, base, fitted),
-        channels=(*lives.axes, *lives.beyond),
+        before=proof.before if proof else None,
+        after=proof.after if proof else None,
+        fit_before=error_figures(data, base, needed),
+        fit_after=error_figures(data, fitted, needed),
+        ceiling=repeats,
+        channels=lives,
         runs=(
             *run_figures(data, base, fitted, "fit"),
-            *(run_figures(proof.data, proof.base, proof.fitted, "held_out") if proof.data is not None else ()),
+            *(run_figures(proof.data, proof.base, proof.fitted, "held_out") if proof is not None else ()),
         ),
-        model_before=model_file(fit, facts, base, (), base_sd, {}, ()),
-        model_after=model_file(fit, facts, fitted, fitted.effects, base_sd, effect_sd, accepted),
+        model_before=model_file(fit, facts, base, base_sd, data, ()),
+        model_after=None if worse else model_file(fit, facts, fitted, sd, data, findings),
         false_alarm_rate=settings.false_alarm_rate,
         units=facts.units,
-        cautions=tuple(cautions(selected, facts, (proof.before, proof.after))),
+        unexplained_rest=rest,
+        runs_look=look,
+        first_p=selected.first_p,
+        cautions=tuple(cautions(selected, facts, look, remarks, held_out, fitted)),
         tried=tuple(_tried(selected)),
-        settings={**settings._asdict(), "first_search_best": list(energies)},
+        settings={
+            "false_alarm_rate": settings.false_alarm_rate, "cutoff_hz": data.rows.filter.cutoff_hz,
+            "without": sorted(settings.without), "ablate": sorted(settings.ablate),
+        },
         fit_names=tuple(r.name for r in fit),
         held_out_names=tuple(r.name for r in held_out),
     )  # fmt: skip
 
 
-class _Proof:
-    """Held-out errors, before and after; None where nothing was held out."""
-
-    def __init__(self, records: Sequence[Record], base: Fitted, fitted: Fitted) -> None:
-        self.records = records
-        self.data: Data | None = None
-        self.before: ErrorFigures | None = None
-        self.after: ErrorFigures | None = None
-        if not records:
-            return
-        self.data = data_of(records, fitted.physical)
-        self.base, _ = with_own_datum(data_of(records, base.physical), base)
-        self.fitted, self.scored = with_own_datum(self.data, fitted)
-        self.before = error_figures(records, self.data, self.base, self.scored)
-        self.after = error_figures(records, self.data, self.fitted, self.scored) if fitted.effects else self.before
-
-    def regime(self, number: int) -> tuple[ErrorFigures | None, ErrorFigures | None]:
-        """Errors before and after where one effect acts."""
-        if self.data is None:
-            return None, None
-        scenes = consistent_scenes(self.data, self.fitted.physical, self.fitted.effects)
-        loads = loads_of(scenes, [self.fitted.effects[number]])
-        load = np.concatenate([self.data.rows.laws.rows(x) for x in loads])
-        acting = acting_rows(load, self.data.rows.kept) & self.scored
-        if acting.sum() * self.data.rows.filter.row_period_s < LEAST_ACTING_S:
-            return None, None
-        return (
-            error_figures(self.records, self.data, self.base, acting, velocity=False),
-            error_figures(self.records, self.data, self.fitted, acting, velocity=False),
+def verdict_of(
+    accepted: Sequence[Finding], worse: str, rest: Rest | None, remarks: Sequence[str], proof: Proof | None
+) -> tuple[VerdictWord, str]:
+    """The verdict and its sentence; what is left is never silent."""
+    left = f" Not explained: {rest.sentence}." if rest is not None else ""
+    if worse:
+        return "nothing_carries_over", f"Nothing that carries over was found: on the held-out runs {worse}.{left}"
+    if remarks:
+        return "unexplained", f"{remarks[0]}{left}"
+    if accepted:
+        names = ", ".join(
+            f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "")
+            for f in accepted
+            if proof is None or f.held_out_gain is None or f.held_out_gain[0] > 0.0
         )
+        return "effects_found", f"The model lacks: {names}.{left}"
+    if rest is not None:
+        return "unexplained", f"Something is left that no effect of the library explains: {rest.sentence}."
+    return "no_effect_found", "No effect found: nothing is left that these data could tell."
+
+
+def contradictions(selected: Selection, fit: Sequence[Record]) -> list[str]:
+    """What the search says of runs that no one model can hold for."""
+    if not selected.inertia_ratios:
+        return []
+    first = selected.inertia_ratios[0]
+    parts = ", ".join(f"{r.name} {ratio / first:.2f}" for r, ratio in zip(fit, selected.inertia_ratios, strict=True))
+    return [
+        f"The runs contradict each other: the inertia is not the same in all of them ({parts}, relative to the first). "
+        "Diagnose the runs of one load by themselves."
+    ]
+
+
+def cautions(
+    selected: Selection, facts: DriveFacts, look: RunsLook | None, remarks: Sequence[str],
+    held_out: Sequence[Record], fitted: Fitted,
+) -> list[str]:  # fmt: skip
+    """What a reader has to be told beside the verdict, one sentence each."""
+    found = list(remarks)
+    found += [remark.text for remark in look.remarks if remark.kind != "repeated_reference"] if look else []
+    if not held_out:
+        found.append("no held-out run: the errors before and after are those of the fit runs")
+    if any(e.per_run for e in fitted.effects) and not facts.absolute_angle:
+        found.append("a periodic effect has another datum in each run: it cannot be compensated without a homed angle")
+    delay_s = float(fitted.physical[NAMES.index("delay_s")])
+    if facts.nominal_delay_s is not None and delay_s > facts.nominal_delay_s + DELAY_TOLERANCE_S:
+        found.append(
+            f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * facts.nominal_delay_s:.2f} ms are declared "
+            "(nominal_delay_s): the base model has it, so that it is no effect"
+        )
+    return found
 
 
 def _finding(
-    facts: DriveFacts, selected: Selection, number: int, probability: float,
-    effect_sd: dict[tuple[int, str, int], float], proof: _Proof, settings: DiagnosisSettings,
-) -> Finding:  # fmt: skip
-    effect = selected.fitted.effects[number]
-    contest = selected.contests[number]
-    law = law_of(effect.name)
-    whole = max(sum(c.gains[c.chosen] for c in selected.contests), 1e-300)
-    gone = max(0.0, raw_share(selected.data, selected.base, selected.fitted))
-    explained = gone * contest.gains[contest.chosen] / whole
-    strength, _ = effect_rms(selected.data, selected.fitted, number)
-    accepted = probability <= settings.false_alarm_rate
-    others = family(contest)
-    best = contest.gains[contest.chosen]
-    rivals = tuple(
-        Rival(
-            name,
-            float(best / max(gain, 1e-9)) if gain > 0.0 else float("inf"),
-            min(1.0, max(0.0, gain / best)),
-            name in others,
-        )
-        for name, gain in sorted(contest.gains.items(), key=lambda item: -item[1])
-        if name != contest.chosen
-    )
-    before, after = proof.regime(number)
+    facts: DriveFacts, selected: Selection, number: int, sd: Floats, proof: Proof | None, worse: str
+) -> Finding:
+    effect, note = selected.fitted.effects[number], selected.accepted[number]
+    data, law = selected.data, law_of(effect.name)
+    scenes = consistent_scenes(data, selected.fitted.physical, selected.fitted.effects)
+    used = data.used
+    torque = load_rows(data.rows, scenes, effect)[used]
+    friction = np.concatenate([data.rows.laws.rows(s.motion[:, 6]) for s in scenes])[used]
+    before, after, unseen = _held_out(proof, number)
     reason = (
-        f"takes away {100.0 * explained:.1f} % of the squared residual of the fit runs with every parameter refitted; "
-        f"noise alone would do as well in a search like this with probability {probability:.2g}"
+        f"takes away {100.0 * note.share:.1f} % of the squared residual that all others leave; on rows that the fit "
+        f"did not see it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise alone would do so in a search "
+        f"like this with probability {note.p:.2g}"
     )
     across = across_word(effect.shapes)
     if across:
         reason += f"; a table over {axis_of_effect(effect.name)} and {across}"
-    if accepted and proof.data is not None and before is None:
+    if unseen is not None and not unseen[0] > 0.0:
+        reason += "; on the held-out runs it does not lower the error"
+    elif proof is not None and before is None:
         reason += "; the held-out runs hardly excite it: it rests on the fit runs"
     return Finding(
         name=effect.name,
-        alternatives=tuple(others),
+        alternatives=note.family[:2],
         axis=axis_of_effect(effect.name),
-        parameters=tuple(_numbers(effect, number, effect_sd, selected.data)),
-        explained_fraction=explained,
-        false_alarm_probability=probability,
-        accepted=accepted,
-        reason=reason,
+        parameters=tuple(_numbers(effect, number, selected, sd)),
+        explained_fraction=note.share,
+        false_alarm_probability=note.p,
+        accepted=not worse,
+        reason=f"does not carry over: {worse}; {reason}" if worse else reason,
         regime=law.regime,
         experiment=law.experiment,
         compensable=is_compensable(effect.name, effect.values(0)) and not effect.per_run,
-        strength_percent=strength,
-        rivals=rivals,
-        picture=picture(selected.data, selected.base, selected.fitted, number, None),
+        strength_percent=100.0 * float(np.sqrt(np.mean(torque**2) / max(np.mean(friction**2), 1e-300))),
+        rivals=tuple(_rival(note, *one) for one in note.rivals),
+        picture=picture(data, selected.base, selected.fitted, number, None),
+        gain=(note.gain.value, note.gain.sd),
+        held_out_gain=unseen,
         regime_before=before,
         regime_after=after,
     )
 
 
-def _numbers(effect: Effect, number: int, sd: dict[tuple[int, str, int], float], data: Data) -> list[Number]:
-    law = law_of(effect.name)
-    names = {s.stretch_run: s.name for s in _runs(data)}
+def _rival(note: Accepted, name: str, gain: float) -> Rival:
+    ratio = min(1.0, max(0.0, gain / max(note.gain.value, 1e-9)))
+    return Rival(name, 1.0 / ratio if ratio > 0.0 else float("inf"), ratio, name in note.family)
+
+
+def _held_out(
+    proof: Proof | None, number: int
+) -> tuple[ErrorFigures | None, ErrorFigures | None, tuple[float, float] | None]:
+    """Errors before and after where one effect acts, and its gain given the others, on the held-out runs."""
+    if proof is None:
+        return None, None, None
+    own: Gain = proof.gain_of(number)
+    scenes = consistent_scenes(proof.data, proof.fitted.physical, proof.fitted.effects)
+    load = np.abs(load_rows(proof.data.rows, scenes, proof.fitted.effects[number]))
+    acting = load > ACTING_SHARE * float(np.quantile(load[proof.data.rows.kept], 0.98))
+    acting &= proof.scored & proof.data.rows.kept
+    if acting.sum() * proof.data.rows.filter.row_period_s < LEAST_ACTING_S:
+        return None, None, (own.value, own.sd)
+    before, after = (proof.figures(model, acting, velocity=False) for model in (proof.base, proof.fitted))
+    return before, after, (own.value, own.sd)
+
+
+def _refused(one: Refused) -> Finding:
+    law = law_of(one.name)
+    return Finding(
+        name=one.name, alternatives=(), axis=axis_of_effect(one.name), parameters=(), explained_fraction=one.share,
+        false_alarm_probability=one.p, accepted=False, reason=one.reason, regime=law.regime,
+        experiment=law.experiment, compensable=False, strength_percent=0.0,
+    )  # fmt: skip
+
+
+def _numbers(effect: Effect, number: int, selected: Selection, sd: Floats) -> list[Number]:
+    names = {s.run: s.name for s in selected.data.stretches}
+    spread = effect_sd(effect, number, selected.fitted, selected.data, sd)
     found = []
-    for p in law.parameters:
+    for p in law_of(effect.name).parameters:
+        unit = KIND_UNITS.get(effect.shapes.get("kind", PLAIN), p.unit)
         if p.name in effect.strengths:
-            values = effect.strengths[p.name]
-            for run, value in enumerate(values):
+            for run, value in enumerate(effect.strengths[p.name]):
                 key = run if p.name in effect.per_run else -1
                 own = names.get(run) if p.name in effect.per_run else None
-                unit = KIND_UNITS.get(effect.shapes.get("kind", PLAIN), p.unit)
-                found.append(Number(p.name, float(value), sd.get((number, p.name, key)), unit, own))
+                found.append(Number(p.name, float(value), spread.get((p.name, key)), unit, own))
         elif p.name in effect.shapes:
-            found.append(Number(p.name, float(effect.shapes[p.name]), sd.get((number, p.name, -1)), p.unit))
+            found.append(Number(p.name, float(effect.shapes[p.name]), spread.get((p.name, -1)), p.unit))
     return found
 
 
-class _Run(NamedTuple):
-    stretch_run: int
-    name: str
-
-
-def _runs(data: Data) -> list[_Run]:
-    return [_Run(s.run, s.name) for s in data.stretches]
-
-
-def delay_finding(fitted: Fitted, facts: DriveFacts, settings: DiagnosisSettings) -> list[Finding]:
-    """A delay beyond what is expected: no residual shows it, as Td is fitted; the fitted Td does."""
-    delay_s = float(fitted.physical[NAMES.index("delay_s")])
-    declared = facts.nominal_delay_s is not None
-    nominal_s = settings.usual_delay_s if facts.nominal_delay_s is None else facts.nominal_delay_s
-    excess_s = delay_s - nominal_s
-    taken = {e.name for e in fitted.effects}
-    if facts.units != "rotary" or excess_s < settings.delay_tolerance_s or taken & {"delay", "current_lag"}:
-        return []
-    law = law_of("delay")
-    return [
-        Finding(
-            name="delay", alternatives=("current_lag",), axis=law.axis,
-            parameters=(Number("delay_s", excess_s, None, "s"),), explained_fraction=0.0,
-            false_alarm_probability=0.0, accepted=True,
-            reason=f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * nominal_s:.2f} ms are "
-            + ("declared" if declared else "usual (nominal_delay_s of the drive file declares another)")
-            + "; the base model has it already, so that no residual is left of it",
-            regime=law.regime, experiment=law.experiment, compensable=False, strength_percent=0.0,
-        )
-    ]  # fmt: skip
-
-
-def _verdict(
-    findings: Sequence[Finding], selected: Selection, places: Sequence[Channel], settings: DiagnosisSettings
-) -> tuple[Any, str]:
-    accepted = [f for f in findings if f.accepted]
-    left = selected.left
-    if accepted:
-        names = ", ".join(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in accepted)
-        return "effects_found", f"The model lacks: {names}"
-    if left is not None and left[1] >= LEAST_LEFT and left[2] <= settings.false_alarm_rate:
-        return "unexplained", "Something is left that these data cannot explain"
-    rare = [c for c in places if c.significant_after and c.explained_after >= LEAST_LEFT]
-    if rare:
-        most = max(rare, key=lambda c: c.explained_after)
-        return "unexplained", f"Something is left that no law and no curve over one axis explains: look at {most.name}"
-    return "no_effect_found", "Nothing significant and material is left over: no effect found"
+def effect_sd(effect: Effect, number: int, fitted: Fitted, data: Data, sd: Floats) -> dict[tuple[str, int], float]:
+    """Standard deviations of an effect's numbers by name and run (-1: all), in the units of the numbers."""
+    slots = slots_of(fitted.effects, data.rows.turns)
+    first = sd.size - len(slots)
+    return {
+        (slot.name, slot.run): float(sd[first + k]) * (effect.shapes[slot.name] if slot.logarithmic else 1.0)
+        for k, slot in enumerate(slots)
+        if slot.effect == number
+    }
 
 
 def _tried(selected: Selection) -> list[dict[str, Any]]:
-    if not selected.screenings:
-        return []
-    energy = selected.base.loss * selected.base.white.size
-    first = [*selected.screenings[0].trials, *selected.curves]
+    energy = max(selected.base.energy, 1e-300)
     return [
-        {"name": t.name, "shape": {k: v for k, v in t.shapes.items() if not t.name.startswith(UNKNOWN)},
-         "explained_fraction": t.explained / max(energy, 1e-300), "rank": t.rank}
-        for t in first
+        {"name": one.name, "kind": one.kind,
+         "shape": {k: v for k, v in one.effect.shapes.items() if not one.name.startswith(UNKNOWN)},
+         "explained_fraction": one.score.explained / energy, "rank": one.score.rank, "p": one.score.p}
+        for one in selected.first[:SHOWN_TRIALS]
     ]  # fmt: skip
 
 
 def model_file(
-    records: Sequence[Record], facts: DriveFacts, fitted: Fitted, effects: Sequence[Effect], base_sd: Floats,
-    effect_sd: dict[tuple[int, str, int], float], accepted: Sequence[Finding],
-) -> ModelFile:  # fmt: skip
-    """A model as the controller runs it, with the accepted effects."""
+    records: Sequence[Record], facts: DriveFacts, fitted: Fitted, sd: Floats, data: Data, findings: Sequence[Finding]
+) -> ModelFile:
+    """A model as the controller runs it, with its effects."""
     value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
-    sd = {name: float(base_sd[k]) for k, name in enumerate(BASE)}
-    logs = {name: value[name] for name in BASE}
+    spread = {name: float(sd[k]) * (value[name] if PARAMETERS[name][0] else 1.0) for k, name in enumerate(BASE)}
 
     def quantity(name: str, factor: float = 1.0) -> Quantity:
-        spread = sd[name] * (1.0 if name in ("delay_s", "stribeck_exponent", "sensor_lag_s2") else logs[name])
-        return Quantity(value=value[name] * factor, sd=spread * factor, source="fitted")
+        return Quantity(value=value[name] * factor, sd=spread[name] * factor, source="fitted")
 
     sensor_s, sensor_sd_s = sensor_delay(records)
     sensor_s = max(0.0, sensor_s or 0.0)
@@ -347,29 +370,26 @@ def model_file(
         stribeck="classical", omega="clipped",
         **{name: quantity(name) for name in BASE if name not in ("inertia_nm_s2_per_rev", "delay_s", "sensor_lag_s2")},
     )  # fmt: skip
-    names = {f.name: f for f in accepted}
+    notes = {f.name: f for f in findings}
+    effects = []
+    for number, effect in enumerate(fitted.effects):
+        own = {name: s for (name, run), s in effect_sd(effect, number, fitted, data, sd).items() if run <= 0}
+        note = notes.get(effect.name)
+        effects.append(
+            effect_model(
+                effect.name, effect.values(0), own, datum="run" if effect.per_run else "absolute",
+                alternatives=note.alternatives if note else (), provenance=note.reason if note else "",
+            )
+        )  # fmt: skip
     return ModelFile(
         name="diagnosed",
         torque_constant_nm_per_a=facts.torque_constant_nm_per_a,
         inertia_kg_m2=quantity("inertia_nm_s2_per_rev", inertia_kg_m2(1.0)),
-        delay_s=Quantity(value=value["delay_s"] + sensor_s, sd=sd["delay_s"], source="fitted, and the sensor's"),
+        delay_s=Quantity(value=value["delay_s"] + sensor_s, sd=spread["delay_s"], source="fitted, and the sensor's"),
         sensor_delay_s=Quantity(value=sensor_s, sd=sensor_sd_s, source="lag of the drive's velocity"),
         friction=friction,
-        effects=[
-            _effect_model(effect, number, effect_sd, names[effect.name])
-            for number, effect in enumerate(effects)
-            if effect.name in names
-        ],
+        effects=effects,
         provenance=Provenance(
             date=time.strftime("%Y-%m-%d"), tool=f"fffo-drive {__version__} diagnose", runs=[r.digest for r in records]
         ),
     )
-
-
-def _effect_model(effect: Effect, number: int, sd: dict[tuple[int, str, int], float], finding: Finding) -> EffectModel:
-    values = effect.values(0)
-    spread = {key: sd.get((number, key, 0 if key in effect.per_run else -1)) for key in values}
-    return effect_model(
-        effect.name, values, spread, datum="run" if effect.per_run else "absolute",
-        alternatives=finding.alternatives, provenance=finding.reason,
-    )  # fmt: skip

@@ -6,7 +6,6 @@ and the residual falls on any run. The axis of the ladder's first rungs is there
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,10 +94,7 @@ def _shape_objection(data: Data, effect: Effect) -> str:
         value = values[parameter.name]
         spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (high - low)
         if not low - spare < value < high + spare:
-            return (
-                f"no machine is so: {parameter.name} {value:.3g} {parameter.unit} is outside of "
-                f"{low:g} to {high:g}"
-            )
+            return f"no machine is so: {parameter.name} {value:.3g} {parameter.unit} is outside of {low:g} to {high:g}"
     return ""
 
 

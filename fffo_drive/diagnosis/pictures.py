@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .candidates import Effect, Scene
 from .curves import Axis as FreeAxis
 from .curves import abscissa
-from .fitting import Data, Fitted, consistent_scenes, loads_of
-from .rows import Rows, Stretch
+from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, Curve, Picture, RunFigure
+from .rows import Rows, Stretch
+from .scenes import Effect, Scene, load_rows
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -59,7 +59,7 @@ def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitt
     """
     effect = fitted.effects[number]
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    load = np.concatenate([data.rows.laws.rows(part) for part in loads_of(scenes, [effect])])
+    load = load_rows(data.rows, scenes, effect)
     place = _place(data, scenes, effect.name, dict(effect.shapes))
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
     before = fitted.residual_nm + load if without is None else without.residual_nm
@@ -67,7 +67,7 @@ def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitt
     curves: list[Curve] = []
     for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
         bins = np.clip(np.searchsorted(edges, place.values[rows], side="right") - 1, 0, edges.size - 2)
-        window = data.rows.window[rows]
+        window = data.rows.folds.window[rows]
         shown = _shown(bins, window, edges.size - 1)
         x = _means(place.values[rows], bins, edges.size - 1)[shown]
         clouds = [("without the effect", before), ("with it", fitted.residual_nm)][: 1 if where else 2]
@@ -223,12 +223,12 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
         for pair in _repeats(stretch, bounds, data.rows)
     ]
     if not pairs:
-        return Ceiling(None, None, None, "no piece of a reference was repeated")
+        return Ceiling(None, None, None, None, "no piece of a reference was repeated")
     first, second = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     both = data.rows.kept[first] & data.rows.kept[second]
     first, second = first[both], second[both]
     if first.size < LEAST_REPEATED_ROWS:
-        return Ceiling(None, None, None, "too little of what was repeated is in motion")
+        return Ceiling(None, None, None, None, "too little of what was repeated is in motion")
     r, s = base.residual_nm, fitted.residual_nm
     noise = 0.5 * float(np.mean((r[first] - r[second]) ** 2))
     whole = 0.5 * float(np.mean(r[first] ** 2) + np.mean(r[second] ** 2))
@@ -237,7 +237,8 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
     share = min(1.0, max(0.0, (whole - left) / repeatable)) if repeatable > LEAST_REPEATABLE * whole else None
     seconds = first.size * data.rows.filter.row_period_s
     note = f"{seconds:.0f} s of motion whose reference came again in the same run"
-    return Ceiling(repeatable / max(whole, 1e-300), noise**0.5, share, note)
+    repeats = max(0.0, left - 0.5 * float(np.mean((s[first] - s[second]) ** 2))) / max(left, 1e-300)
+    return Ceiling(repeatable / max(whole, 1e-300), repeats, noise**0.5, share, note)
 
 
 def _repeats(stretch: Stretch, bounds: tuple[int, int], rows: Rows) -> list[tuple[Integers, Integers]]:

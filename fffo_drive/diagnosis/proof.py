@@ -1,4 +1,8 @@
-"""The proof: errors of a model on runs, in torque and in velocity, with intervals from whole windows drawn again."""
+"""The proof on held-out runs: torque over the torque that the axis needs, and velocity of free runs over windows.
+
+The yardstick is the torque that the axis needs by the first rungs of the ladder: one for all models, so that no model
+gains by needing less. Free runs have each window's mean torque taken out: a constant says nothing of their form.
+"""
 
 from __future__ import annotations
 
@@ -8,35 +12,35 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.criterion import Folds, Gain, gain, huber
 from ..identification.dataset import Record
 from ..identification.residuals import velocity_errors
 from ..model.effects.table import Term
-from .base import NAMES, balanced, delayed
-from .candidates import Effect
-from .evidence import Whitening
-from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, load_rows, refit
-from .paths import make_filter, rows_of, stretches_of
+from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, torque_of, with_levels
+from .gates import needed_rows
 from .results import ErrorFigures, Interval
-from .startup import noise_model
+from .rows import Filter, rows_of, stretches_of
+from .scenes import Effect
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 DRAWS = 400
-BLOCK_WINDOWS = 4  # windows of rows that are drawn together
+SDS = 2.0  # of the paired difference, beyond which a model does worse
+WINDOWS_S = (0.25, 0.5)  # of free runs
 DATUM_SHARE = 0.3  # of a run and of what a periodic effect does in it: there its datum is found; the rest is scored ...
 DATUM_MOST = 0.7  # ... and so much of the run at most
 MIDDLE_S = 0.1  # of a free window
 WORST = 0.99  # a few windows at the edge of stick and slip run away in any model: pulled in to this quantile
 
 
-def data_of(records: Sequence[Record], physical: Floats) -> Data:
-    """Rows of other records, ready for a model whose base parameters are near these."""
-    stretches = balanced(stretches_of(records), physical)
-    rows = rows_of(stretches, make_filter(records[0].period_s))
-    blank = Whitening(np.zeros(1), rows.kept.astype(np.float64), np.flatnonzero(rows.kept))
-    data = Data(stretches, rows, blank, len(records), physical)
-    return noise_model(data, physical, evaluate(data, physical, ())[0].residual_nm)
+def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
+    """Rows of other records; the levels of noise are those of the base model there."""
+    stretches = stretches_of(records, filter_)
+    rows = rows_of(stretches, filter_)
+    data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), base.physical)
+    data = at_rest(data, base.physical, ())
+    return with_levels(data, evaluate(data, base.physical, ())[0])
 
 
 def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
@@ -60,9 +64,8 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
     ]
     sizes = [effect.sizes() for effect in fitted.effects]
     early = _early(data, fitted.physical, [effect for effect in effects if effect.per_run])
-    part = data._replace(whitening=data.whitening._replace(kept=np.flatnonzero(data.rows.kept & early)))
-    matrix = np.zeros((scored.size, 0))
-    found = refit(part, matrix, fitted.physical, effects, shapes=False, free_base=False)
+    part = data._replace(weight=np.where(early, data.weight, 0.0))
+    found = fit(part, fitted.physical, effects, shapes=False, free_base=False)
     effects = [effect.of_sizes(size) for effect, size in zip(found.effects, sizes, strict=True)]
     data = at_rest(data, fitted.physical, effects)
     return evaluate(data, fitted.physical, effects)[0], ~early
@@ -70,66 +73,115 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
 
 def _early(data: Data, physical: Floats, effects: Sequence[Effect]) -> Mask:
     """The part of each run from which a datum is learnt: what is slow may hardly show it. (m,)"""
-    load = np.square(load_rows(data, consistent_scenes(data, physical, effects), effects))
+    load = np.square(torque_of(data, consistent_scenes(data, physical, effects), effects))
     early = np.zeros(load.size, dtype=bool)
     for begin, end in data.rows.bounds:
         done = np.cumsum(load[begin:end])
         shown = int(np.searchsorted(done, DATUM_SHARE * done[-1])) if done[-1] > 0.0 else 0
-        early[
-            begin : begin + min(max(shown, round(DATUM_SHARE * (end - begin))), round(DATUM_MOST * (end - begin)))
-        ] = True
+        least, most = round(DATUM_SHARE * (end - begin)), round(DATUM_MOST * (end - begin))
+        early[begin : begin + min(max(shown, least), most)] = True
     return early
 
 
+class Proof:
+    """Errors on held-out runs, before and after, by one yardstick."""
+
+    def __init__(
+        self, records: Sequence[Record], filter_: Filter, base: Fitted, ladder: Fitted, fitted: Fitted
+    ) -> None:  # fmt: skip
+        self.records = records
+        self.data = data_of(records, filter_, base)
+        self.base = with_own_datum(self.data, base)[0]
+        self.fitted, self.scored = with_own_datum(self.data, fitted)
+        self.needed_nm = needed_rows(self.data, with_own_datum(self.data, ladder)[0])
+        self.before = self.figures(self.base, self.scored)
+        self.after = self.figures(self.fitted, self.scored) if fitted.effects else self.before
+
+    def figures(self, model: Fitted, scored: Mask, velocity: bool = True) -> ErrorFigures:
+        """Errors of a model over the scored rows."""
+        speeds = [self._free_runs(model, scored)] if velocity else []
+        return error_figures(self.data, model, self.needed_nm, scored, speeds[0] if speeds else None)
+
+    def _free_runs(self, model: Fitted, scored: Mask) -> Floats:
+        return free_run_squares(self.records, self.data, model, scored)
+
+    def gain_of(self, number: int | None = None) -> Gain:
+        """What all effects, or one given the others, explain of the held-out rows."""
+        others = () if number is None else tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
+        without = self.base if number is None else evaluate(self.data, self.fitted.physical, others)[0]
+        used = self.data.used
+        scored = self.scored[used]
+        folds = Folds(*(part[used][scored] for part in self.data.rows.folds))
+        return gain(huber(without.white[scored]), huber(self.fitted.white[scored]), folds)
+
+    def worse(self) -> str:
+        """In what the model does worse on held-out runs than the base; empty where it does not."""
+        if not self.fitted.effects:
+            return ""
+        torque = self.gain_of()
+        if not torque.value > 0.0:
+            return "the error in torque is no smaller"
+        first, last = self._free_runs(self.base, self.scored), self._free_runs(self.fitted, self.scored)
+        if not np.isfinite(last).all():
+            return "a free run does not stay finite"
+        if first.size == last.size and first.size > 1:
+            change = last - first
+            if change.sum() > SDS * np.sqrt(change.size * change.var(ddof=1)):
+                return "the error of free runs in velocity is larger"
+        return ""
+
+
 def error_figures(
-    records: Sequence[Record], data: Data, fitted: Fitted, scored: Mask | None = None, velocity: bool = True
+    data: Data, fitted: Fitted, needed_nm: Floats, scored: Mask | None = None, speeds: Floats | None = None
 ) -> ErrorFigures:
-    """Errors over the rows that count (`scored` of the kept ones), intervals by windows."""
+    """Errors over the rows that count (`scored` of the kept ones); intervals from whole blocks that are drawn again.
+
+    `needed_nm` (m,) torque that the axis needs; `speeds` (w,) mean squared velocity errors of free windows.
+    """
     rows = data.rows
     use = rows.kept if scored is None else rows.kept & scored
-    delay_s = float(fitted.physical[NAMES.index("delay_s")])
-    torque = np.concatenate([
-        rows.filter.rows(s.torque_constant_nm_per_a * delayed(s.current_a, delay_s / s.period_s))
-        for s in data.stretches
-    ])  # fmt: skip
-    window = rows.window // BLOCK_WINDOWS
-    count = int(window[-1]) + 1
-    squares = np.bincount(window[use], fitted.residual_nm[use] ** 2, count)
-    powers = np.bincount(window[use], torque[use] ** 2, count)
-    sizes = np.bincount(window[use], minlength=count).astype(np.float64)
+    block = rows.folds.block
+    count = int(block[-1]) + 1
+    squares = np.bincount(block[use], fitted.residual_nm[use] ** 2, count)
+    powers = np.bincount(block[use], needed_nm[use] ** 2, count)
+    sizes = np.bincount(block[use], minlength=count).astype(np.float64)
     rng = np.random.default_rng(7)
     filled = np.flatnonzero(sizes)
     drawn = filled[rng.integers(0, filled.size, (DRAWS, filled.size))] if filled.size else np.zeros((1, 1), np.int64)
     rms = np.sqrt(squares[drawn].sum(axis=1) / np.maximum(sizes[drawn].sum(axis=1), 1.0))
     relative = 100.0 * np.sqrt(squares[drawn].sum(axis=1) / np.maximum(powers[drawn].sum(axis=1), 1e-300))
+    velocity = Interval(0.0, 0.0, 0.0)
+    if speeds is not None and speeds.size:
+        again = speeds[np.random.default_rng(8).integers(0, speeds.size, (DRAWS, speeds.size))]
+        velocity = _interval(float(np.sqrt(speeds.mean())), np.sqrt(again.mean(axis=1)))
     return ErrorFigures(
         _interval(float(np.sqrt(squares.sum() / max(float(sizes.sum()), 1.0))), rms),
         _interval(100.0 * float(np.sqrt(squares.sum() / max(float(powers.sum()), 1e-300))), relative),
-        velocity_figure(records, data, fitted, use) if velocity else Interval(0.0, 0.0, 0.0),
+        velocity,
         float(use.sum()) * rows.filter.row_period_s,
     )
 
 
-def velocity_figure(records: Sequence[Record], data: Data, fitted: Fitted, use: Mask) -> Interval:
-    """Rms of the velocity error of free simulation over short windows whose middle is scored."""
-    squares: list[Floats] = []
+def free_run_squares(records: Sequence[Record], data: Data, fitted: Fitted, scored: Mask) -> Floats:
+    """Mean squared velocity error of each free window whose middle is scored, without what a constant torque does."""
+    found: list[Floats] = []
     for number, record in enumerate(records):
         inside = data.rows.run == number
         if not inside.any():
             continue
         terms = [Term(effect.name, effect.values(number)) for effect in fitted.effects]
-        errors, begins = velocity_errors(record, fitted.physical, terms=terms)
-        at = np.searchsorted(data.rows.time_s[inside], begins + MIDDLE_S)
-        good = use[inside][np.minimum(at, int(inside.sum()) - 1)]
-        if good.any():
-            squares.append(np.mean(errors[good] ** 2, axis=1))
-    if not squares:
-        return Interval(0.0, 0.0, 0.0)
-    joined = np.concatenate(squares)
-    joined = np.minimum(joined, np.quantile(joined, WORST))
-    rng = np.random.default_rng(8)
-    drawn = joined[rng.integers(0, joined.size, (DRAWS, joined.size))]
-    return _interval(float(np.sqrt(joined.mean())), np.sqrt(drawn.mean(axis=1)))
+        use = (data.rows.kept & scored)[inside]
+        for window_s in WINDOWS_S:
+            errors, begins = velocity_errors(record, fitted.physical, window_s, terms)
+            if not begins.size:
+                continue
+            at = np.searchsorted(data.rows.time_s[inside], begins + MIDDLE_S)
+            errors = errors[use[np.minimum(at, int(inside.sum()) - 1)]]
+            ramp = np.arange(1, errors.shape[1] + 1) / errors.shape[1]
+            drifts = errors @ ramp / (ramp @ ramp)
+            found.append(np.mean((errors - drifts[:, None] * ramp) ** 2, axis=1))
+    joined = np.concatenate(found) if found else np.zeros(0)
+    return np.minimum(joined, np.quantile(joined, WORST)) if joined.size and np.isfinite(joined).all() else joined
 
 
 def _interval(value: float, drawn: Floats) -> Interval:

@@ -18,13 +18,13 @@ from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
-from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
 from .base import NAMES
 from .curves import Curve, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
 from .rows import HIGHEST_ORDER, SLOW_QUANTILE
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
+from .spectra import HIGHEST_ORDER as TURN_ORDER
 from .spectra import frequency_peaks, order_peaks, slow_orders
 
 Floats = npt.NDArray[np.float64]
@@ -130,10 +130,8 @@ def beyond(evidence: Evidence, white: Floats, beside: Floats) -> Score:
 class Search:
     """All candidates of one data set, round by round: what does not follow the model is made once."""
 
-    def __init__(self, facts: DriveFacts, without: frozenset[str], first_rungs_only: bool = False) -> None:
-        self.facts = facts
-        self.without = without
-        self.first_rungs_only = first_rungs_only
+    def __init__(self, facts: DriveFacts, without: frozenset[str], ablate: frozenset[str]) -> None:
+        self.facts, self.without, self.ablate = facts, without, ablate
         self.tried = 0  # candidates of the last round
         self._kept: dict[tuple[str | float, ...], Columns] = {}
 
@@ -153,10 +151,8 @@ class Search:
                 if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
                     best[found.kind] = found
         self.tried = len(work)
-        chosen = [
-            more for found in best.values() for more in (found, *self._with_datum(data, evidence, found))
-        ]
-        if rung > LAW_RUNG - 1:
+        chosen = [more for found in best.values() for more in (found, *self._with_datum(data, evidence, found))]
+        if rung == LAW_RUNG and "curves" not in self.ablate:
             chosen += self._curves(data, evidence, scenes)
         # the scores were compared without their chance: it is wanted of the best alone
         return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
@@ -165,6 +161,8 @@ class Search:
         """Laws and their shapes. Below the rung of the laws waves are of the machine's own orders."""
         for name, law in LAWS.items():
             if name in self.without or law.in_base or law.name == "lookup" or law.rung > rung:
+                continue
+            if name == "unbalance" and self.facts.units != "rotary":
                 continue
             shapes = law.search(context)
             if law.rung == WAVE_RUNG and rung == WAVE_RUNG:
@@ -186,7 +184,12 @@ class Search:
     def _with_datum(self, data: Data, evidence: Evidence, found: Proposal) -> list[Proposal]:
         """A wave with a datum of its own in each run."""
         law = law_of(found.name)
-        if self.facts.absolute_angle or data.runs < 2 or not set(law.per_run) & set(found.effect.strengths):
+        if (
+            self.facts.absolute_angle
+            or data.runs < 2
+            or "datum" in self.ablate
+            or not set(law.per_run) & set(found.effect.strengths)
+        ):
             return []
         one = Columns(tuple(found.effect.strengths), (-1,) * len(found.effect.strengths), found.columns)
         columns = with_datum(one, found.name, data.rows)
@@ -194,6 +197,7 @@ class Search:
 
     def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
         """All curves, and the tables that say most beyond the two curves of their axes."""
+
         def scored(curve: Curve) -> Proposal:
             names = tuple(f"y{k:02d}" for k in range(curve.columns.shape[1]))
             columns = Columns(names, (-1,) * len(names), curve.columns)
@@ -220,9 +224,7 @@ class Search:
 TABLES = 3  # pairs of axes that get a fine table
 
 
-def proposal(
-    data: Data, evidence: Evidence, name: str, kind: str, shape: Shape, columns: Columns
-) -> Proposal:
+def proposal(data: Data, evidence: Evidence, name: str, kind: str, shape: Shape, columns: Columns) -> Proposal:
     """An effect at a shape with its best strengths; its chance is not computed yet."""
     found = score(evidence, data.white(columns.values), chance=False)
     effect = effect_of(name, shape, columns, found.strengths, data.runs)
@@ -250,10 +252,16 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
     torque_nm = np.concatenate([rows.laws.rows(kt * s.motion[:, slots.CURRENT_A]) for s in scenes])
     sign = np.tanh(rows.velocity_rps / max(0.02 * float(np.quantile(speed, 0.95)), 1e-12))
     scaled = torque_nm / max(float(np.sqrt(np.mean(torque_nm**2))), 1e-12)
-    orders = {p.place for values in (1.0, sign, scaled) for p in order_peaks(rows, residual_nm * values, PEAKS)}
     slow_rps = float(np.quantile(speed, SLOW_QUANTILE))
-    highest = min(HIGHEST_ORDER, rows.filter.cutoff_hz / max(slow_rps, 1e-9))
-    orders |= {float(k) for k in range(1, int(highest) + 1)} | {k for k in machine_orders(facts) if k <= highest}
+    highest = rows.filter.cutoff_hz / max(slow_rps, 1e-9)
+    rotary = facts.units == "rotary"
+    scanned = (TURN_ORDER if rotary else highest,)
+    orders = {
+        p.place for values in (1.0, sign, scaled) for p in order_peaks(rows, residual_nm * values, PEAKS, *scanned)
+    }
+    if rotary:  # of a turn whole orders are tried one by one
+        orders |= {float(k) for k in range(1, int(min(HIGHEST_ORDER, highest)) + 1)}
+        orders |= {k for k in machine_orders(facts) if k <= highest}
     driving = np.concatenate([np.abs(s.commanded_thinned[s.moving > 0.0]) for s in scenes])
     longest = max(end - begin for begin, end in rows.bounds) * rows.filter.row_period_s
     return SearchContext(
@@ -273,6 +281,7 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
         gear_ratio=facts.gear_ratio,
         pole_pairs=facts.pole_pairs,
         slots=facts.slots,
+        slow_rps=slow_rps,
         orders=tuple(sorted(orders)),
         slow_orders=slow_orders(rows, residual_nm),
         slow_level_orders=slow_orders(rows, residual_nm * sign),

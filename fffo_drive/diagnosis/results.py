@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__, formats
+from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.parameters import ModelFile
 
 Floats = npt.NDArray[np.float64]
 
-VerdictWord = Literal["effects_found", "no_effect_found", "unexplained"]
+VerdictWord = Literal["effects_found", "no_effect_found", "unexplained", "nothing_carries_over"]
 
 
 class Interval(NamedTuple):
@@ -33,7 +34,7 @@ class ErrorFigures:
     """How wrong a model is on a set of runs."""
 
     torque_rms_nm: Interval
-    torque_relative_percent: Interval  # of the filtered motor torque
+    torque_relative_percent: Interval  # of the torque that the axis needs, by the first rungs of the ladder
     velocity_rms_rps: Interval  # of free simulation over short windows
     seconds: float  # of motion that counted
 
@@ -92,8 +93,8 @@ class Finding:
     alternatives: tuple[str, ...]  # at most two: with the name a family of at most three
     axis: str
     parameters: tuple[Number, ...]
-    explained_fraction: float  # of the squared torque residual of the fit runs, as an addition to what stands above it
-    false_alarm_probability: float  # over the whole search
+    explained_fraction: float  # of the squared residual of the fit runs that all other effects leave
+    false_alarm_probability: float  # over the whole search, given all other effects
     accepted: bool
     reason: str  # why it was accepted, or not
     regime: str  # where it acts
@@ -102,6 +103,8 @@ class Finding:
     strength_percent: float  # rms of its torque over rms of the friction torque, fit runs
     rivals: tuple[Rival, ...] = ()
     picture: Picture | None = None
+    gain: tuple[float, float] | None = None  # nats on rows that the fit did not see, given the others, and its sd
+    held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
     regime_after: ErrorFigures | None = None
 
@@ -143,9 +146,20 @@ class Ceiling:
     """What any model could explain: from repeats of a profile. All None where nothing was repeated."""
 
     repeatable_fraction: float | None  # of the squared residual of the base model that repeats
+    left_repeatable_fraction: float | None  # of the squared residual of the model with its effects
     noise_rms_nm: float | None  # what does not repeat
     explained_of_explainable: float | None
     note: str
+
+
+class Rest(NamedTuple):
+    """What is left and could be explained."""
+
+    rms_nm: float
+    floor_nm: float  # what a black box leaves on the same rows, or what does not repeat
+    repeats_share: float | None  # of the squared residual that repeats; None: nothing was repeated
+    axes: tuple[str, ...]
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -163,9 +177,12 @@ class Diagnosis:
     channels: tuple[Channel, ...]
     runs: tuple[RunFigure, ...]
     model_before: ModelFile
-    model_after: ModelFile
+    model_after: ModelFile | None  # None: nothing was found that carries over
     false_alarm_rate: float  # that the thresholds are made for, over the whole search
     units: Literal["rotary", "linear"]
+    unexplained_rest: Rest | None = None
+    runs_look: RunsLook | None = None
+    first_p: float = 1.0  # smallest chance in the first round over everything
     cautions: tuple[str, ...] = ()
     tried: tuple[dict[str, Any], ...] = ()  # every law with its best shape and score in the first search
     settings: dict[str, Any] = field(default_factory=dict)
@@ -196,6 +213,9 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "effects": [_effect(finding) for finding in diagnosis.findings],
         "before": {"held_out": figures_json(diagnosis.before), "fit": figures_json(diagnosis.fit_before)},
         "after": {"held_out": figures_json(diagnosis.after), "fit": figures_json(diagnosis.fit_after)},
+        "unexplained_rest": None if diagnosis.unexplained_rest is None else diagnosis.unexplained_rest._asdict(),
+        "runs_look": _runs(diagnosis.runs_look),
+        "first_p": diagnosis.first_p,
         "ceiling": vars(diagnosis.ceiling),
         "units": diagnosis.units,
         "false_alarm_rate": diagnosis.false_alarm_rate,
@@ -206,6 +226,19 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "settings": diagnosis.settings,
         "seconds": diagnosis.seconds,
     }
+
+
+def _runs(look: RunsLook | None) -> dict[str, Any] | None:
+    if look is None:
+        return None
+    return {
+        "remarks": [remark._asdict() for remark in look.remarks],
+        "runs": [
+            {"name": run.name, "turns_one_way": run.turns_one_way,
+             "estimates": {name: one._asdict() for name, one in run.estimates.items()}}
+            for run in look.runs
+        ],
+    }  # fmt: skip
 
 
 def _effect(finding: Finding) -> dict[str, Any]:
@@ -232,6 +265,8 @@ def _effect(finding: Finding) -> dict[str, Any]:
         "strength_percent": finding.strength_percent,
         "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None and curve is None},
         "units": {n.name: n.unit for n in finding.parameters if curve is None},
+        "gain": finding.gain,
+        "held_out_gain": finding.held_out_gain,
         "rivals": [vars(rival) for rival in finding.rivals],
         "before": {"held_out_regime": figures_json(finding.regime_before)},
         "after": {"held_out_regime": figures_json(finding.regime_after)},

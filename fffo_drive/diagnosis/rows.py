@@ -27,6 +27,8 @@ Mask = npt.NDArray[np.bool_]
 CUTOFF_HZ = 45.0  # of the filter that all signals share, where the machine also moves slowly
 HIGHEST_ORDER = 200.0  # periods a turn that are looked for at most
 HIGHEST_SHARE = 0.15  # of the record's rate, that a higher cut-off may be
+STANDS_OUT = 0.05  # share of what a rigid axis leaves, that a wave has to explain for a cut-off above it ...
+ABOVE = 2.0  # ... by this factor
 SLOW_QUANTILE = 0.1  # of the speed in motion: what slow motion is
 ROW_SHARE = 2.8  # rows a second over the cut-off
 RESPONSE_POINTS = 512
@@ -111,6 +113,32 @@ def slow_rps(records: Sequence[Record]) -> float:
             speeds.append(speed[speed > REST_LSB * record.lsb_rev / REST_S])
     moving = np.concatenate(speeds) if speeds else np.zeros(0)
     return float(np.quantile(moving, SLOW_QUANTILE)) if moving.size else 0.0
+
+
+def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
+    """The cut-off, Hz: CUTOFF_HZ, or higher where the axis never turns slowly and a wave of many periods stands out."""
+    rate_hz = 1.0 / records[0].period_s
+    slow = slow_rps(records)
+    highest_hz = max(CUTOFF_HZ, HIGHEST_SHARE * rate_hz)
+    if not rotary or slow * HIGHEST_ORDER <= CUTOFF_HZ or highest_hz <= CUTOFF_HZ:
+        return CUTOFF_HZ
+    filter_ = make_filter(records[0].period_s, highest_hz)
+    stretches = stretches_of(records, filter_)
+    if not stretches:
+        return CUTOFF_HZ
+    rows = rows_of(stretches, filter_)
+    kept = rows.kept
+    velocity, position = rows.velocity_rps[kept], rows.position_rev[kept]
+    torque = np.concatenate([filter_.rows(s.torque_constant_nm_per_a * s.current_a) for s in stretches])[kept]
+    rigid = np.column_stack([rows.acceleration_rps2[kept], velocity, np.sign(velocity), np.ones(velocity.size)])
+    left = torque - rigid @ np.linalg.lstsq(rigid, torque, rcond=None)[0]
+    wanted_hz = CUTOFF_HZ
+    for order in range(round(CUTOFF_HZ / slow), round(min(HIGHEST_ORDER, highest_hz / slow)) + 1):
+        wave = np.exp(2j * np.pi * order * position)
+        # a line of amplitude A has A^2 / 2 of the mean square
+        if 2.0 * abs(np.mean(left * wave)) ** 2 > STANDS_OUT * np.mean(left * left):
+            wanted_hz = min(highest_hz, ABOVE * order * float(np.median(np.abs(velocity))))
+    return wanted_hz
 
 
 class Stretch(NamedTuple):

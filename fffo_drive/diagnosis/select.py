@@ -11,17 +11,19 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import SDS, Folds, Gain, gain, unseen_loss
+from ..identification.criterion import Folds, Gain, gain, unseen_loss
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
+from ..identification.runs import CONTRADICTION_SHARE
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
+from .base import NAMES
 from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, jacobian, slots_of, unseen, with_levels
 from .gates import Reference, objection
 from .propose import LAW_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
@@ -30,6 +32,7 @@ from .scenes import Effect, load_rows
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
+GRAVITY_TURNS = 0.25  # of the output: less of a wave is a constant and a slope
 ITERATIONS = 6  # of a contender's fit ...
 LADDER_ITERATIONS = 8  # ... and of those of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
@@ -87,23 +90,39 @@ class Selection(NamedTuple):
     refused: tuple[Refused, ...]
     first: tuple[Proposal, ...]  # everything of the first free round, best first
     first_p: float  # the smallest chance of that round, times what was tried
-    reference: Reference
+    ladder: Fitted  # of the first rungs
+    inertia_ratios: tuple[float, ...]  # of each run, where the runs contradict each other in it
+
+
+class Rules(Protocol):
+    """Of a diagnosis' settings, what a search goes by."""
+
+    @property
+    def false_alarm_rate(self) -> float:
+        """Over the whole search."""
+
+    @property
+    def without(self) -> frozenset[str]:
+        """Laws and curves that are left out."""
+
+    @property
+    def ablate(self) -> frozenset[str]:
+        """Mechanisms that are switched off."""
 
 
 class Selector:
     """The search over one data set."""
 
-    def __init__(
-        self, facts: DriveFacts, rate: float, without: frozenset[str], ablate: frozenset[str],
-        told: Callable[[float, str], None],
-    ) -> None:  # fmt: skip
-        self.facts, self.rate, self.ablate, self.told = facts, rate, ablate, told
-        self.search = Search(facts, without)
+    def __init__(self, facts: DriveFacts, rules: Rules, told: Callable[[float, str], None]) -> None:
+        self.facts, self.rate, self.ablate, self.told = facts, rules.false_alarm_rate, rules.ablate, told
+        self.search = Search(facts, rules.without, rules.ablate)
         self.refused: dict[str, Refused] = {}
         self.barred: set[str] = set()
         self.first: tuple[Proposal, ...] = ()
         self.first_p = 1.0
         self.reference: Reference | None = None
+        self.ladder: Fitted | None = None
+        self.inertia_ratios: tuple[float, ...] = ()
 
     def run(self, data: Data, base: Fitted) -> Selection:
         """Up the ladder, then all that are left in free competition."""
@@ -117,12 +136,13 @@ class Selector:
                     break
                 data, standing, accepted = found
             if rung == WAVE_RUNG:
+                self.ladder = standing.fitted
                 self.reference = Reference.of(data, standing.fitted, standing.matrix)
         plain = fit(at_rest(data, base.physical, ()), base.physical, ())
-        assert self.reference is not None
+        assert self.ladder is not None
         return Selection(
             data, plain, standing.fitted, standing.matrix, self._final(data, standing, accepted), tuple(self.refused.values()),
-            self.first, self.first_p, self.reference,
+            self.first, self.first_p, self.ladder, self.inertia_ratios,
         )  # fmt: skip
 
     def _ladder(self, data: Data, base: Fitted) -> tuple[Data, Standing, list[Accepted]]:
@@ -131,7 +151,11 @@ class Selector:
         All are fitted from the start: a base that was fitted without them is bent.
         """
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
+        if self.facts.units != "rotary" or data.rows.turns < GRAVITY_TURNS * (self.facts.gear_ratio or 1.0):
+            laws.remove("unbalance")
         effects = {name: starting_effect(name, self.facts) for name in laws}
+        if "ladder" in self.ablate:
+            laws = []
         sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]
 
         def fitted(chosen: tuple[str, ...]) -> Standing:
@@ -155,7 +179,9 @@ class Selector:
         accepted = []
         for name in sets[chosen]:
             family = tuple(other for k in able for other in sets[k] if other not in sets[chosen])
-            accepted.append(Accepted(name, gain(alone.unseen, standings[chosen].unseen, folds), 1.0, share, family, (), len(sets)))
+            accepted.append(
+                Accepted(name, gain(alone.unseen, standings[chosen].unseen, folds), 1.0, share, family, (), len(sets))
+            )
         data, standing = renewed(data, standings[chosen].fitted)
         return self._pruned(data, standing, accepted)
 
@@ -175,6 +201,8 @@ class Selector:
         best_law = max(believed, key=lambda item: item[2].value)[1].unseen if believed else standing.unseen
         free = [item for item in free if gain(best_law, item[1], evidence.folds).holds][:CURVES_REFITTED]
         believed += self._believed(data, standing, evidence, free, tried)
+        if rung == LAW_RUNG and self._contradicted(data, standing, evidence, believed):
+            return None
         if not believed:
             return None
         best = max(believed, key=lambda item: item[2].value)
@@ -192,6 +220,27 @@ class Selector:
             tuple((item[0].name, item[2].value) for item in believed if item is not chosen), tried,
         )  # fmt: skip
         return self._pruned(renewed_data, renewed_standing, [*accepted, note])
+
+    def _contradicted(
+        self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
+    ) -> bool:
+        """Whether an inertia for each run explains unseen rows, and no effect explains them better: no law says that."""
+        rows = data.rows
+        inertia = standing.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
+        columns = np.stack(
+            [np.where(rows.run == k, inertia * rows.acceleration_rps2, 0.0) for k in range(data.runs)], axis=1
+        )
+        own = score(evidence, data.white(columns), chance=False)
+        if data.runs < 2 or own.explained < LEAST_SHARE * evidence.energy:
+            return False
+        matrix = np.concatenate([standing.matrix, data.white(columns)], axis=1)
+        loss = unseen_loss(standing.fitted.white, matrix, evidence.folds)
+        if not gain(standing.unseen, loss, evidence.folds).holds:
+            return False
+        if any(not gain(result.unseen, loss, evidence.folds).holds for _, result, _ in believed):
+            return False
+        self.inertia_ratios = tuple(1.0 + own.strengths - own.strengths[np.argmin(np.abs(own.strengths))])
+        return float(np.ptp(own.strengths)) > CONTRADICTION_SHARE
 
     def _contenders(
         self, data: Data, standing: Standing, evidence: Evidence, proposals: Sequence[Proposal], tried: int
@@ -220,7 +269,8 @@ class Selector:
     ) -> list[tuple[Proposal, Standing, Gain]]:
         """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
         with ThreadPoolExecutor(THREADS) as pool:
-            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal), contenders))
+            starts = 1 if "two_starts" in self.ablate else 2
+            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal, starts), contenders))
             standings = list(pool.map(lambda one: stand(data, one), results))
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
@@ -247,9 +297,7 @@ class Selector:
                 del accepted[weakest]
                 data, standing = renewed(data, without.fitted)
                 continue
-            accepted = [
-                replace(note, gain=g, share=s) for note, (g, s, _) in zip(accepted, judged, strict=True)
-            ]
+            accepted = [replace(note, gain=g, share=s) for note, (g, s, _) in zip(accepted, judged, strict=True)]
             break
         return data, standing, accepted
 
@@ -310,13 +358,13 @@ def columns_of(data: Data, standing: Standing, number: int) -> slice:
     return slice(first + own[0], first + own[-1] + 1)
 
 
-def refitted(data: Data, fitted: Fitted, one: Proposal) -> Fitted:
+def refitted(data: Data, fitted: Fitted, one: Proposal, starts: int) -> Fitted:
     """A proposal refitted with everything, from where the model is and from where the base began.
 
     A base that was fitted without the effect bends to take it in, and may not find back from where that led.
     """
     effects = [*fitted.effects, one.effect]
-    found = [fit(data, begin, effects, ITERATIONS) for begin in (fitted.physical, data.start)]
+    found = [fit(data, begin, effects, ITERATIONS) for begin in (fitted.physical, data.start)[:starts]]
     return min(found, key=lambda one: one.loss)
 
 

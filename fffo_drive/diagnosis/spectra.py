@@ -20,8 +20,9 @@ from .rows import Rows
 
 Floats = npt.NDArray[np.float64]
 
-BINS_PER_TURN = 128
-HIGHEST_ORDER = 50.0  # of the periodogram; whole orders beyond it are tried one by one
+BINS_A_PERIOD = 2.56  # of the shortest period
+HIGHEST_ORDER = 50.0  # of the periodogram of a turn; whole orders beyond it are tried one by one
+LEAST_PERIODS = 8.0  # of the highest order in the travel
 SPEED_CLASSES = 8
 LEVEL_BLOCKS = 16  # in which the level of a spectrum is taken
 NEIGHBOURS = 40  # bins to each side that are the same line
@@ -38,12 +39,12 @@ class Peak(NamedTuple):
     strength: float  # power over its neighbourhood's level
 
 
-def order_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
+def order_peaks(rows: Rows, values: Floats, count: int, highest: float = HIGHEST_ORDER) -> list[Peak]:
     """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
-    turns = float(np.ptp(rows.position_rev))
-    if turns < 2.0:
+    turns = rows.turns
+    if turns * highest < LEAST_PERIODS:
         return []
-    orders, power = order_spectrum(rows, values, turns)
+    orders, power = order_spectrum(rows, values, turns, highest)
     return _peaks(orders, power, count, least=1.0 / turns)
 
 
@@ -52,18 +53,18 @@ def slow_orders(rows: Rows, values: Floats) -> tuple[float, ...]:
 
     No line stands out there, where all else that a base lacks has its spectrum: what the order explains decides.
     """
-    turns = float(np.ptp(rows.position_rev))
+    turns = rows.turns
     if turns < 2.0:
         return ()
-    return tuple(_slow_peaks(*order_spectrum(rows, values, turns), 1.5 / turns))
+    return tuple(_slow_peaks(*order_spectrum(rows, values, turns, HIGHEST_ORDER), 1.5 / turns))
 
 
-def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Floats]:
-    """Orders up to HIGHEST_ORDER, and the power of each, the mean over the runs."""
-    bins_per_turn = BINS_PER_TURN
+def order_spectrum(rows: Rows, values: Floats, turns: float, highest: float) -> tuple[Floats, Floats]:
+    """Orders up to the highest, and the power of each, the mean over the runs."""
+    bins_per_turn = BINS_A_PERIOD * highest
     length = min(LONGEST_BINS, 1 << (math.ceil(2.0 * turns * bins_per_turn) - 1).bit_length())
     orders = np.asarray(np.fft.rfftfreq(length, 1.0 / bins_per_turn), dtype=np.float64)
-    use = orders <= HIGHEST_ORDER
+    use = orders <= highest
     power = np.zeros(int(use.sum()))
     weight = np.full(power.size, 1e-300)
     for run in np.unique(rows.run):
@@ -71,7 +72,7 @@ def order_spectrum(rows: Rows, values: Floats, turns: float) -> tuple[Floats, Fl
         if inside.sum() < 100:
             continue
         angle = rows.position_rev[inside] - rows.position_rev[inside].min()
-        if np.ptp(angle) < 2.0:
+        if np.ptp(angle) * highest < LEAST_PERIODS:
             continue
         speed = np.abs(rows.velocity_rps[inside])
         total = np.zeros(power.size, complex)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.coordinates import start_vector
 from ..identification.criterion import HUBER, huber, levels
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
@@ -19,7 +20,6 @@ from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
 from ..identification.prediction import THREADS
 from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
-from ..identification.coordinates import start_vector
 from .base import balanced, delayed, residual_rows
 from .fitting import Data, Fitted, evaluate, fit, with_levels
 from .rows import Rows, Stretch
@@ -69,8 +69,7 @@ def rigid_start(stretches: Sequence[Stretch], rows: Rows) -> TorqueStart:
 
     def torque(delay_s: float) -> Floats:
         parts = [
-            rows.filter.rows(s.torque_constant_nm_per_a * delayed(s.current_a, delay_s / s.period_s))
-            for s in stretches
+            rows.filter.rows(s.torque_constant_nm_per_a * delayed(s.current_a, delay_s / s.period_s)) for s in stretches
         ]
         return np.concatenate(parts)[used]
 
@@ -88,7 +87,7 @@ def rigid_start(stretches: Sequence[Stretch], rows: Rows) -> TorqueStart:
     coulomb = max(coulomb, LEAST_LEVEL * size)
     return TorqueStart(
         inertia, max(viscous, 1e-3 * coulomb / top), coulomb, coulomb + min(max(excess, 0.02 * coulomb), 4.0 * coulomb),
-        speed, 1.0, delay_s, float(np.sqrt(best.cost)) / size, used.size, 0.0,
+        speed, 1.0, delay_s, float(np.sqrt(best.cost)) / size, used.size, 0.0, float(best.values[3]),
     )  # fmt: skip
 
 

@@ -1,0 +1,49 @@
+"""Where a residual lives: what a free curve over each axis, and a table over each pair of axes, explains of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.prediction import THREADS
+from ..model.effects.laws.lookup import UNKNOWN
+from .curves import Curve, coarse_tables, curves
+from .fitting import Data, Fitted, consistent_scenes
+from .propose import Evidence, beyond, evidence_of, score
+from .results import Channel
+
+Floats = npt.NDArray[np.float64]
+
+
+def channels(
+    data: Data, base: tuple[Fitted, Floats], fitted: tuple[Fitted, Floats], rate: float
+) -> tuple[Channel, ...]:
+    """The best curve of each axis, then each pair beyond its two axes. Models come with their sensitivities."""
+    scenes = consistent_scenes(data, base[0].physical, base[0].effects)
+    before, after = (evidence_of(data, *model) for model in (base, fitted))
+    rows = int(data.used.size)
+
+    def scored(curve: Curve) -> tuple[str, list[tuple[float, float]]]:
+        name = curve.name.removeprefix(UNKNOWN) if curve.pair is None else curve.pair.name
+        return name, [_explained(evidence, data, curve) for evidence in (before, after)]
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        found = list(pool.map(scored, [*curves(data.rows, scenes), *coarse_tables(data.rows, scenes)]))
+    best: dict[str, list[tuple[float, float]]] = {}
+    for name, pair in found:
+        if name not in best or pair[0][0] > best[name][0][0]:
+            best[name] = pair
+    limit = rate / max(1, len(found))
+    return tuple(
+        Channel(name, first[0], last[0], first[1] <= limit, last[1] <= limit, rows)
+        for name, (first, last) in best.items()
+    )
+
+
+def _explained(evidence: Evidence, data: Data, curve: Curve) -> tuple[float, float]:
+    """Share of the squared residual, and its chance."""
+    white = data.white(curve.columns)
+    found = score(evidence, white) if curve.beside is None else beyond(evidence, white, data.white(curve.beside))
+    return found.explained / max(evidence.energy, 1e-300), found.p

@@ -1,0 +1,151 @@
+"""What is left, and whether it could be explained: against a black box on the same rows, and against what repeats.
+
+A forest of boosted trees names nothing. Where it explains rows of runs that it was not fitted on, and the model does
+not, something is there that the model lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from ..identification.criterion import FOLDS, gain, huber
+from ..model.effects import slots
+from .fitting import Data, Fitted, consistent_scenes
+from .results import Ceiling, Rest
+from .scenes import Scene
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+TOLD_RATIO = 1.2  # rms over the floor, above which a rest is told
+TREES = 120
+LEAVES = 15
+LEAST_LEAF = 40  # rows
+MOST_ROWS = 16_000
+LEAST_RUNS = 3  # with fewer the trees are fitted on blocks of the same runs
+COMB_HZ = (0.2, 20.0)
+COMB_LINES = 6  # harmonics of a disturbance with a clock of its own
+MEMORY_S = 3.0
+WORDS = {
+    "angle": "motor_angle", "position": "output_angle", "velocity": "velocity", "acceleration": "acceleration",
+    "torque": "torque", "direction": "direction", "travel": "travel_since_reversal", "time": "time",
+    "heat": "memory", "clock": "a clock of its own",
+}  # fmt: skip
+
+
+def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
+    """What is left and could be explained; None where nothing is."""
+    used = data.used
+    features, names, period_s = _features(data, fitted)
+    left = fitted.residual_nm[used]
+    rms = float(np.sqrt(np.mean(left**2)))
+    white = fitted.white
+    predicted, strongest = _trees(features[used], white, _groups(data), names)
+    weight = data.weight[used]
+    trees_nm = float(np.sqrt(np.mean((left - predicted / weight) ** 2)))
+    own = gain(huber(white), huber(white - predicted), type(data.rows.folds)(*(p[used] for p in data.rows.folds)))
+    floor = trees_nm if own.holds else rms
+    repeats = ceiling.left_repeatable_fraction
+    if ceiling.noise_rms_nm is not None and repeats is not None and repeats > 0.0:
+        floor = min(floor, rms * float(np.sqrt(max(0.0, 1.0 - repeats))))
+    if rms <= TOLD_RATIO * floor:
+        return None
+    axes = tuple(WORDS[name] for name in strongest)
+    share = 1.0 - (floor / rms) ** 2
+    clock = f" (a period of {period_s:.3g} s)" if "clock" in strongest else ""
+    where = " and ".join(word.replace("_", " ") for word in axes) or "the command, by its repeats"
+    sentence = (
+        f"{100.0 * share:.0f} % of the squared residual that is left could be explained and is not: "
+        f"{rms:.3g} rms are left, {floor:.3g} would be; it goes with {where}{clock}"
+    )
+    return Rest(rms, floor, repeats, axes, sentence)
+
+
+def _groups(data: Data) -> npt.NDArray[np.int64]:
+    """Which fold of the trees each row that counts belongs to: its run, or its block's fold where runs are few."""
+    run = data.rows.run[data.used]
+    _, group = np.unique(run, return_inverse=True)
+    if group.max(initial=0) + 1 < LEAST_RUNS:
+        return data.rows.folds.fold[data.used]
+    return np.asarray(group % FOLDS, dtype=np.int64)
+
+
+def _trees(
+    features: Floats, target: Floats, group: npt.NDArray[np.int64], names: Sequence[str]
+) -> tuple[Floats, tuple[str, ...]]:
+    """White residual (q,) as trees of the other groups predict it, and the two features that they need most."""
+    from sklearn.ensemble import HistGradientBoostingRegressor  # loads slowly
+
+    pulled = np.clip(target, -6.0, 6.0)
+    found = np.zeros(target.size)
+    fall = np.zeros(len(names))
+    draw = np.random.default_rng(3)
+    for number in np.unique(group):
+        inside = group == number
+        others = np.flatnonzero(~inside)
+        if others.size > MOST_ROWS:
+            others = np.sort(draw.choice(others, MOST_ROWS, replace=False))
+        model = HistGradientBoostingRegressor(
+            max_iter=TREES, max_leaf_nodes=LEAVES, min_samples_leaf=LEAST_LEAF, early_stopping=False, random_state=3
+        ).fit(features[others], pulled[others])
+        rows = np.flatnonzero(inside)
+        found[rows] = model.predict(features[rows])
+        if rows.size > MOST_ROWS // 4:
+            rows = np.sort(draw.choice(rows, MOST_ROWS // 4, replace=False))
+        error = float(np.mean((pulled[rows] - found[rows]) ** 2))
+        for k in range(len(names)):
+            mixed = features[rows].copy()
+            mixed[:, k] = draw.permutation(mixed[:, k])
+            fall[k] += float(np.mean((pulled[rows] - model.predict(mixed)) ** 2)) - error
+    order = np.argsort(-fall)
+    return found, tuple(names[k] for k in order[:2] if fall[k] > 0.25 * fall[order[0]] > 0.0)
+
+
+def _features(data: Data, fitted: Fitted) -> tuple[Floats, tuple[str, ...], float]:
+    """What a residual may depend on, at all rows (m, f), with names; the period of the strongest clock, s."""
+    rows = data.rows
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+
+    def signal(slot: int) -> Floats:
+        return rows.joined(scene.motion[:, slot] for scene in scenes)
+
+    period_s = _clock(data, fitted)
+    columns = {
+        "angle": np.mod(rows.position_rev, 1.0), "position": rows.position_rev, "velocity": rows.velocity_rps,
+        "acceleration": rows.acceleration_rps2,
+        "torque": signal(slots.CURRENT_A), "direction": signal(slots.DIRECTION),
+        "travel": np.log10(np.maximum(signal(slots.TRAVEL_REV), 1e-5)),
+        "time": rows.time_s, "heat": rows.joined(_heat(scene) for scene in scenes),
+    }  # fmt: skip
+    if period_s > 0.0:
+        columns["clock"] = np.mod(rows.time_s, period_s)
+    return np.stack(list(columns.values()), axis=1), tuple(columns), period_s
+
+
+def _heat(scene: Scene) -> Floats:
+    speed = np.abs(scene.stretch.velocity_rps)
+    width = max(1, round(MEMORY_S / scene.stretch.law_period_s))
+    return np.asarray(ndimage.uniform_filter1d(speed, width, origin=(width - 1) // 2, mode="nearest"))
+
+
+def _clock(data: Data, fitted: Fitted) -> float:
+    """Period of the comb of lines that holds most of the residual's power over time, s; 0 where there is none."""
+    rows = data.rows
+    longest = max(end - begin for begin, end in rows.bounds)
+    length = 1 << (4 * longest - 1).bit_length()
+    power = np.zeros(length // 2 + 1)
+    for begin, end in rows.bounds:
+        part = np.where(rows.kept[begin:end], fitted.residual_nm[begin:end] * data.weight[begin:end], 0.0)
+        power += np.abs(np.fft.rfft(np.clip(part, -6.0, 6.0), length)) ** 2
+    frequency = np.fft.rfftfreq(length, rows.filter.row_period_s)
+    low, high = np.searchsorted(frequency, COMB_HZ)
+    base = np.arange(max(1, low), min(high, (power.size - 1) // COMB_LINES))
+    if not base.size:
+        return 0.0
+    level = np.maximum(ndimage.median_filter(power, 257, mode="nearest"), 1e-300)
+    comb = sum(np.minimum(power / level, 100.0)[base * k] for k in range(1, COMB_LINES + 1))
+    return float(1.0 / frequency[base[int(np.argmax(comb))]])
