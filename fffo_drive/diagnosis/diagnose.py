@@ -56,9 +56,7 @@ class DiagnosisSettings(NamedTuple):
     cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
 
 
-def prepared(
-    records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter
-) -> Data:
+def prepared(records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter) -> Data:
     """Data as the fits begin."""
     stretches = stretches_of(records, filter_)
     if not stretches:
