@@ -27,6 +27,10 @@ class Words(NamedTuple):
     small_speed: str = "mrps"
     speed_scale: float = 1e3
 
+    def unit_of(self, quantity: str) -> str:
+        """Unit of an error in this quantity."""
+        return self.small_speed if quantity == "velocity" else self.small_torque
+
 
 ROTARY = Words()
 LINEAR = Words("force", "N", "N", 1.0, "mm/s")
