@@ -19,7 +19,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest
 from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
 from ..units import inertia_kg_m2
-from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_figures import PAIR, Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
     Cell,
     Column,
@@ -41,7 +41,6 @@ KIND = "diagnose"
 NORMAL_95 = 1.96
 SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
-PAIR = " x "  # in the name of a channel over two axes
 SHOWN_REJECTED = 15
 LISTING_WIDTH = 110
 DASH = Cell(text="–")
@@ -167,10 +166,11 @@ def _held_out_errors(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     if before is None or after is None:
         return []
     words = words_of(diagnosis)
-    return [
-        (words.torque, *(words.torque_scale * one.torque_rms_nm.value for one in (before, after))),
-        ("velocity", *(words.speed_scale * one.velocity_rms_rps.value for one in (before, after))),
-    ]
+    quantities = (
+        (words.torque, words.torque_scale, before.torque_rms_nm, after.torque_rms_nm),
+        ("velocity", words.speed_scale, before.velocity_rms_rps, after.velocity_rms_rps),
+    )
+    return [(what, scale * old.value, scale * new.value) for what, scale, old, new in quantities]
 
 
 def _not_finite(diagnosis: Diagnosis) -> bool:

@@ -11,6 +11,7 @@ from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, Run
 from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
+PAIR = " x "  # in the name of a channel over two axes
 SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angle": "output", "acceleration": "accel."}
 BEFORE, AFTER, LAW = "grey", "blue", "orange"
 POINTS = (BEFORE, AFTER, "green", "purple")
@@ -122,8 +123,9 @@ def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str)
 
 
 def channel_figure(channels: Sequence[Channel]) -> Figure | None:
-    """Share of the residual that a free curve over each axis explains, before and after."""
-    shown = sorted(channels, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
+    """Share of the residual that a free curve over each axis explains, before and after; pairs are in the table."""
+    single = [channel for channel in channels if PAIR not in channel.name]
+    shown = sorted(single, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
     if not shown:
         return None
     groups = {
