@@ -203,7 +203,8 @@ def _verdict(source: CircleSource) -> Verdict:
     if source.effects and len(errors) == len(held_out):
         old, new = ("not finite" if error is None else f"{error:.2f}" for error in errors)  # JSON has no NaN
         reasons.append(
-            f"The model's torque error on the run that was held out: {old} to {new} % of the torque that the axis needs."
+            f"The model's torque error on the run that was held out: {old} to {new} % of the torque that the axis "
+            "needs."
         )
     reasons += [f"Not compensated: {name}: {reason}." for name, reason in source.not_compensated.items()]
     cautions = _cautions(source.runs)

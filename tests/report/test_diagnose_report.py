@@ -61,7 +61,8 @@ def finding(**changes):
         "false_alarm_probability": 0.002, "accepted": True, "reason": "beyond chance", "regime": "everywhere",
         "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
         "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
-        "picture": picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0), "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
+        "picture": picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
+        "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
     }  # fmt: skip
     return Finding(**{**content, **changes})
 
