@@ -32,17 +32,19 @@ from ..identification.dataset import load_records
 from ..identification.facts import read_facts
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
-from ..report.diagnose import KIND, DiagnosisSource, doubts, write_diagnosis_report
+from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
+from ..report.diagnose_figures import ROTARY, Words, words_of
 from ..report.document import SourceFile, provenance, source_file
 from ..report.page import JSON_NAME, refuse_other_report
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
 
 MODEL_NAME = "model.yaml"
-CURVES: dict[KindWord, str] = {
-    "torque": "a torque from {} to {} Nm", "friction": "friction from {} to {} Nm", "viscous": "from {} to {} Nm/rps",
-    "response": "shares from {} to {} of the motor torque", "drag": "a drag from {} to {} Nm",
-    "wound": "springs along the travel that slip and then pull with {} to {} Nm",
+CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
+    "torque": ("a {0} from {1} to {2}", "Nm"), "friction": ("friction from {1} to {2}", "Nm"),
+    "viscous": ("from {1} to {2}", "Nm/rps"), "response": ("shares from {1} to {2} of the motor {0}", ""),
+    "drag": ("a drag from {1} to {2}", "Nm"),
+    "wound": ("springs along the travel that slip and then pull with {1} to {2}", "Nm"),
 }  # fmt: skip
 
 
@@ -146,13 +148,14 @@ def _files(paths: Sequence[str]) -> list[SourceFile]:
 
 
 def _print(found: Diagnosis) -> None:
+    words = words_of(found)
     print(found.headline)
     for finding in found.findings:
         if not finding.accepted:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
-        numbers = curve_words(finding) or ", ".join(
-            f"{n.name} {n.value:.4g} {n.unit}".rstrip(" -") for n in finding.parameters
+        numbers = curve_words(finding, words) or ", ".join(
+            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") for n in finding.parameters
         )
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability
@@ -160,12 +163,14 @@ def _print(found: Diagnosis) -> None:
             f"  {finding.name}{family}: {share:.0f} % of the squared residual that all others leave, p {chance:.2g}; "
             f"{numbers}"
         )
+        if unproven(finding):
+            print("    on the held-out runs it does not lower the error")
         if finding.alternatives:
             print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
     places = (("held out", found.before, found.after), ("fitted", found.fit_before, found.fit_after))
     for place, before, after in places:
         if before is not None and after is not None:
-            print(f"  {place}: {_errors(before, after, found.units == 'linear')}")
+            print(f"  {place}: {_errors(before, after, words)}")
     remarks = [remark.text for remark in found.runs_look.remarks] if found.runs_look is not None else []
     for remark in remarks:
         print(f"  runs: {remark}")
@@ -174,25 +179,27 @@ def _print(found: Diagnosis) -> None:
             print(f"caution: {caution}", file=sys.stderr)
 
 
-def curve_words(finding: Finding) -> str:
+def curve_words(finding: Finding, words: Words = ROTARY) -> str:
     """A free curve in words; empty for a law with a name."""
     curve = finding.curve
     if curve is None:
         return ""
     values = np.array(curve.values)
-    size = CURVES[curve.kind].format(f"{values.min():.3g}", f"{values.max():.3g}")
+    text, unit = CURVES[curve.kind]
+    size = f"{text.format(words.torque, f'{values.min():.3g}', f'{values.max():.3g}')} {words.unit(unit)}".rstrip()
     low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
     if curve.across is not None:
         reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
         return f"a table over {low} to {high} and the {curve.across.replace('_', ' ')}, {reach}: {size}"
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
-        return f"{size}, after {low} to {high} rev; the strongest after {reach_rev:.3g} rev"
+        length = words.unit("rev")
+        return f"{size}, after {low} to {high} {length}; the strongest after {reach_rev:.3g} {length}"
     return f"a curve of {len(curve.knots)} knots over {low} to {high}: {size}"
 
 
-def _errors(before: ErrorFigures, after: ErrorFigures, linear: bool) -> str:
-    torque, speed = ("force", "m/s") if linear else ("torque", "rps")
+def _errors(before: ErrorFigures, after: ErrorFigures, words: Words) -> str:
+    torque, speed = words.torque, words.unit("rps")
     first, last = before.torque_relative_percent, after.torque_relative_percent
     text = (
         f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f}) of the {torque} "

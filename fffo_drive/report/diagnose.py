@@ -19,7 +19,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest
 from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
 from ..units import inertia_kg_m2
-from .diagnose_figures import PAIR, Words, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_figures import LINEAR, PAIR, Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
     Cell,
     Column,
@@ -46,9 +46,6 @@ LISTING_WIDTH = 110
 DASH = Cell(text="–")
 NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
-LINEAR_UNITS = {
-    "Nm": "N", "Nm/rps": "N s/m", "rps": "m/s", "1/rev": "1/m", "Nm/rev": "N/m", "Nm s²/rev²": "N s²/m²", "rev": "m",
-}  # fmt: skip
 MODEL_ROWS = {
     "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
     "coulomb_nm": ("Fc, Coulomb level", "Nm"),
@@ -84,16 +81,16 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     tables = [_found(accepted)] if accepted else []
     tables += [_before_after(diagnosis, accepted, words)]
-    parameters = _parameters(accepted)
+    parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
     tables += [_rivals(accepted)] if any(finding.rivals for finding in accepted) else []
     tables += [_channels(diagnosis)] if diagnosis.channels else []
     tables += [_rejected(rejected)] if rejected else []
-    tables += [_runs(diagnosis.runs_look, diagnosis.units == "linear")] if diagnosis.runs_look is not None else []
-    tables += [_base(diagnosis)]
+    tables += [_runs(diagnosis.runs_look, words)] if diagnosis.runs_look is not None else []
+    tables += [_base(diagnosis, words)]
     channels = channel_figure(diagnosis.channels)
     sections = (
-        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted)),
+        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted, words)),
         Section(
             "Before and after",
             f"Residual {words.torque} of each run: of the base model, and with everything that was added.",
@@ -196,7 +193,13 @@ def _reason(finding: Finding) -> str:
     return (
         f"{finding.name}{family}. It takes away {share:.0f} % of the squared residual that all others leave; chance "
         f"would do so with p = {significant(finding.false_alarm_probability, 2)}. Acts in: {finding.regime}."
+        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
     )
+
+
+def unproven(finding: Finding) -> bool:
+    """The held-out runs were asked, and do not show it."""
+    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
 
 
 def _names(names: Sequence[str]) -> str:
@@ -308,14 +311,14 @@ def _axes(finding: Finding) -> str:
     return finding.axis if across is None else f"{finding.axis} x {across}"
 
 
-def _parameters(accepted: Sequence[Finding]) -> Table:
+def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
     rows = []
     for finding in accepted:
         for one in finding.parameters if finding.curve is None else ():
             reach = None if one.sd is None else NORMAL_95 * one.sd
             low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
             name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")
-            rows.append(Row(label=name, unit=one.unit, cells=[number(one.value, 4, low, high)]))
+            rows.append(Row(label=name, unit=words.unit(one.unit), cells=[number(one.value, 4, low, high)]))
     return Table(
         name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
         columns=[Column(label="value")],
@@ -404,15 +407,13 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     )
 
 
-def _runs(look: RunsLook, linear: bool) -> Table:
-    def unit(text: str) -> str:
-        return LINEAR_UNITS.get(text, text) if linear else text
-
+def _runs(look: RunsLook, words: Words) -> Table:
+    linear = words is LINEAR
     inertia = 1.0 if linear else inertia_kg_m2(1.0)
     columns = [
         Column(label="M, mass" if linear else "J, inertia", unit="kg" if linear else "kg m²"),
-        Column(label="viscous", unit=unit("Nm/rps")), Column(label="Coulomb", unit=unit("Nm")),
-        Column(label="offset", unit=unit("Nm")), Column(label="turns", words=True),
+        Column(label="viscous", unit=words.unit("Nm/rps")), Column(label="Coulomb", unit=words.unit("Nm")),
+        Column(label="offset", unit=words.unit("Nm")), Column(label="turns", words=True),
     ]  # fmt: skip
     scales = {"inertia_nm_s2_per_rev": inertia, "viscous_nm_per_rps": 1.0, "coulomb_nm": 1.0, "offset_nm": 1.0}
     rows = [
@@ -440,16 +441,13 @@ def _estimate(one: Estimate | None, scale: float) -> Cell:
     return number(value, 4, value - reach, value + reach)
 
 
-def _base(diagnosis: Diagnosis) -> Table:
-    def unit(text: str) -> str:
-        return LINEAR_UNITS.get(text, text) if diagnosis.units == "linear" else text
-
+def _base(diagnosis: Diagnosis, words: Words) -> Table:
     rows = [Row(label="J, inertia", unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))]
-    if diagnosis.units == "linear":  # the file keeps kg m² at 2 pi; the mass is what people know
+    if words is LINEAR:  # the file keeps kg m² at 2 pi; the mass is what people know
         rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
     rows.append(Row(label="Td, delay", unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
     for name, (label, text) in MODEL_ROWS.items():
-        rows.append(Row(label=label, unit=unit(text), cells=_model_cells(diagnosis, name)))
+        rows.append(Row(label=label, unit=words.unit(text), cells=_model_cells(diagnosis, name)))
     return Table(
         name="base", title="Base model", corner="Parameter", rows=rows,
         columns=[Column(label="before"), Column(label="with the effects")],

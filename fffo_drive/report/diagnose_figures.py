@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, RunFigure
+from ..identification.results import LINEAR_UNITS
 from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
@@ -27,6 +29,11 @@ class Words(NamedTuple):
     torque_scale: float = 1e3
     small_speed: str = "mrps"
     speed_scale: float = 1e3
+    units: Mapping[str, str] = MappingProxyType({})  # of a rotary axis -> what stands for it
+
+    def unit(self, rotary: str) -> str:
+        """What stands for a unit of a rotary axis."""
+        return self.units.get(rotary, rotary)
 
     def unit_of(self, quantity: str) -> str:
         """Unit of an error in this quantity."""
@@ -34,7 +41,7 @@ class Words(NamedTuple):
 
 
 ROTARY = Words()
-LINEAR = Words("force", "N", "N", 1.0, "mm/s")
+LINEAR = Words("force", "N", "N", 1.0, "mm/s", units=LINEAR_UNITS)
 
 
 def words_of(diagnosis: Diagnosis) -> Words:
@@ -42,17 +49,17 @@ def words_of(diagnosis: Diagnosis) -> Words:
     return LINEAR if diagnosis.units == "linear" else ROTARY
 
 
-def effect_figures(findings: Sequence[Finding]) -> tuple[Figure, ...]:
+def effect_figures(findings: Sequence[Finding], words: Words) -> tuple[Figure, ...]:
     """The picture of each finding that has one."""
     pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
     return tuple(
-        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half")
+        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half", words)
         for number, finding in enumerate(pictured, 1)
         if finding.picture is not None
     )
 
 
-def _effect(name: str, effect: str, picture: Picture, width: str) -> Figure:
+def _effect(name: str, effect: str, picture: Picture, width: str, words: Words) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
     series = [_series(curve, POINTS[k % len(POINTS)]) for k, curve in enumerate(clouds)]
@@ -63,8 +70,8 @@ def _effect(name: str, effect: str, picture: Picture, width: str) -> Figure:
         kind="xy",
         title=picture.title,
         caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
-        x=Axis(picture.x_label, picture.x_unit or "-"),
-        y=Axis(picture.y_label, picture.y_unit or "-"),
+        x=Axis(picture.x_label, words.unit(picture.x_unit) or "-"),
+        y=Axis(picture.y_label.replace(ROTARY.torque, words.torque), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
         width="full" if width == "full" else "half",
     )

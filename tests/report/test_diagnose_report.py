@@ -288,6 +288,16 @@ def test_a_linear_axis_is_told_in_its_own_units():
     base = {row.label: row for row in tables["base"].rows}
     mass = base["M, mass"].cells[0].value
     assert mass == pytest.approx(2 * np.pi * read_model(TABLE_1).inertia_kg_m2.value)
+    assert [row.unit for row in tables["parameters"].rows] == ["N", "1/m"]
+    effect = {figure.name: figure for figure in report.figures}["effect-1"]
+    assert (effect.x.unit, effect.y.label, effect.y.unit) == ("m", "residual force", "N")
+
+
+def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
+    shown, hidden = finding(), finding(name="unbalance", held_out_gain=(-3.0, 5.0))
+    reasons = diagnosis_report(SOURCE, diagnosis(findings=(shown, hidden))).verdict.reasons
+    said = "On the held-out runs it does not lower the error."
+    assert [said in reason for reason in reasons[:2]] == [False, True]
 
 
 def test_the_json_is_the_stable_schema(tmp_path):
