@@ -39,6 +39,7 @@ from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
 
 KIND = "diagnose"
 NORMAL_95 = 1.96
+WIDEST = 1e3  # half an interval over its value, beyond which the data say nothing of a parameter
 SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
 SHOWN_REJECTED = 15
@@ -215,7 +216,6 @@ def _found(accepted: Sequence[Finding]) -> Table:
         Column(label="false alarm", unit="p"),
         Column(label="not told from", words=True),
         Column(label="axis", words=True),
-        Column(label="acts in", words=True),
         Column(label="feed-forward", words=True),
     ]
     rows = [
@@ -229,7 +229,6 @@ def _found(accepted: Sequence[Finding]) -> Table:
                 number(finding.false_alarm_probability, 2),
                 Cell(text=", ".join(finding.alternatives) or "–"),
                 Cell(text=_axes(finding).replace("_", " ")),
-                Cell(text=finding.regime),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],
         )
@@ -466,6 +465,8 @@ def _quantity(model: ModelFile, name: str, factor: float) -> Cell:
     if quantity.sd is None:
         return number(value, 4)
     reach = NORMAL_95 * quantity.sd * factor
+    if not reach <= WIDEST * abs(value) and value != 0.0:
+        return NOT_DETERMINED
     return number(value, 4, low=value - reach, high=value + reach)
 
 

@@ -276,6 +276,17 @@ def test_each_run_stands_by_itself_and_what_it_does_not_say_is_not_a_number():
     assert [column.unit for column in tables["runs"].columns[:4]] == ["kg", "N s/m", "N", "N"]
 
 
+@pytest.mark.parametrize("sd", [1e290, float("inf")])
+def test_a_parameter_that_the_data_do_not_determine_has_no_interval_that_looks_like_one(sd):
+    model = read_model(TABLE_1)
+    exponent = model.friction.stribeck_exponent.model_copy(update={"sd": sd})
+    loose = model.model_copy(update={"friction": model.friction.model_copy(update={"stribeck_exponent": exponent})})
+    base = next(t for t in diagnosis_report(SOURCE, diagnosis(model_after=loose)).tables if t.name == "base")
+    cells = {row.label: row.cells for row in base.rows}["δ, Stribeck exponent"]
+    assert cells[0].value == pytest.approx(model.friction.stribeck_exponent.value)
+    assert cells[1].text == "not determined"
+
+
 def test_what_is_left_and_repeats_is_said():
     reasons = diagnosis_report(SOURCE, diagnosis(ceiling=Ceiling(0.9, 0.25, 0.001, 0.95, "2 repeats"))).verdict.reasons
     assert "25 % of the squared residual that is left repeats with the reference." in reasons
