@@ -163,8 +163,8 @@ class Selector:
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
         """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
 
-        They are fitted beside a rigid base from the start: a base that was fitted without them, or that has more freedom
-        than the data determine, bends. The friction of the whole base is then a rung of its own.
+        They are fitted beside a rigid base from the start: a base that was fitted without them, or has more freedom than
+        the data determine, bends. The friction of the whole base is then a rung of its own.
         """
         rigid = data._replace(free=RIGID)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
@@ -255,14 +255,14 @@ class Selector:
         note = Accepted(
             chosen[0].name, chosen[2], min(1.0, chosen[0].score.p * tried), 0.0,
             tuple(dict.fromkeys(item[0].name for item in family if item[0].name != chosen[0].name)),
-            tuple((item[0].name, item[2].value) for item in believed if item is not chosen), tried,
+            tuple((item[0].name, item[2].value) for item in believed if item[0].name != chosen[0].name), tried,
         )  # fmt: skip
         return self._pruned(renewed_data, renewed_standing, [*accepted, note])
 
     def _contradicted(
         self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
     ) -> bool:
-        """Whether an inertia for each run explains unseen rows, and no effect explains them better: no law says that."""
+        """Whether an inertia for each run explains unseen rows, and no effect explains them better."""
         rows = data.rows
         inertia = standing.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
         columns = np.stack(

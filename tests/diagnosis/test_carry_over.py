@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from identification.rig import random_plant, record
-from identification.synthetic import PERIOD_S
-
 from fffo_drive.diagnosis.candidates import Effect
-from fffo_drive.diagnosis.diagnose import prepared
-from fffo_drive.diagnosis.fitting import at_rest, evaluate, huber_terms, refit
 from fffo_drive.diagnosis.free_curves import free_trials
 from fffo_drive.diagnosis.removal import backward
 from fffo_drive.diagnosis.selection import Contest, Selection, beside, evidence_of
-from fffo_drive.diagnosis.startup import fit_base
 from fffo_drive.diagnosis.tables import with_table
 from fffo_drive.diagnosis.transfer import Transfer, of_one_size, transfer
 from fffo_drive.diagnosis.where import where
+from identification.rig import random_plant, record
+from identification.synthetic import PERIOD_S
+
+from fffo_drive.diagnosis.diagnose import prepared
+from fffo_drive.diagnosis.fitting import at_rest, evaluate, huber_terms, refit
+from fffo_drive.diagnosis.startup import fit_base
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts

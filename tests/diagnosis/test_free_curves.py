@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from diagnosis.test_tables import FACTS, axis_with
-
-from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.candidates import Effect, effect_rows
-from fffo_drive.diagnosis.fitting import consistent_scenes, loaded_sensitivities, refit
 from fffo_drive.diagnosis.free_curves import free_trials
 from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.diagnosis.transfer import transfer
 from fffo_drive.diagnosis.visited import taught
+
+from fffo_drive.diagnosis.base import NAMES
+from fffo_drive.diagnosis.fitting import consistent_scenes, loaded_sensitivities, refit
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.model.effects.laws.lookup import BRAKE, WOUND
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fffo_drive.diagnosis.candidates import Effect
+from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
 from identification.synthetic import TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import NAMES
-from fffo_drive.diagnosis.candidates import Effect
 from fffo_drive.diagnosis.fitting import Data, Fitted
-from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
 from fffo_drive.diagnosis.pictures import _edges, _interval, ceiling, picture, run_figures
 from fffo_drive.identification.dataset import Record
 

@@ -5,14 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnosis.test_tables import FACTS, base_on, records_with
+from fffo_drive.diagnosis.current_side import LEAST_SHARE, shortage, shown_share
+from fffo_drive.diagnosis.screening import screen, search_context
+from fffo_drive.diagnosis.selection import beside, evidence_of
 from identification.synthetic import PERIOD_S
 from scipy import signal
 
 from fffo_drive.diagnosis.base import BASE, NAMES, moved
-from fffo_drive.diagnosis.current_side import LEAST_SHARE, shortage, shown_share
 from fffo_drive.diagnosis.fitting import evaluate, loaded_sensitivities, polished
-from fffo_drive.diagnosis.screening import screen, search_context
-from fffo_drive.diagnosis.selection import beside, evidence_of
 from fffo_drive.drive.simulated.parameters import EffectConfig
 
 # What the plant is given, and what the law has to find of it: (value, relative error). The limits hold for any noise of

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shared_data import shared_files
-
 from fffo_drive.diagnosis.rigid import diagnose_rigid, hold_figures
 from fffo_drive.diagnosis.rigid_data import cycle_rows, longest_rest_s, rigid_run
+from shared_data import shared_files
+
 from fffo_drive.identification.dataset import DataError, Record, load_record
 from fffo_drive.identification.facts import DriveFacts, read_facts
 

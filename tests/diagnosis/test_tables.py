@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fffo_drive.diagnosis.candidates import Effect, effect_rows
+from fffo_drive.diagnosis.pairs import coarse_tables, pairs_of, table_trial
+from fffo_drive.diagnosis.selection import Contest, Selection, evidence_of
+from fffo_drive.diagnosis.tables import with_table
 from identification.rig import random_plant, record
 from identification.synthetic import PERIOD_S
 
-from fffo_drive.diagnosis.candidates import Effect, effect_rows
 from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import consistent_scenes, refit
-from fffo_drive.diagnosis.pairs import coarse_tables, pairs_of, table_trial
 from fffo_drive.diagnosis.pictures import picture
-from fffo_drive.diagnosis.selection import Contest, Selection, evidence_of
 from fffo_drive.diagnosis.startup import fit_base
-from fffo_drive.diagnosis.tables import with_table
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
