@@ -25,6 +25,7 @@ from .rows import Rows, Stretch, second_difference
 Floats = npt.NDArray[np.float64]
 
 BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # what is refitted with every effect; no offset: that is an effect
+RIGID = ("inertia_nm_s2_per_rev", "delay_s", "viscous_nm_per_rps", "coulomb_nm")  # what a rigid base has of it
 NAMES = tuple(PARAMETERS)
 # how far a parameter may be from its start where the data say nothing of it: standard deviation, by its logarithm where
 # it is positive, in s and s2 where it is not

@@ -42,9 +42,6 @@ MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many 
 PERIODS = 3.0  # that a motion passes at least, for an angle to be an axis
 ANGLES = ("motor_angle", "output_angle")
 SCALELESS = ("dwell", "travel_since_reversal")
-RESPONSE_KNOTS = 7
-LOWEST_HZ = 0.5
-HIGHEST_SHARE = 0.4  # of the rate of the rows, that a response reaches
 LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is near it
 COARSE = 5  # knots of each axis of a coarse table
 LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fine table
@@ -119,7 +116,7 @@ def axes_of(turns: float) -> list[Axis]:
 
 
 def curves(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
-    """A curve over every axis, springs along the travel, and a response over frequency.
+    """A curve over every axis, and springs along the travel.
 
     Thinned, not filtered, to the rows: a curve changes slowly.
     """
@@ -130,18 +127,16 @@ def curves(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
             at = rows.joined(abscissa(scenes, axis))
             weight = rows.joined(factor(scene, axis.kind) for scene in scenes)
             yield Curve(UNKNOWN + axis.word, shapes, hats(at, knots) * weight[:, None])
-    yield from _with_states(rows, scenes)
+    yield from _springs(rows, scenes)
 
 
-def _with_states(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+def _springs(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
     travel = np.concatenate([s.motion[s.moving > 0.0, slots.TRAVEL_REV] for s in scenes])
     furthest_rev = 0.5 * float(np.quantile(travel, 0.99)) if travel.size else 0.0
-    found = {"frequency": _shapes(RESPONSE, np.geomspace(LOWEST_HZ, HIGHEST_SHARE / rows.filter.row_period_s, 7))}
     if furthest_rev >= 4.0 * LEAST_REACH_REV:
-        found["memory"] = _shapes(WOUND, np.geomspace(LEAST_REACH_REV, furthest_rev, CURVE_KNOTS))
-    for word, shapes in found.items():
-        parts = [curve_columns(scene, UNKNOWN + word, shapes, rows.laws) for scene in scenes]
-        yield Curve(UNKNOWN + word, shapes, np.concatenate(parts))
+        shapes = _shapes(WOUND, np.geomspace(LEAST_REACH_REV, furthest_rev, CURVE_KNOTS))
+        parts = [curve_columns(scene, UNKNOWN + "memory", shapes, rows.laws) for scene in scenes]
+        yield Curve(UNKNOWN + "memory", shapes, np.concatenate(parts))
 
 
 def pairs_of(turns: float) -> list[Pair]:

@@ -33,8 +33,8 @@ from .rest import rest_of
 from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
-from .select import Accepted, Refused, Selection, Selector
-from .startup import fit_base, start_physical
+from .select import Accepted, Refused, Selection, Selector, base_of, settled
+from .startup import starting_data
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -58,14 +58,13 @@ class DiagnosisSettings(NamedTuple):
 
 def prepared(
     records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter
-) -> tuple[Data, Fitted]:
-    """Data with its levels of noise, and the base model fitted."""
+) -> Data:
+    """Data as the fits begin."""
     stretches = stretches_of(records, filter_)
     if not stretches:
         raise DataError("no run has a stretch without a gap that is long enough")
     rows = rows_of(stretches, filter_)
-    start = physical_of(model) if model is not None else start_physical(facts, stretches, rows)
-    return fit_base(stretches, rows, start, len(records))
+    return starting_data(facts, stretches, rows, len(records), None if model is None else physical_of(model))
 
 
 def filter_for(records: Sequence[Record], facts: DriveFacts, settings: DiagnosisSettings) -> Filter:
@@ -92,7 +91,7 @@ def base_figures(
 ) -> ErrorFigures:
     """Errors of the base model alone on held-out runs: the `before` of a diagnosis without effects."""
     filter_ = filter_for(fit, facts, DiagnosisSettings())
-    _, base = prepared(fit, facts, model, filter_)
+    base = settled(data := prepared(fit, facts, model, filter_), base_of(data))[1].fitted
     data = data_of(held_out, filter_, base)
     found = with_own_datum(data, base)[0]
     return error_figures(data, found, needed_rows(data, found))
@@ -116,10 +115,10 @@ def diagnose(
         look = runs_look(fit)
         tell(0.02, "base model")
         filter_ = filter_for(fit, facts, settings)
-        data, base = prepared(fit, facts, model, filter_)
+        data = prepared(fit, facts, model, filter_)
         tell(0.1, "search")
         selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
-        selected = selector.run(data, base)
+        selected = selector.run(data)
         tell(0.75, "proof")
         found = assemble(fit, held_out, facts, selected, settings, look, tell)
     tell(1.0, "done")
@@ -304,7 +303,7 @@ def _held_out(
     acting &= proof.scored & proof.data.rows.kept
     if acting.sum() * proof.data.rows.filter.row_period_s < LEAST_ACTING_S:
         return None, None, (own.value, own.sd)
-    before, after = (proof.figures(model, acting, velocity=False) for model in (proof.base, proof.fitted))
+    before, after = (proof.figures(model, acting) for model in (proof.base, proof.fitted))
     return before, after, (own.value, own.sd)
 
 

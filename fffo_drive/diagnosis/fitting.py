@@ -46,6 +46,7 @@ CURVE_PRIOR = 1e-3  # of the squared norm of a curve's column
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
 STEADY = 0.02  # ... and at which the effects' sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
+LARGEST_GROWTH = 0.02  # of the plain squared residual, that an effect may cost
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits of the classes of noise, in shares of the top speed
 PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so many 1/K of travel
@@ -59,6 +60,7 @@ class Data(NamedTuple):
     weight: Floats  # (m,) one over the level of noise; 0: not kept
     runs: int
     start: Floats  # base parameters where the fits begin; the centre of the prior
+    free: tuple[str, ...] = BASE  # of the base parameters: all, or those of a rigid base
 
     @property
     def used(self) -> Integers:
@@ -96,6 +98,13 @@ class Slot(NamedTuple):
     step: float  # of the numeric derivative
     logarithmic: bool
     periods_per_turn: bool  # an order
+
+
+def share_gone(before: Fitted, after: Fitted) -> float:
+    """Share of the squared white residual that is gone, outliers pulled in; what serves the bulk of the rows at the
+    cost of the outliers takes nothing away. At most 1."""
+    plain = float(after.white @ after.white) / max(float(before.white @ before.white), 1e-300)
+    return 0.0 if plain > 1.0 + LARGEST_GROWTH else 1.0 - after.energy / max(before.energy, 1e-300)
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
@@ -143,7 +152,16 @@ def jacobian(data: Data, fitted: Fitted) -> Floats:
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     numbers = slots_of(fitted.effects, data.rows.turns)
     own = effect_jacobian(data, fitted.effects, numbers, scenes)
-    return data.white(np.concatenate([loaded_sensitivities(data, fitted.physical, fitted.effects), own], axis=1))
+    base = _free(data, loaded_sensitivities(data, fitted.physical, fitted.effects))
+    return data.white(np.concatenate([base, own], axis=1))
+
+
+def _free(data: Data, matrix: Floats) -> Floats:
+    """Sensitivities (m, len(BASE)) with zeros for what is not fitted. Of a rigid base Fs moves with Fc."""
+    found = matrix * np.array([name in data.free for name in BASE])
+    if "static_nm" not in data.free:
+        found[:, BASE.index("coulomb_nm")] += matrix[:, BASE.index("static_nm")]
+    return np.asarray(found)
 
 
 def unseen(data: Data, fitted: Fitted, matrix: Floats | None = None) -> Floats:
@@ -254,17 +272,17 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
 
 
 def fit(
-    data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, base: Floats | None = None,
-    shapes: bool = True, free_base: bool = True,
+    data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, shapes: bool = True,
+    free_base: bool = True,
 ) -> Fitted:  # fmt: skip
-    """Fit base and effects from a start. `base` (m, len(BASE)): sensitivities of a near model, made where not given."""
+    """Fit base and effects from a start."""
     best, scenes = evaluate(data, start, effects)
     turns = data.rows.turns
     numbers = slots_of(effects, turns, shapes)
     if not free_base:
         base_white = np.zeros((best.white.size, 0))
     else:
-        base_white = data.white(loaded_sensitivities(data, start, effects) if base is None else base)
+        base_white = data.white(_free(data, loaded_sensitivities(data, start, effects)))
     count = base_white.shape[1]
     precision = 1.0 / prior_sds()[:count] ** 2
     damping, change = 1e-4, np.inf
@@ -283,7 +301,7 @@ def fit(
         accepted = None
         for _ in range(4):
             step = _solve(hessian, gradient, damping)
-            physical = stepped(best.physical, step[:count]) if free_base else best.physical
+            physical = stepped(best.physical, step[:count], data.free) if free_base else best.physical
             moved_effects: Sequence[Effect] = best.effects
             for slot, size in zip(numbers, step[count:], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf
@@ -366,20 +384,22 @@ def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:
     return found
 
 
-def stepped(physical: Floats, step: Floats) -> Floats:
+def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Floats:
     """Base parameters after a step in their coordinates, within bounds."""
     found = physical
     for name, size in zip(BASE, step, strict=True):
-        found = moved(found, name, float(np.clip(size, -LARGEST_LOG, LARGEST_LOG)))
+        if name in free:
+            found = moved(found, name, float(np.clip(size, -LARGEST_LOG, LARGEST_LOG)))
     found = found.copy()
     for name, (low, high) in (("delay_s", (0.0, LONGEST_DELAY_S)), ("stribeck_exponent", STRIBECK_EXPONENTS)):
         k = NAMES.index(name)
         found[k] = min(max(found[k], low), high)
     coulomb, static = NAMES.index("coulomb_nm"), NAMES.index("static_nm")
+    if "static_nm" not in free:
+        found[static] = physical[static] * found[coulomb] / physical[coulomb]
     found[static] = max(found[static], found[coulomb])
-    found[coulomb] = max(
-        found[coulomb], found[static] / STEEPEST
-    )  # by its logarithm it would never come back from zero
+    # by its logarithm it would never come back from zero
+    found[coulomb] = max(found[coulomb], found[static] / STEEPEST)
     return found
 
 

@@ -32,7 +32,7 @@ Floats = npt.NDArray[np.float64]
 PEAKS = 4  # of each spectrum that become shapes
 DISTINCT = 1e-3  # share of a column's square that must be left once the base is projected out
 COLLINEAR = 1e-8  # eigenvalue over the largest, below which columns of one candidate are one
-GRAVITY_RUNG, WAVE_RUNG, LAW_RUNG = 1, 2, 3
+WAVE_RUNG, LAW_RUNG, TABLE_RUNG = 2, 3, 4  # waves at the machine's orders; all laws and curves; tables over two axes
 INSIDE_SHARE = 0.2  # of the motion that may lie inside a dead zone: there the residual explains itself
 
 
@@ -152,8 +152,8 @@ class Search:
                     best[found.kind] = found
         self.tried = len(work)
         chosen = [more for found in best.values() for more in (found, *self._with_datum(data, evidence, found))]
-        if rung == LAW_RUNG and "curves" not in self.ablate:
-            chosen += self._curves(data, evidence, scenes)
+        if rung >= LAW_RUNG and "curves" not in self.ablate:
+            chosen += self._curves(data, evidence, scenes, rung)
         # the scores were compared without their chance: it is wanted of the best alone
         return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
 
@@ -195,7 +195,7 @@ class Search:
         columns = with_datum(one, found.name, data.rows)
         return [proposal(data, evidence, found.name, found.kind, dict(found.effect.shapes), columns)]
 
-    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
+    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene], rung: int) -> list[Proposal]:
         """All curves, and the tables that say most beyond the two curves of their axes."""
 
         def scored(curve: Curve) -> Proposal:
@@ -208,6 +208,9 @@ class Search:
 
         with ThreadPoolExecutor(THREADS) as pool:
             single = list(pool.map(scored, filter(wanted, curves(data.rows, scenes))))
+            if rung < TABLE_RUNG:
+                self.tried += len(single)
+                return [found for found in single if found.score.rank]
             coarse = [curve for curve in coarse_tables(data.rows, scenes) if wanted(curve)]
             both = list(pool.map(lambda c: self._beyond(data, evidence, c), coarse))
             self.tried += len(single) + len(coarse)

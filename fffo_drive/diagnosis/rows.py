@@ -127,17 +127,19 @@ def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
     if not stretches:
         return CUTOFF_HZ
     rows = rows_of(stretches, filter_)
+    velocity, position = rows.velocity_rps, rows.position_rev
+    torque = np.concatenate([filter_.rows(s.torque_constant_nm_per_a * s.current_a) for s in stretches])
+    rigid = np.column_stack([rows.acceleration_rps2, velocity, np.sign(velocity), np.ones(velocity.size)])
     kept = rows.kept
-    velocity, position = rows.velocity_rps[kept], rows.position_rev[kept]
-    torque = np.concatenate([filter_.rows(s.torque_constant_nm_per_a * s.current_a) for s in stretches])[kept]
-    rigid = np.column_stack([rows.acceleration_rps2[kept], velocity, np.sign(velocity), np.ones(velocity.size)])
-    left = torque - rigid @ np.linalg.lstsq(rigid, torque, rcond=None)[0]
+    left = np.where(kept, torque - rigid @ np.linalg.lstsq(rigid[kept], torque[kept], rcond=None)[0], 0.0)
     wanted_hz = CUTOFF_HZ
-    for order in range(round(CUTOFF_HZ / slow), round(min(HIGHEST_ORDER, highest_hz / slow)) + 1):
-        wave = np.exp(2j * np.pi * order * position)
-        # a line of amplitude A has A^2 / 2 of the mean square
-        if 2.0 * abs(np.mean(left * wave)) ** 2 > STANDS_OUT * np.mean(left * left):
-            wanted_hz = min(highest_hz, ABOVE * order * float(np.median(np.abs(velocity))))
+    usual = float(np.median(np.abs(velocity[kept])))
+    for order in range(max(1, round(CUTOFF_HZ / usual)), round(min(HIGHEST_ORDER, highest_hz / slow)) + 1):
+        wave = left * np.exp(2j * np.pi * order * position)
+        # a line of amplitude A has A^2 / 2 of the mean square; the datum may differ from run to run
+        lines = sum(2.0 * abs(wave[begin:end].sum()) ** 2 / (end - begin) for begin, end in rows.bounds)
+        if lines > STANDS_OUT * float(left @ left):
+            wanted_hz = min(highest_hz, ABOVE * order * usual)
     return wanted_hz
 
 

@@ -23,16 +23,19 @@ from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
-from .base import NAMES
-from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, jacobian, slots_of, unseen, with_levels
+from .base import NAMES, RIGID
+from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, jacobian, share_gone, slots_of, unseen, with_levels
 from .gates import Reference, objection
-from .propose import LAW_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
-from .scenes import Effect, load_rows
+from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
+from .scenes import Effect, load_rows, strength_columns
 
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
 GRAVITY_TURNS = 0.25  # of the output: less of a wave is a constant and a slope
+ROUNDS = 4  # in which levels of noise and model are brought to agree ...
+SETTLED = 0.005  # ... by this relative change of inertia, friction and its levels
+CHANGING = [NAMES.index(n) for n in ("inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "static_nm")]
 ITERATIONS = 6  # of a contender's fit ...
 LADDER_ITERATIONS = 8  # ... and of those of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
@@ -124,13 +127,13 @@ class Selector:
         self.ladder: Fitted | None = None
         self.inertia_ratios: tuple[float, ...] = ()
 
-    def run(self, data: Data, base: Fitted) -> Selection:
-        """Up the ladder, then all that are left in free competition."""
-        data, standing, accepted = self._ladder(data, base)
+    def run(self, data: Data) -> Selection:
+        """Up the ladder, then all that are left in free competition. `data` as they start."""
+        data, standing, accepted = self._ladder(data)
         self.reference = Reference.of(data, standing.fitted, standing.matrix)
-        for rung in (WAVE_RUNG, LAW_RUNG):
+        for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
             while len(accepted) < MOST_EFFECTS:
-                self.told((len(accepted) + rung / 4.0) / (MOST_EFFECTS + 1.0), "search")
+                self.told((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
                 found = self._round(data, standing, accepted, rung)
                 if found is None:
                     break
@@ -138,52 +141,75 @@ class Selector:
             if rung == WAVE_RUNG:
                 self.ladder = standing.fitted
                 self.reference = Reference.of(data, standing.fitted, standing.matrix)
-        plain = fit(at_rest(data, base.physical, ()), base.physical, ())
+        plain = base_of(data)
         assert self.ladder is not None
         return Selection(
             data, plain, standing.fitted, standing.matrix, self._final(data, standing, accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios,
         )  # fmt: skip
 
-    def _ladder(self, data: Data, base: Fitted) -> tuple[Data, Standing, list[Accepted]]:
+    def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
         """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
 
-        All are fitted from the start: a base that was fitted without them is bent.
+        They are fitted beside a rigid base from the start: a base that was fitted without them, or that has more freedom
+        than the data determine, bends. The friction of the whole base is then a rung of its own.
         """
+        rigid = data._replace(free=RIGID)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
         if self.facts.units != "rotary" or data.rows.turns < GRAVITY_TURNS * (self.facts.gear_ratio or 1.0):
             laws.remove("unbalance")
-        effects = {name: starting_effect(name, self.facts) for name in laws}
-        if "ladder" in self.ablate:
-            laws = []
+        laws = [name for name in laws if "ladder" not in self.ablate and self._distinct(rigid, name)]
         sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]
 
-        def fitted(chosen: tuple[str, ...]) -> Standing:
-            own = [effects[name] for name in chosen]
-            begins = [base.physical, data.start] if chosen else [base.physical]
-            found = [fit(data, begin, own, LADDER_ITERATIONS) for begin in begins]
-            return stand(data, min(found, key=lambda one: one.loss))
+        def fitted(data: Data, chosen: tuple[str, ...]) -> Standing:
+            own = [starting_effect(name, self.facts) for name in chosen]
+            return stand(data, fit(data, data.start, own, LADDER_ITERATIONS))
 
         with ThreadPoolExecutor(THREADS) as pool:
-            standings = list(pool.map(fitted, sets))
+            standings = list(pool.map(lambda chosen: fitted(rigid, chosen), sets))
+            chosen = self._smallest(rigid, sets, standings)
+            simple = standings[chosen]
+            whole, bare = pool.map(lambda own: fitted(data, own), (sets[chosen], ()))
         folds = folds_used(data)
-        best = standings[min(range(len(sets)), key=lambda k: float(standings[k].unseen.sum()))]
-        able = [k for k, one in enumerate(standings) if not _worse(best, one, folds)]
-        able = [k for k in able if len(sets[k]) == min(len(sets[j]) for j in able)]
-        alone = standings[0]
-        # two of one size: the first of the registry, a constant torque before a friction that differs by direction
-        chosen = able[0]
-        share = 1.0 - standings[chosen].fitted.energy / alone.fitted.energy
+        if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, folds).holds:
+            data, whole, bare = rigid, simple, standings[0]
+        share = share_gone(bare.fitted, whole.fitted)
         if not sets[chosen] or share < LEAST_SHARE:
-            return data, alone, []
-        accepted = []
-        for name in sets[chosen]:
-            family = tuple(other for k in able for other in sets[k] if other not in sets[chosen])
-            accepted.append(
-                Accepted(name, gain(alone.unseen, standings[chosen].unseen, folds), 1.0, share, family, (), len(sets))
-            )
-        data, standing = renewed(data, standings[chosen].fitted)
+            return *settled(data, bare.fitted), []
+        accepted = [
+            Accepted(name, gain(bare.unseen, whole.unseen, folds), 1.0, share, family, (), len(sets))
+            for name, family in zip(sets[chosen], self._families(sets, standings, chosen, folds), strict=True)
+        ]
+        data, standing = settled(data, whole.fitted)
         return self._pruned(data, standing, accepted)
+
+    def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing]) -> int:
+        """The first of the smallest sets that are not worse than the best: a constant before what differs by way."""
+        best = min(standings, key=lambda one: float(one.unseen.sum()))
+        folds = folds_used(data)
+        return next(k for k, one in enumerate(standings) if not _worse(best, one, folds))
+
+    def _families(
+        self, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing], chosen: int, folds: Folds
+    ) -> list[tuple[str, ...]]:
+        """Of each law of the chosen set, what could stand in its place."""
+        own = sets[chosen]
+        found = []
+        for name in own:
+            rest = set(own) - {name}
+            found.append(tuple(
+                next(iter(set(other) - rest)) for other, one in zip(sets, standings, strict=True)
+                if len(other) == len(own) and rest < set(other) and name not in other
+                and not _worse(standings[chosen], one, folds)
+            ))  # fmt: skip
+        return found
+
+    def _distinct(self, data: Data, name: str) -> bool:
+        """Whether the base cannot say what a law says: where all runs turn one way, it can say a constant torque."""
+        start = evaluate(data, data.start, ())[0]
+        effect = starting_effect(name, self.facts)
+        own = strength_columns(data.rows, consistent_scenes(data, data.start, ()), name, effect.shapes).values
+        return score(evidence_of(data, start, jacobian(data, start)), data.white(own), chance=False).rank > 0
 
     def _round(
         self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
@@ -269,13 +295,13 @@ class Selector:
     ) -> list[tuple[Proposal, Standing, Gain]]:
         """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
         with ThreadPoolExecutor(THREADS) as pool:
-            starts = 1 if "two_starts" in self.ablate else 2
-            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal, starts), contenders))
+            both = "two_starts" not in self.ablate
+            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal, both), contenders))
             standings = list(pool.map(lambda one: stand(data, one), results))
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
             own = gain(standing.unseen, result.unseen, evidence.folds)
-            share = 1.0 - result.fitted.energy / standing.fitted.energy
+            share = share_gone(standing.fitted, result.fitted)
             if not own.holds or share < LEAST_SHARE:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
@@ -293,7 +319,7 @@ class Selector:
             judged = [self._judged(data, standing, number) for number in range(len(accepted))]
             weakest = min(range(len(judged)), key=lambda k: judged[k][0].value)
             own, share, without = judged[weakest]
-            if len(accepted) > 1 and (not own.holds or share < LEAST_SHARE) and "drop" not in self.ablate:
+            if (not own.holds or share < LEAST_SHARE) and "drop" not in self.ablate:
                 del accepted[weakest]
                 data, standing = renewed(data, without.fitted)
                 continue
@@ -306,7 +332,7 @@ class Selector:
         others = [e for k, e in enumerate(standing.fitted.effects) if k != number]
         without = stand(data, fit(data, standing.fitted.physical, others))
         own = gain(without.unseen, standing.unseen, folds_used(data))
-        return own, 1.0 - standing.fitted.energy / without.fitted.energy, without
+        return own, share_gone(without.fitted, standing.fitted), without
 
     def _final(self, data: Data, standing: Standing, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
         """The chance of each effect anew, given all the others that stand."""
@@ -358,14 +384,20 @@ def columns_of(data: Data, standing: Standing, number: int) -> slice:
     return slice(first + own[0], first + own[-1] + 1)
 
 
-def refitted(data: Data, fitted: Fitted, one: Proposal, starts: int) -> Fitted:
+def refitted(data: Data, fitted: Fitted, one: Proposal, two_starts: bool) -> Fitted:
     """A proposal refitted with everything, from where the model is and from where the base began.
 
-    A base that was fitted without the effect bends to take it in, and may not find back from where that led.
+    A base that was fitted without the effect bends to take it in, and may not find back from where that led. The best
+    strengths stand against a change of the base that was never made: where they are far out, the fit begins with none.
     """
-    effects = [*fitted.effects, one.effect]
-    found = [fit(data, begin, effects, ITERATIONS) for begin in (fitted.physical, data.start)[:starts]]
-    return min(found, key=lambda one: one.loss)
+    nothing = replace(one.effect, strengths={name: np.zeros_like(v) for name, v in one.effect.strengths.items()})
+    begins = [(fitted.physical, nothing if one.name.startswith(UNKNOWN) else one.effect)]
+    if two_starts and not one.name.startswith(UNKNOWN):
+        begins.append((data.start, one.effect))
+    found = min(
+        (fit(data, begin, [*fitted.effects, effect], ITERATIONS) for begin, effect in begins), key=lambda one: one.loss
+    )
+    return found if found.loss < fitted.loss else fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
 
 
 def starting_effect(name: str, facts: DriveFacts) -> Effect:
@@ -373,6 +405,23 @@ def starting_effect(name: str, facts: DriveFacts) -> Effect:
     law = law_of(name)
     shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
     return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
+
+
+def base_of(data: Data) -> Fitted:
+    """The base model alone, fitted from the start."""
+    found = fit(data, data.start, (), LADDER_ITERATIONS)
+    return fit(at_rest(data, found.physical, ()), found.physical, ())
+
+
+def settled(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
+    """`renewed` until the levels of noise and the model agree."""
+    for _ in range(ROUNDS):
+        data, standing = renewed(data, fitted)
+        change = np.abs(np.log(standing.fitted.physical[CHANGING] / fitted.physical[CHANGING])).max()
+        fitted = standing.fitted
+        if change < SETTLED:
+            break
+    return data, standing
 
 
 def renewed(data: Data, fitted: Fitted) -> tuple[Data, Standing]:

@@ -25,7 +25,7 @@ SHORTEST_BLOCK_S = 0.2
 WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
-RIDGE = 1e-8  # of a column's squared norm
+RIDGE = 1e-4  # of a column's squared norm: what the other folds hardly determine stays where all rows have it
 SMALLEST_P = 1e-12  # nothing is known of a tail beyond
 LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
 
