@@ -17,6 +17,7 @@ from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.rows import make_filter
 from fffo_drive.diagnosis.scenes import Effect
+from fffo_drive.diagnosis.select import base_of, settled
 from fffo_drive.identification.criterion import huber
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
@@ -112,7 +113,14 @@ def runs(*loads: Load, seed: int = 1, **options: float) -> list[Record]:
 
 
 def based(records: list[Record], facts: DriveFacts = FACTS) -> tuple[Data, Fitted]:
-    """Data with its levels of noise, and the base model fitted, as `diagnose` begins."""
+    """Data with its levels of noise, and the base model fitted without effects."""
+    data = started(records, facts)
+    data, standing = settled(data, base_of(data))
+    return data, standing.fitted
+
+
+def started(records: list[Record], facts: DriveFacts = FACTS) -> Data:
+    """Data as a search begins with them."""
     return prepared(records, facts, None, make_filter(records[0].period_s))
 
 
