@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis.planted import INERTIA, KT, based, effect, nothing, runs
+from diagnosis.planted import INERTIA, KT, based, effect, runs
 
 from fffo_drive.diagnosis.base import NAMES, moved
 from fffo_drive.diagnosis.fitting import evaluate, fit, jacobian

@@ -1,5 +1,4 @@
-"""The proof on held-out runs: one yardstick for all models, a datum found on the first part, and what does worse told.
-"""
+"""The proof on held-out runs: one yardstick for all models, a datum found on the first part, and what does worse told."""
 
 from functools import cache
 

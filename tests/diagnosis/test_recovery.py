@@ -71,7 +71,9 @@ def fitted(planted, name):
 def found_of(found):
     """Numbers of the effect that was fitted, and what the data determine of them."""
     effect = found.effects[0]
-    values = effect.values(0) | ({"size": effect.sizes()[0]} if effect.waves else {})
+    values = effect.values(0)
+    if "cos_share" in values:
+        values["size"] = float(np.hypot(values["cos_share"], values["sin_share"]))
     if effect.name == "current_lag":
         lagging_s = values["share"] * values["tau_s"]
         values |= {"lagging_s": lagging_s, "late_s": float(found.physical[NAMES.index("delay_s")]) + lagging_s}

@@ -30,9 +30,7 @@ def turning(wave_nm=0.0, order=72.0, speed_rps=1.0, duration_s=8.0):
     position = np.cumsum(velocity) * PERIOD_S
     torque = 0.03 + wave_nm * np.cos(2.0 * np.pi * order * position)
     torque += 5e-4 * np.random.default_rng(2).normal(size=time_s.size)
-    return replace(
-        record, position_rev=position, current_a=torque / record.torque_constant_nm_per_a, velocity_rps=None
-    )
+    return replace(record, position_rev=position, current_a=torque / record.torque_constant_nm_per_a, velocity_rps=None)
 
 
 @pytest.mark.parametrize("hz", [2.0, 20.0, 45.0, 60.0, 100.0])

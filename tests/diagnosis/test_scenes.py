@@ -181,7 +181,9 @@ def test_what_acts_on_the_command_is_made_at_the_rate_of_the_record():
     scene = scenes[0]
     ripple = np.zeros(scene.commanded.size)
     ripple[::2] = 0.2  # noise at half the record's rate: half of it is cut by a limit, on average
-    at_rate = commanded_load(scene._replace(commanded=1.0 + ripple), [Term("dead_zone", {"lost_nm": 0.01, "width_a": 1.1})])
+    at_rate = commanded_load(
+        scene._replace(commanded=1.0 + ripple), [Term("dead_zone", {"lost_nm": 0.01, "width_a": 1.1})]
+    )
     assert at_rate.size == scene.stretch.samples
     assert thinned(np.ones(100), 4) == pytest.approx(np.ones(25))
     fast = np.cos(np.pi * np.arange(4000))

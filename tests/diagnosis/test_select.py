@@ -225,9 +225,7 @@ def round_of(monkeypatch):
         monkeypatch.setattr(search, "_contradicted", lambda *a: False)
         monkeypatch.setattr(search, "_pruned", lambda d, s, accepted: (d, s, accepted))
         monkeypatch.setattr(select, "objection", lambda *a: "")
-        monkeypatch.setattr(
-            select, "renewed", lambda d, f: (d, next(m for _, m, _ in items if m.fitted is f))
-        )
+        monkeypatch.setattr(select, "renewed", lambda d, f: (d, next(m for _, m, _ in items if m.fitted is f)))
         result = search._round(data, standing, [], LAW_RUNG)
         return None if result is None else (result[2][0].name, result[2][0].family, result[2][0].rivals)
 
@@ -412,5 +410,5 @@ def test_a_law_begins_without_strength_at_its_own_shape():
     assert begun.shapes == {"ratio": 50.0}
     assert not any(v.any() for v in begun.strengths.values())
     assert numbers_of(at_the_start()[1].fitted._replace(effects=(begun,))) >= 2
-    assert KT == FACTS.torque_constant_nm_per_a
+    assert FACTS.torque_constant_nm_per_a == KT
     assert WAVE_RUNG < LAW_RUNG
