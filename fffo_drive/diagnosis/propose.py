@@ -177,7 +177,7 @@ class Search:
     def _scored(
         self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors, name: str, shape: Shape
     ) -> Proposal:
-        key = (name, *shape.values())
+        key: tuple[str | float, ...] = (name, *shape.values())
         columns = self._kept.get(key)
         if columns is None:
             columns = strength_columns(data.rows, scenes, name, shape, factors)

@@ -163,8 +163,8 @@ class Selector:
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
         """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
 
-        They are fitted beside a rigid base from the start: a base that was fitted without them, or has more freedom than
-        the data determine, bends. The friction of the whole base is then a rung of its own.
+        They are fitted beside a rigid base from the start: a base that was fitted without them, or that is
+        freer than the data determine, bends. The friction of the whole base is then a rung of its own.
         """
         rigid = data._replace(free=RIGID)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]

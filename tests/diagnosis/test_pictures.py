@@ -11,6 +11,8 @@ from identification.synthetic import TRUTH, chirp_record
 from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.pictures import _edges, _interval, ceiling, picture, run_figures
+from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
+from fffo_drive.diagnosis.scenes import Effect
 from fffo_drive.identification.dataset import Record
 
 PERIOD_S = 0.0005
@@ -28,9 +30,10 @@ def moved_record(repeats=2):
 
 
 def seen(record):
-    stretches = stretches_of([record])
-    rows = rows_of(stretches, make_filter(record.period_s))
-    return Data(stretches, rows, None, 1, np.zeros(len(NAMES)))
+    filter_ = make_filter(record.period_s)
+    stretches = stretches_of([record], filter_)
+    rows = rows_of(stretches, filter_)
+    return Data(stretches, rows, rows.kept.astype(float), 1, np.zeros(len(NAMES)))
 
 
 def model(residual, effects=()):

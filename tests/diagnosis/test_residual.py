@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+<<<<<<< HEAD
 from fffo_drive.diagnosis.candidates import scenes_of, strength_columns
 from fffo_drive.diagnosis.evidence import estimate_whitening, make_evidence, score, whiten
 from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
@@ -10,6 +11,13 @@ from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import BASE, NAMES, balanced, delayed, models_along, moved, residual_rows, sensitivities
 from fffo_drive.diagnosis.spectra import order_peaks
+=======
+from identification.synthetic import PERIOD_S, TRUTH, chirp_record
+
+from fffo_drive.diagnosis.base import BASE, NAMES, balanced, delayed, models_along, moved, residual_rows, sensitivities
+from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
+from fffo_drive.diagnosis.spectra import frequency_peaks, order_peaks, slow_orders
+>>>>>>> h-dtests
 
 RNG = np.random.default_rng(3)
 
@@ -17,9 +25,9 @@ RNG = np.random.default_rng(3)
 @pytest.fixture(scope="module")
 def scene():
     records = [chirp_record(lsb_rev=2.0**-15, noise_rev=1.5e-5)]
-    stretches = balanced(stretches_of(records), TRUTH)
-    rows = rows_of(stretches, make_filter(PERIOD_S))
-    return stretches, rows
+    filter_ = make_filter(PERIOD_S)
+    stretches = balanced(stretches_of(records, filter_), TRUTH)
+    return stretches, rows_of(stretches, filter_)
 
 
 def test_the_filter_has_no_phase_and_leaves_a_constant_alone():
@@ -69,60 +77,26 @@ def test_sensitivities_foretell_what_a_wrong_parameter_leaves(scene, name):
     assert np.corrcoef(change[kept], foretold[kept])[0, 1] > 0.99
 
 
-def test_whitening_makes_coloured_noise_white(scene):
-    _, rows = scene
-    noise = RNG.normal(size=rows.time_s.size)
-    for k in range(1, noise.size):
-        noise[k] += 0.6 * noise[k - 1]
-    whitening = estimate_whitening(rows, 1e-3 * noise, np.zeros(noise.size, np.int64))
-    white = whiten(rows, whitening, 1e-3 * noise)
-    assert white.std() == pytest.approx(1.0, abs=0.1)
-    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.1
-
-
-def test_what_a_refit_of_the_base_explains_is_no_evidence_for_an_effect(scene):
-    """Frisch and Waugh: an error of the viscous coefficient is in the span of the base, and nothing is left of it."""
-    stretches, rows = scene
-    matrix = sensitivities(stretches, TRUTH, rows)
-    noise = 1e-4 * RNG.normal(size=rows.time_s.size)
-    whitening = estimate_whitening(rows, noise, np.zeros(noise.size, np.int64))
-    evidence = make_evidence(rows, whitening, noise + 0.3 * matrix[:, BASE.index("viscous_nm_per_rps")], matrix)
-    assert evidence.energy < 1.3 * evidence.residual.size
-    viscous = score(evidence, matrix[:, [BASE.index("viscous_nm_per_rps")]])
-    assert viscous.explained < 10.0
-
-
-def test_a_law_finds_its_own_strength(scene):
-    stretches, rows = scene
-    models = models_along(stretches, TRUTH)
-    scenes = scenes_of(stretches, TRUTH, models)
-    columns = strength_columns(scenes, "quadratic_drag", {}, rows, False)
-    matrix = sensitivities(stretches, TRUTH, rows)
-    noise = 1e-4 * RNG.normal(size=rows.time_s.size)
-    whitening = estimate_whitening(rows, noise, np.zeros(noise.size, np.int64))
-    evidence = make_evidence(rows, whitening, noise + 2e-4 * columns.values[:, 0], matrix)
-    assert score(evidence, columns.values).strengths[0] == pytest.approx(2e-4, rel=0.1)
-
-
-def test_statistics_of_different_rank_are_on_one_scale():
-    draws = np.random.default_rng(1)
-    one, six = draws.chisquare(1, 20000), draws.chisquare(6, 20000)
-    assert np.quantile(comparable(one, 1), 0.99) == pytest.approx(np.quantile(comparable(six, 6), 0.99), rel=0.15)
-
-
-def test_a_statistic_beyond_all_surrogates_has_a_small_probability_and_never_zero():
-    maxima = np.sort(np.random.default_rng(2).gumbel(10.0, 2.0, 400))
-    assert 0.3 < false_alarm_probability(10.7, maxima) < 0.7
-    far = false_alarm_probability(60.0, maxima)
-    assert 0.0 < far < 1e-4
-
-
 def test_an_order_of_the_angle_stands_out_through_reversals(scene):
     _, rows = scene
     wave = 1e-3 * np.cos(2 * np.pi * 3.5 * rows.position_rev) * rows.filter.gain(3.5 * rows.velocity_rps)
     peaks = order_peaks(rows, wave + 3e-4 * RNG.normal(size=wave.size), 3)
     assert peaks
     assert peaks[0].place == pytest.approx(3.5, abs=0.05)
+
+
+def test_a_long_wave_is_the_largest_of_its_band(scene):
+    """No line stands out below an order of 1.5: the largest of each band is tried, whatever else is there."""
+    _, rows = scene
+    order = 8.0 / rows.turns
+    wave = 1e-3 * np.cos(2 * np.pi * order * rows.position_rev) + 2e-4 * RNG.normal(size=rows.time_s.size)
+    assert min(abs(found - order) for found in slow_orders(rows, wave)) < 1.0 / rows.turns
+
+
+def test_a_line_over_time_stands_out(scene):
+    _, rows = scene
+    wave = 1e-3 * np.cos(2 * np.pi * 7.3 * rows.time_s) + 5e-4 * RNG.normal(size=rows.time_s.size)
+    assert frequency_peaks(rows, wave, 3)[0].place == pytest.approx(7.3, abs=0.1)
 
 
 def test_parameters_are_in_the_order_of_the_fit():

@@ -1,0 +1,107 @@
+"""The base model from nothing: J from a regression that knows a constant torque and gravity; one-way runs do not crash."""
+
+import numpy as np
+import pytest
+from diagnosis.planted import (
+    DELAY_S,
+    FACTS,
+    INERTIA,
+    KT,
+    PERIOD_S,
+    TRUTH,
+    based,
+    nothing,
+    planted,
+    runs,
+)
+
+from fffo_drive.diagnosis.base import NAMES
+from fffo_drive.diagnosis.fitting import evaluate
+from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
+from fffo_drive.diagnosis.startup import LEAST_LEVEL, regressed, rigid_start, starting_data
+from fffo_drive.identification.dataset import DataError
+
+
+def constant(motion):
+    return np.full(motion.time_s.size, 0.04)
+
+
+def pendulum(motion):
+    return 0.06 * np.sin(2.0 * np.pi * motion.position_rev + 0.4)
+
+
+def both(motion):
+    return constant(motion) + pendulum(motion)
+
+
+def seen(records):
+    filter_ = make_filter(PERIOD_S)
+    stretches = stretches_of(records, filter_)
+    return stretches, rows_of(stretches, filter_)
+
+
+@pytest.mark.parametrize("load", [nothing, constant, pendulum, both])
+def test_the_start_gets_inertia_and_delay_right_beside_a_constant_torque_and_gravity(load):
+    """Short swings: without a column of their own, both look like inertia."""
+    found, level_nm = rigid_start(*seen([planted(load, duration_s=10.0, peak_a=0.8)]))
+    assert level_nm < 0.01
+    assert found.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.05)
+    assert found.delay_s == pytest.approx(DELAY_S, abs=1.5e-3)
+    assert found.coulomb_nm == pytest.approx(0.025, rel=0.35)
+
+
+def test_the_regression_is_not_pulled_by_outliers():
+    draw = np.random.default_rng(1)
+    column = draw.normal(size=2000)
+    target = 2.0 * column + 0.1 * draw.normal(size=2000)
+    target[::20] += 50.0 * column[::20]
+    assert regressed([column], target).values[0] == pytest.approx(2.0, rel=0.05)
+    alone = regressed([column, 1e-9 * column], target)
+    assert np.isfinite(alone.values).all()
+
+
+def test_runs_that_turn_one_way_do_not_crash_and_friction_is_never_nothing():
+    """Direction and a constant are one column: all of the friction may go to the constant."""
+    records = runs(nothing, nothing, duration_s=6.0, peak_a=0.3, bias_a=0.7)
+    stretches, rows = seen(records)
+    assert (np.diff(records[0].position_rev[1000:-1000:100]) > 0.0).all()
+    found, _ = rigid_start(stretches, rows)
+    size = np.sqrt(np.mean((KT * np.concatenate([r.current_a for r in records])) ** 2))
+    assert found.coulomb_nm >= 0.5 * LEAST_LEVEL * size
+    assert found.static_nm > found.coulomb_nm
+    data, base = based(records)
+    assert np.isfinite(base.physical).all()
+    assert np.isfinite(base.loss)
+    needed = INERTIA * data.rows.acceleration_rps2[data.used]
+    assert np.sqrt(np.mean(base.residual_nm[data.used] ** 2)) < 0.5 * np.sqrt(np.mean(needed**2))
+
+
+def test_what_hardly_moves_is_refused_in_a_sentence():
+    record = planted(peak_a=0.01, duration_s=4.0)
+    with pytest.raises(DataError, match="hardly anything moves"):
+        rigid_start(*seen([record]))
+
+
+def test_a_torque_of_the_wrong_sign_is_refused():
+    record = planted(duration_s=6.0)
+    turned = type(record)(**{**vars(record), "current_a": -record.current_a})
+    with pytest.raises(DataError):
+        starting_data(FACTS, *seen([turned]), 1)
+
+
+def test_the_start_is_near_enough_for_the_fit_that_follows():
+    stretches, rows = seen([planted(duration_s=10.0)])
+    data = starting_data(FACTS, stretches, rows, 1)
+    start = data.start
+    for name in ("stiffness_per_rev", "attraction_nm_per_rev", "static_nm"):
+        k = NAMES.index(name)
+        assert 0.1 < start[k] / TRUTH[k] < 10.0
+    residual, _ = evaluate(data, start, ())
+    level_nm = 1.0 / data.weight.max()
+    assert level_nm == pytest.approx(np.sqrt(np.mean(residual.residual_nm[data.used] ** 2)), rel=0.6)
+    assert not data.weight[~rows.kept].any()
+
+
+def test_parameters_that_are_known_are_where_the_fits_begin():
+    stretches, rows = seen([planted(duration_s=6.0)])
+    assert starting_data(FACTS, stretches, rows, 1, TRUTH).start is TRUTH
