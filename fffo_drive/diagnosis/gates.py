@@ -21,6 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
 NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
+WAVE_RUNG = 2  # of the ladder, up to which laws are judged by the textbook alone
 DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
 AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...
 BEYOND = 0.1  # ... and a strength may be beyond by so much, for its noise
@@ -71,8 +72,8 @@ def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
             return "it acts on the command, which has the residual in it: a log with the measured current would tell"
         if shown is not None and shown < SHOWN_SHARE:
             return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
-    if reference is None or "shrink" in ablate:
-        return ""
+    if reference is None or "shrink" in ablate or law_of(effect.name).rung <= WAVE_RUNG:
+        return ""  # a constant, a weight or a wave swallows no command
     ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
     if reference.inertia_sd < DETERMINED_SD and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
         return f"it buys its error with another axis: the inertia would be {ratio:.2g} times that without it"

@@ -28,6 +28,9 @@ LEAST_LEAF = 40  # rows
 MOST_ROWS = 16_000
 LEAST_RUNS = 3  # with fewer the trees are fitted on blocks of the same runs
 COMB_HZ = (0.2, 20.0)
+REFINED = 81  # periods tried near it ...
+FOLDED = 24  # ... with so many bins
+PULLED = 15.0  # standard deviations to which outliers are pulled in: pushes are outliers
 COMB_LINES = 6  # harmonics of a disturbance with a clock of its own
 MEMORY_S = 3.0
 WORDS = {
@@ -80,7 +83,7 @@ def _trees(
     """White residual (q,) as trees of the other groups predict it, and the two features that they need most."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # loads slowly
 
-    pulled = np.clip(target, -6.0, 6.0)
+    pulled = np.clip(target, -PULLED, PULLED)
     found = np.zeros(target.size)
     fall = np.zeros(len(names))
     draw = np.random.default_rng(3)
@@ -148,4 +151,17 @@ def _clock(data: Data, fitted: Fitted) -> float:
         return 0.0
     level = np.maximum(ndimage.median_filter(power, 257, mode="nearest"), 1e-300)
     comb = sum(np.minimum(power / level, 100.0)[base * k] for k in range(1, COMB_LINES + 1))
-    return float(1.0 / frequency[base[int(np.argmax(comb))]])
+    return _refined(data, fitted, float(1.0 / frequency[base[int(np.argmax(comb))]]), float(frequency[1]))
+
+
+def _refined(data: Data, fitted: Fitted, period_s: float, step_hz: float) -> float:
+    """The period near this one at which the residual, folded, differs most from bin to bin."""
+    time_s, white = data.rows.time_s[data.used], np.clip(fitted.white, -PULLED, PULLED)
+    near = 1.0 / (1.0 / period_s + step_hz * np.linspace(-1.0, 1.0, REFINED))
+
+    def spread(period_s: float) -> float:
+        place = (np.mod(time_s / period_s, 1.0) * FOLDED).astype(np.int64)
+        count = np.maximum(np.bincount(place, minlength=FOLDED), 1)
+        return -float(np.sum(np.bincount(place, white, FOLDED) ** 2 / count))
+
+    return float(min(near, key=spread))

@@ -349,18 +349,32 @@ class Selector:
         return data, standing, accepted
 
     def _judged(self, data: Data, standing: Standing, number: int) -> tuple[Gain, float, Standing]:
-        """Gain and share of one effect given all others, and what stands without it."""
-        others = [e for k, e in enumerate(standing.fitted.effects) if k != number]
+        """Gain and share of one effect given all others, and what stands without it.
+
+        What the first rungs have found is judged beside the laws: a free curve holds a constant too.
+        """
+        effects = standing.fitted.effects
+        curves = [e for e in effects if e.name.startswith(UNKNOWN)]
+        others = [e for k, e in enumerate(effects) if k != number]
         without = stand(data, fit(data, standing.fitted.physical, others))
-        own = gain(without.unseen, standing.unseen, folds_used(data))
-        return own, share_gone(without.fitted, standing.fitted), without
+        if curves and law_of(effects[number].name).rung <= WAVE_RUNG:
+            laws = [e for e in effects if e not in curves]
+            beside = stand(data, fit(data, standing.fitted.physical, laws))
+            alone = stand(data, fit(data, standing.fitted.physical, [e for e in laws if e is not effects[number]]))
+        else:
+            beside, alone = standing, without
+        return gain(alone.unseen, beside.unseen, folds_used(data)), share_gone(alone.fitted, beside.fitted), without
 
     def _chance(self, data: Data, standing: Standing, number: int) -> float:
         """Of one effect, given all the others that stand: as if nothing else had been tried."""
         own = columns_of(data, standing, number)
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
-        others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
+        effects = standing.fitted.effects
+        first = law_of(effects[number].name).rung <= WAVE_RUNG  # judged beside the laws, as in `_judged`
+        gone = {k for k, e in enumerate(effects) if first and e.name.startswith(UNKNOWN)} | {number}
+        dropped = [column for k in gone for column in range(*columns_of(data, standing, k).indices(10**9))]
+        others = np.delete(standing.matrix, dropped, axis=1)
         without = standing.fitted._replace(white=standing.fitted.white + load)
         return score(evidence_of(data, without, others, robust=False), standing.matrix[:, own]).p
 
