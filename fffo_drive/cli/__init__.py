@@ -48,7 +48,8 @@ def build_parser() -> argparse.ArgumentParser:
         prog="fffo-drive",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit codes: 0 done, 2 wrong usage, 69 bus unavailable, 70 fault of the drive, 74 disk, 78 bad input",
+        epilog="exit codes: 0 done, 2 wrong usage, 65 a diagnosis does not carry over, 69 bus unavailable, "
+        "70 fault of the drive, 74 disk, 78 bad input",
     )
     parser.add_argument("--version", action="version", version=f"fffo-drive {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

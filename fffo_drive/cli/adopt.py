@@ -26,6 +26,7 @@ from ..config.adoption import (
     put_in_service,
     read_report,
     refused_effects,
+    require_model,
     require_other_model,
     roll_back,
 )
@@ -64,6 +65,7 @@ def execute(options: argparse.Namespace) -> int:
         raise DocumentError("a model file is needed, or --rollback: fffo-drive adopt MODEL --axis AXIS")
     model_path = Path(options.model)
     axis = read_axis(axis_path)
+    require_model(model_path)
     model = read_model(model_path)
     require_other_model(axis_path, axis, model_path)
     report = read_report(model_path, Path(options.report) if options.report else None)

@@ -8,8 +8,8 @@ DIR/report.html and report.json have the tracking error before and after, DIR/di
 On the simulated drive the limits on silence are widened, a run that a busy machine has spoiled is made again, and all
 of them at 1000 or 500 Hz where it cannot keep the rate; on hardware a spoiled run is an error.
 
-Exit codes: 0 adopted, or nothing was found; 1 something was found and a gate refuses it; 69 no bus; 70 the drive, or a
-machine that keeps no rate; 74 the disk; 78 bad input.
+Exit codes: 0 adopted, or nothing was found; 1 something was found and a gate refuses it, or it does not carry over to
+the run that was held out; 69 no bus; 70 the drive, or a machine that keeps no rate; 74 the disk; 78 bad input.
 """
 
 from __future__ import annotations
@@ -28,7 +28,14 @@ from rich.console import Console
 from rich.table import Table
 
 from .. import formats
-from ..config.adoption import Gate, gates, put_in_service, read_report, refused_effects
+from ..config.adoption import (
+    Gate,
+    gates,
+    held_out_gate,
+    put_in_service,
+    read_report,
+    refused_effects,
+)
 from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
 from ..config.effects import compensated_names, services, slope_margin
@@ -46,7 +53,7 @@ from ..runtime.runs import timestamp_name
 from .adopt import print_gates, refusal
 from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
 from .drives import Plan, make_plan
-from .exits import DriveFaultError
+from .exits import EXIT_NOTHING_CARRIES_OVER, DriveFaultError
 from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1
@@ -115,7 +122,8 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, options: argparse.Names
     say(f"diagnose ({before.rate_hz} Hz; {before.health.text})")
     _diagnose(facts_path, [run.path for run in fit], [before.path], out / "diagnosis", options.json)
     model_path = out / "diagnosis" / "model.yaml"
-    model, report = read_model(model_path), read_report(model_path, None)
+    report = read_report(model_path, None)
+    model = read_model(model_path) if model_path.exists() else None
     adopted, found = _adopt(circle.path, model_path, model, report)
     after, trouble = None, ""
     if adopted:
@@ -243,14 +251,19 @@ def _diagnose(facts: Path, fit: Sequence[Path], held_out: Sequence[Path], out: P
         else:
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         code = diagnose.execute(parser.parse_args(words))
-    if code != 0:
+    if code not in (0, EXIT_NOTHING_CARRIES_OVER):
         raise DocumentError(f"{out}: the diagnosis ended with exit code {code}")
 
 
 def _adopt(
-    axis_path: Path, model_path: Path, model: ModelFile, report: dict[str, Any] | None
+    axis_path: Path, model_path: Path, model: ModelFile | None, report: dict[str, Any] | None
 ) -> tuple[bool, list[Gate]]:
-    """Adopt what was found on the circle's own axis file. The observer's gain follows the refitted friction."""
+    """Adopt what was found on the circle's own axis file. The observer's gain follows the refitted friction.
+
+    No model: nothing carries over to the held-out run, which is the gate that refuses.
+    """
+    if model is None:
+        return False, [held_out_gate(report)]
     if not model.effects:
         return False, []
     axis = read_axis(axis_path)
@@ -286,20 +299,22 @@ def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | N
 
 
 def _source(
-    circle: Circle, plan: Plan, model: ModelFile, report: dict[str, Any] | None, found: Sequence[Gate],
+    circle: Circle, plan: Plan, model: ModelFile | None, report: dict[str, Any] | None, found: Sequence[Gate],
     fit: Sequence[Run], after: Run | None,
 ) -> CircleSource:  # fmt: skip
     """Everything that the report is made of."""
     before = fit[0]
     runs = {run.path.stem: run for run in (*fit, *([after] if after else []))}
     files = [source_file(run.path.name, run.path.read_bytes()) for run in runs.values()]
+    served = services(circle.axis, model) if model else []
     shown = [circle.path, *([circle.out / "simulated.yaml"] if (circle.out / "simulated.yaml").exists() else [])]
     files += [source_file(path.name, path.read_bytes(), text=True) for path in shown]
     return CircleSource(
         axis=plan.axis.name,
         verdict=str((report or {}).get("verdict", "none")),
-        effects=tuple(effect.name for effect in model.effects),
-        not_compensated={s.effect.name: s.reason for s in services(circle.axis, model) if s.reason is not None},
+        effects=tuple(effect.name for effect in model.effects) if model else (),
+        unexplained_rest=str(((report or {}).get("unexplained_rest") or {}).get("sentence", "")),
+        not_compensated={s.effect.name: s.reason for s in served if s.reason is not None},
         gates=tuple(gate._asdict() for gate in found),
         model_error={key: (report or {}).get(key) for key in ("before", "after")},
         tracking=tracking_of(before.rows, after.rows if after else None, 1.0 / before.rate_hz, before.samples),

@@ -3,37 +3,48 @@
 RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the runs of --fit alone; those of
 --held-out are looked at once, for the proof. Without --model the base model is identified from the same runs. Writes
 the page DIR/report.html, DIR/report.json (its schema is stable) and DIR/model.yaml, the base with what was found, which
-`fffo-drive adopt` puts in service. On a linear axis (`units: linear` in the facts) the force balance of a rigid axis is
-diagnosed, on the first run of --fit.
+`fffo-drive adopt` puts in service.
+
+Where what was found does not lower the error of the held-out runs there is no model: page and report say so, and a
+DIR/model.yaml of an earlier diagnosis is removed.
+
+--without leaves parts of the search out: names of laws (cogging), of axes (unknown:velocity), of kinds of curves
+(friction(time)) and of tables over two axes ('motor_angle x speed').
+
+Exit codes: 0 done, also where no effect was found; 65 nothing that was found carries over to the held-out runs, no
+model is written; 74 the disk; 78 bad input.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
-from ..identification.dataset import Record, load_records
-from ..identification.facts import DriveFacts, read_facts
+from ..identification.dataset import load_records
+from ..identification.facts import read_facts
 from ..model.effects.laws.lookup import KindWord
-from ..model.parameters import ModelFile, read_model, write_model
-from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
+from ..model.parameters import read_model, write_model
+from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
+from ..report.diagnose_figures import ROTARY, Words, words_of
 from ..report.document import SourceFile, provenance, source_file
-from ..report.page import refuse_other_report
+from ..report.page import JSON_NAME, refuse_other_report
+from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
 
 MODEL_NAME = "model.yaml"
-CURVES: dict[KindWord, str] = {
-    "torque": "a torque from {} to {} Nm", "friction": "friction from {} to {} Nm", "viscous": "from {} to {} Nm/rps",
-    "response": "shares from {} to {} of the motor torque", "drag": "a drag from {} to {} Nm",
-    "wound": "springs along the travel that slip and then pull with {} to {} Nm",
+CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
+    "torque": ("a {0} from {1} to {2}", "Nm"), "friction": ("friction from {1} to {2}", "Nm"),
+    "viscous": ("from {1} to {2}", "Nm/rps"), "response": ("shares from {1} to {2} of the motor {0}", ""),
+    "drag": ("a drag from {1} to {2}", "Nm"),
+    "wound": ("springs along the travel that slip and then pull with {1} to {2}", "Nm"),
 }  # fmt: skip
 
 
@@ -44,18 +55,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs for the proof alone")
     parser.add_argument("--model", metavar="MODEL", help="base model to start from (default: identified from the runs)")
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for report and model")
+    parser.add_argument(
+        "--alpha", type=float, metavar="P",
+        help="chance of a false finding in a drive without effects that is accepted (default: 0.01)",
+    )  # fmt: skip
+    parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="what the search leaves out")
     parser.add_argument("--name", help="name of the model (default: the directory's)")
     parser.add_argument("--json", action="store_true", help="print report.json in place of the summary")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    from ..diagnosis.diagnose import DiagnosisSettings, diagnose  # compiles the library
+
     facts = read_facts(options.drive)
     out = Path(options.out)
-    refuse_other_report(out, KIND)
-    shared = {Path(path).resolve() for path in options.fit} & {Path(path).resolve() for path in options.held_out}
-    if shared:
-        raise DocumentError(f"{sorted(shared)[0]}: a run cannot be fitted and held out")
+    _require(options, out)
+    settings = DiagnosisSettings(without=frozenset(options.without))
+    if options.alpha is not None:
+        settings = settings._replace(false_alarm_rate=options.alpha)
     model = read_model(options.model) if options.model else None
     records = load_records([*options.fit, *options.held_out], facts)
     fit, held_out = records[: len(options.fit)], records[len(options.fit) :]
@@ -63,48 +81,66 @@ def execute(options: argparse.Namespace) -> int:
         for warning in record.warnings:
             print(f"warning: {warning}", file=sys.stderr)
     with progress_bar("diagnose", options.json) as bar:
-        found = _diagnosed(fit, held_out, facts, model, bar)
+        found = diagnose(fit, held_out, facts, model, settings, lambda share, text: bar(share) if bar else None)
     name = options.name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
-    write_model(out / MODEL_NAME, found.model_after.model_copy(update={"name": name}))
     files = _files([options.drive, *options.fit, *options.held_out, *([options.model] if options.model else [])])
-    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), str(out / MODEL_NAME))
+    model_path = out / MODEL_NAME
+    if found.model_after is not None:
+        write_model(model_path, found.model_after.model_copy(update={"name": name}))
+    elif model_path.exists():
+        model_path.unlink()
+        print(f"{model_path}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
+    written = str(model_path) if found.model_after is not None else ""
+    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written)
     paths = write_diagnosis_report(source, found, out)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8")), indent=2))
-        return 0
-    _print(found)
-    print(out / MODEL_NAME)
-    print(paths.page)
-    return 0
+    else:
+        _print(found)
+        if written:
+            print(written)
+        print(paths.page)
+    return EXIT_NOTHING_CARRIES_OVER if found.verdict == "nothing_carries_over" else 0
 
 
-def _diagnosed(
-    fit: Sequence[Record],
-    held_out: Sequence[Record],
-    facts: DriveFacts,
-    model: ModelFile | None,
-    bar: object,
-) -> Diagnosis:
-    """The diagnosis of this kind of axis."""
+def _require(options: argparse.Namespace, out: Path) -> None:
+    """Refuse what cannot be meant, before anything is computed."""
+    refuse_other_report(out, KIND)
+    model_path = out / MODEL_NAME
+    if model_path.exists() and not (out / JSON_NAME).exists():
+        raise DocumentError(f"{model_path}: no diagnosis wrote it (no {JSON_NAME} beside it): give another --out")
+    if options.model and Path(options.model).resolve() == model_path.resolve():
+        raise DocumentError(f"--model: {model_path} is where the result is written: give another --out")
+    shared = {Path(path).resolve() for path in options.fit} & {Path(path).resolve() for path in options.held_out}
+    if shared:
+        raise DocumentError(f"{sorted(shared)[0]}: a run cannot be fitted and held out")
+    if options.alpha is not None and not 0.0 < options.alpha < 1.0:
+        raise DocumentError(f"--alpha: {options.alpha:g} is no probability: give one above 0 and below 1")
+    known = searched_names()
+    for name in options.without:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+            raise DocumentError(f"--without: nothing that is searched is called {name!r}; {hint}")
 
-    def tell(share: float, text: str) -> None:
-        if callable(bar):
-            bar(share)
 
-    if facts.units == "rotary":
-        from ..diagnosis.diagnose import diagnose  # compiles the library
+def searched_names() -> list[str]:
+    """Everything that a search can leave out: laws, curves over an axis, kinds of curves, tables over two axes."""
+    from ..diagnosis.curves import Curve, axes_of, kind_of_curve, pairs_of
+    from ..model.effects.laws.lookup import RESPONSE, UNKNOWN, WOUND
+    from ..model.effects.registry import LAWS
 
-        return diagnose(fit, held_out, facts, model=model, progress=tell)
-    from ..diagnosis.rigid import diagnose_rigid
-
-    if model is not None:
-        raise DocumentError("--model: the force balance of a linear axis finds its own base; leave it out")
-    found = diagnose_rigid(fit[0], held_out, facts, tell)
-    if len(fit) == 1:
-        return found
-    text = f"Effects were chosen on {fit[0].name} alone: the force balance of a rigid axis takes one run to fit."
-    return replace(found, cautions=(*found.cautions, text))
+    laws = [name for name, law in LAWS.items() if law.name != "lookup" and not law.in_base]
+    nothing = np.zeros((0, 0))
+    turns = float("inf")  # a motion over so many has every axis
+    shapes = [(axis.word, {"kind": axis.kind, "scale": axis.scale, "of_current": axis.of_current})
+              for axis in axes_of(turns)]  # fmt: skip
+    shapes += [("frequency", {"kind": RESPONSE}), ("memory", {"kind": WOUND})]
+    curves = [Curve(UNKNOWN + word, shape, nothing) for word, shape in shapes]
+    tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
+    both = [*curves, *tables]
+    return list(dict.fromkeys([*laws, *(curve.name for curve in both), *(kind_of_curve(curve) for curve in both)]))
 
 
 def _files(paths: Sequence[str]) -> list[SourceFile]:
@@ -112,48 +148,63 @@ def _files(paths: Sequence[str]) -> list[SourceFile]:
 
 
 def _print(found: Diagnosis) -> None:
+    words = words_of(found)
     print(found.headline)
     for finding in found.findings:
         if not finding.accepted:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
-        numbers = curve_words(finding) or ", ".join(
-            f"{n.name} {n.value:.4g} {n.unit}".rstrip(" -") for n in finding.parameters
+        numbers = curve_words(finding, words) or ", ".join(
+            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") for n in finding.parameters
         )
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability
-        print(f"  {finding.name}{family}: {share:.0f} % of what was left, p {chance:.2g}; {numbers}")
+        print(
+            f"  {finding.name}{family}: {share:.0f} % of the squared residual that all others leave, p {chance:.2g}; "
+            f"{numbers}"
+        )
+        if unproven(finding):
+            print("    on the held-out runs it does not lower the error")
         if finding.alternatives:
             print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
     places = (("held out", found.before, found.after), ("fitted", found.fit_before, found.fit_after))
     for place, before, after in places:
         if before is not None and after is not None:
-            print(f"  {place}: {_errors(before, after, found.units == 'linear')}")
-    for caution in found.cautions:
-        print(f"caution: {caution}", file=sys.stderr)
+            print(f"  {place}: {_errors(before, after, words)}")
+    remarks = [remark.text for remark in found.runs_look.remarks] if found.runs_look is not None else []
+    for remark in remarks:
+        print(f"  runs: {remark}")
+    for caution in [*doubts(found), *found.cautions]:
+        if caution not in remarks:
+            print(f"caution: {caution}", file=sys.stderr)
 
 
-def curve_words(finding: Finding) -> str:
+def curve_words(finding: Finding, words: Words = ROTARY) -> str:
     """A free curve in words; empty for a law with a name."""
     curve = finding.curve
     if curve is None:
         return ""
     values = np.array(curve.values)
-    size = CURVES[curve.kind].format(f"{values.min():.3g}", f"{values.max():.3g}")
+    text, unit = CURVES[curve.kind]
+    size = f"{text.format(words.torque, f'{values.min():.3g}', f'{values.max():.3g}')} {words.unit(unit)}".rstrip()
     low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
     if curve.across is not None:
         reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
         return f"a table over {low} to {high} and the {curve.across.replace('_', ' ')}, {reach}: {size}"
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
-        return f"{size}, after {low} to {high} rev; the strongest after {reach_rev:.3g} rev"
+        length = words.unit("rev")
+        return f"{size}, after {low} to {high} {length}; the strongest after {reach_rev:.3g} {length}"
     return f"a curve of {len(curve.knots)} knots over {low} to {high}: {size}"
 
 
-def _errors(before: ErrorFigures, after: ErrorFigures, linear: bool) -> str:
-    torque, speed = ("force", "m/s") if linear else ("torque", "rps")
+def _errors(before: ErrorFigures, after: ErrorFigures, words: Words) -> str:
+    torque, speed = words.torque, words.unit("rps")
     first, last = before.torque_relative_percent, after.torque_relative_percent
-    text = f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f})"
-    if before.velocity_rms_rps.value == 0.0:  # simulated for the held-out runs alone
+    text = (
+        f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f}) of the {torque} "
+        "that the axis needs"
+    )
+    if before.velocity_rms_rps.value == 0.0:  # no run is long enough for a free window
         return text
-    return f"{text}, velocity {before.velocity_rms_rps.value:.3g} to {after.velocity_rms_rps.value:.3g} {speed}"
+    return f"{text}; velocity {before.velocity_rms_rps.value:.3g} to {after.velocity_rms_rps.value:.3g} {speed}"

@@ -6,6 +6,7 @@ from ..directories import ForeignDirectoryError
 from ..documents import DocumentError
 
 EXIT_OK = 0
+EXIT_NOTHING_CARRIES_OVER = 65  # a diagnosis whose effects the held-out runs refuse: there is no model
 EXIT_UNAVAILABLE = 69  # no bus, nobody answers
 EXIT_DRIVE_FAULT = 70  # the drive refuses or reports a fault, or the envelope tripped
 EXIT_IO = 74

@@ -34,6 +34,8 @@ CONFIDENCE_SDS = 1.96
 HISTORY_SUFFIX = ".adoptions.yaml"
 DISABLED = "drive disabled"
 SAME_AXIS = "same axis"
+HELD_OUT = "held-out error"
+NOTHING_CARRIES_OVER = "nothing_carries_over"  # verdict of a diagnosis
 # factor by which a refit may move a parameter of the model in service; beyond it the runs are of another axis
 OTHER_AXIS = {"inertia_kg_m2": 2.0, "friction.coulomb_nm": 4.0}
 
@@ -66,27 +68,46 @@ class History(Record):
 
 def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
     """The error on runs that the effects were not chosen on has fallen, and its interval lies below what it was."""
-    name = "held-out error"
     if report is None:
-        return Gate(name, False, "no report.json of `fffo-drive diagnose` stands beside the model")
+        return Gate(HELD_OUT, False, "no report.json of `fffo-drive diagnose` stands beside the model")
+    if report.get("verdict") == NOTHING_CARRIES_OVER:
+        return Gate(HELD_OUT, False, str(report.get("headline") or "nothing carries over to the held-out runs"))
     before, after = (report.get(key, {}).get("held_out") for key in ("before", "after"))
     if not before or not after:
-        return Gate(name, False, "the report has no held-out runs: diagnose again with --held-out")
-    old, new = (float(figures["torque_rms_nm"]) for figures in (before, after))
-    highest = float(after.get("interval_95", {}).get("torque_rms_nm", [new, new])[1])
-    lowest = float(before.get("interval_95", {}).get("torque_rms_nm", [old, old])[0])
+        return Gate(HELD_OUT, False, "the report has no held-out runs: diagnose again with --held-out")
+    old, new = (_torque_rms_nm(figures) for figures in (before, after))
+    if not (math.isfinite(old) and math.isfinite(new)):
+        return Gate(HELD_OUT, False, "the error on the held-out runs is not finite")
+    highest = _finite(after.get("interval_95", {}).get("torque_rms_nm", [new, new])[1], math.inf)
+    lowest = _finite(before.get("interval_95", {}).get("torque_rms_nm", [old, old])[0], -math.inf)
     text = f"{old:.3g} -> {new:.3g} Nm rms ({100.0 * (new / old - 1.0):+.1f} %), at most {highest:.3g} (95 %)"
     regime = any(
-        ((effect.get("after") or {}).get("held_out_regime") or {}).get("torque_rms_nm", math.inf)
-        < ((effect.get("before") or {}).get("held_out_regime") or {}).get("torque_rms_nm", -math.inf)
+        _torque_rms_nm((effect.get("after") or {}).get("held_out_regime"))
+        < _torque_rms_nm((effect.get("before") or {}).get("held_out_regime"))
         for effect in report.get("effects", [])
         if effect.get("accepted")
     )
     if new < old and (highest < old or new < lowest):
-        return Gate(name, True, text)
+        return Gate(HELD_OUT, True, text)
     if new <= old and regime:
-        return Gate(name, True, text + "; clear in the regime where the effect acts")
-    return Gate(name, False, text)
+        return Gate(HELD_OUT, True, text + "; clear in the regime where the effect acts")
+    return Gate(HELD_OUT, False, text)
+
+
+def _torque_rms_nm(figures: Mapping[str, Any] | None) -> float:
+    """NaN, which is less than nothing, where a report has no number."""
+    return _finite((figures or {}).get("torque_rms_nm"), math.nan)
+
+
+def _finite(value: Any, otherwise: float) -> float:
+    """A number of a report, whose JSON has null for one that is not finite."""
+    return otherwise if value is None else float(value)
+
+
+def rest_gate(report: Mapping[str, Any] | None) -> Gate | None:
+    """What the diagnosis could not explain: shown, and no reason to refuse what it could. None: nothing is left."""
+    rest = (report or {}).get("unexplained_rest")
+    return None if not rest else Gate("unexplained rest", True, str(rest["sentence"]))
 
 
 def interval_gate(effect: EffectModel) -> Gate:
@@ -173,8 +194,10 @@ def gates(
              None: "no daemon serves this axis"}[torque_on],
         ),
         same_axis_gate(in_service, model),
-        held_out_gate(report) if model.effects else Gate("held-out error", True, "no effects"),
+        held_out_gate(report) if model.effects else Gate(HELD_OUT, True, "no effects"),
     ]  # fmt: skip
+    rest = rest_gate(report)
+    found += [rest] if rest is not None else []
     for service in services(axis, model):
         if service.reason is None:
             found += [interval_gate(service.effect), bounds_gate(model, service.effect)]
@@ -198,6 +221,13 @@ def read_report(model_path: Path, given: Path | None) -> dict[str, Any] | None:
     if given is None and kind_of(found) != formats.DIAGNOSIS.kind:
         return None
     return dict(up_to_date(found, formats.DIAGNOSIS.kind, str(path)))
+
+
+def require_model(model_path: Path) -> None:
+    """Raise DocumentError with the diagnosis' own reason where it wrote no model."""
+    report = None if model_path.exists() else read_report(model_path, None)
+    if report is not None and report.get("verdict") == NOTHING_CARRIES_OVER:
+        raise DocumentError(f"{model_path}: the diagnosis wrote no model: {report['headline']}")
 
 
 def history_path(axis_path: Path) -> Path:

@@ -56,9 +56,7 @@ class DiagnosisSettings(NamedTuple):
     cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
 
 
-def prepared(
-    records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter
-) -> Data:
+def prepared(records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter) -> Data:
     """Data as the fits begin."""
     stretches = stretches_of(records, filter_)
     if not stretches:
@@ -143,8 +141,8 @@ def assemble(
     worse = proof.worse() if proof is not None else ""
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix)
-    findings = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
-    findings += [_refused(one) for one in selected.refused if one.name not in {f.name for f in findings if f.accepted}]
+    own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
+    findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     findings = ranked(findings, key=lambda f: (0.0 if f.accepted else 2.0) - f.explained_fraction)
     repeats = ceiling(data, base, fitted)
     tell(0.85, "what is left")
@@ -153,7 +151,7 @@ def assemble(
     lives = channels(data, (base, base_matrix), (fitted, selected.matrix), settings.false_alarm_rate)
     accepted = [f for f in findings if f.accepted]
     remarks = contradictions(selected, fit)
-    verdict, headline = verdict_of(accepted, worse, rest, remarks, proof)
+    verdict, headline = verdict_of(accepted, worse, rest, remarks)
     needed = needed_rows(data, selected.ladder)
     base_sd = standard_deviations(data, base, base_matrix)
     return Diagnosis(
@@ -171,7 +169,7 @@ def assemble(
             *(run_figures(proof.data, proof.base, proof.fitted, "held_out") if proof is not None else ()),
         ),
         model_before=model_file(fit, facts, base, base_sd, data, ()),
-        model_after=None if worse else model_file(fit, facts, fitted, sd, data, findings),
+        model_after=None if worse else model_file(fit, facts, fitted, sd, data, own),
         false_alarm_rate=settings.false_alarm_rate,
         units=facts.units,
         unexplained_rest=rest,
@@ -189,7 +187,7 @@ def assemble(
 
 
 def verdict_of(
-    accepted: Sequence[Finding], worse: str, rest: Rest | None, remarks: Sequence[str], proof: Proof | None
+    accepted: Sequence[Finding], worse: str, rest: Rest | None, remarks: Sequence[str]
 ) -> tuple[VerdictWord, str]:
     """The verdict and its sentence; what is left is never silent."""
     left = f" Not explained: {rest.sentence}." if rest is not None else ""
@@ -198,10 +196,9 @@ def verdict_of(
     if remarks:
         return "unexplained", f"{remarks[0]}{left}"
     if accepted:
+        shown = [f for f in accepted if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or accepted
         names = ", ".join(
-            f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "")
-            for f in accepted
-            if proof is None or f.held_out_gain is None or f.held_out_gain[0] > 0.0
+            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in shown)
         )
         return "effects_found", f"The model lacks: {names}.{left}"
     if rest is not None:
@@ -356,7 +353,7 @@ def _tried(selected: Selection) -> list[dict[str, Any]]:
 def model_file(
     records: Sequence[Record], facts: DriveFacts, fitted: Fitted, sd: Floats, data: Data, findings: Sequence[Finding]
 ) -> ModelFile:
-    """A model as the controller runs it, with its effects."""
+    """A model as the controller runs it, with its effects; `findings` of each of them."""
     value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
     spread = {name: float(sd[k]) * (value[name] if PARAMETERS[name][0] else 1.0) for k, name in enumerate(BASE)}
 
@@ -369,15 +366,13 @@ def model_file(
         stribeck="classical", omega="clipped",
         **{name: quantity(name) for name in BASE if name not in ("inertia_nm_s2_per_rev", "delay_s", "sensor_lag_s2")},
     )  # fmt: skip
-    notes = {f.name: f for f in findings}
     effects = []
-    for number, effect in enumerate(fitted.effects):
+    for number, (effect, note) in enumerate(zip(fitted.effects, findings, strict=True)):
         own = {name: s for (name, run), s in effect_sd(effect, number, fitted, data, sd).items() if run <= 0}
-        note = notes.get(effect.name)
         effects.append(
             effect_model(
                 effect.name, effect.values(0), own, datum="run" if effect.per_run else "absolute",
-                alternatives=note.alternatives if note else (), provenance=note.reason if note else "",
+                alternatives=note.alternatives, provenance=note.reason,
             )
         )  # fmt: skip
     return ModelFile(

@@ -346,7 +346,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
 
     A change of level grows with the level, and what acts on the command comes as late as the torque does.
     """
-    matrix = sensitivities(data.stretches, physical, data.rows)
+    matrix = _base_sensitivities(data, physical).copy()
     delay = BASE.index("delay_s")
     others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
@@ -356,6 +356,23 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
         if carried:
             matrix[:, columns] += _load_slopes(data, physical, effects, carried, columns)
     return matrix
+
+
+_RECENT: dict[tuple[int, bytes], tuple[Data, Floats]] = {}  # of the last starts of fits, which contenders share
+_RECENT_SIZE = 6
+
+
+def _base_sensitivities(data: Data, physical: Floats) -> Floats:
+    """Sensitivities of the base alone: made once where several fits begin at one place."""
+    key = (id(data.stretches), physical.tobytes())
+    known = _RECENT.get(key)
+    if known is not None and known[0].stretches is data.stretches:
+        return known[1]
+    found = sensitivities(data.stretches, physical, data.rows)
+    while len(_RECENT) >= _RECENT_SIZE:
+        _RECENT.pop(next(iter(_RECENT)), None)
+    _RECENT[key] = (data, found)
+    return found
 
 
 def _load_slopes(

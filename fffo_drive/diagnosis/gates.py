@@ -110,9 +110,10 @@ def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:
     kept = data.rows.kept
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     loads = [
-        (np.arange(s.stretch.samples) * s.stretch.law_period_s, load_along(s, effect.name, effect.values(s.stretch.run)))
-        for s in scenes
-    ]  # fmt: skip
+        (np.arange(scene.stretch.samples) * scene.stretch.law_period_s, load_along(scene, effect.name, values))
+        for scene in scenes
+        for values in [effect.values(scene.stretch.run)]
+    ]
     errors, without = [], []
     for samples in np.arange(0, LONGEST_SAMPLES * FINENESS) / FINENESS:
         short, moved = [], []

@@ -6,7 +6,7 @@ is proposed that a refit of them could explain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from ..identification.criterion import Folds, clipped, hotelling_p
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
+from ..identification.ranking import ranked
 from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
@@ -75,10 +76,10 @@ class Proposal(NamedTuple):
         return self.score.explained - numbers * 10.0
 
 
-def evidence_of(data: Data, fitted: Fitted, known: Floats) -> Evidence:
-    """`known` (q, b): white sensitivities of everything that is refitted anyway."""
+def evidence_of(data: Data, fitted: Fitted, known: Floats, robust: bool = True) -> Evidence:
+    """`known` (q, b): white sensitivities of everything that is refitted anyway; `robust`: outliers are pulled in."""
     basis = orthonormal(known)
-    residual = clipped(fitted.white)
+    residual = clipped(fitted.white) if robust else fitted.white
     residual = residual - basis @ (basis.T @ residual)
     return Evidence(residual, basis, Folds(*(part[data.used] for part in data.rows.folds)))
 
@@ -135,34 +136,37 @@ class Search:
         self.tried = 0  # candidates of the last round
         self._kept: dict[tuple[str | float, ...], Columns] = {}
 
-    def proposals(
-        self, data: Data, fitted: Fitted, evidence: Evidence, rung: int, told: Callable[[float], None]
-    ) -> list[Proposal]:
-        """The best shape of every law, and every curve, up to a rung; beyond the waves all compete."""
+    def proposals(self, data: Data, fitted: Fitted, evidence: Evidence, rung: int) -> list[Proposal]:
+        """The best shape of every law up to a rung, and all curves; on the last rung tables over two axes."""
         scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-        context = search_context(data, fitted, scenes, self.facts)
-        work = list(self._shapes(context, rung))
+        if rung == TABLE_RUNG:
+            chosen = self._tables(data, evidence, scenes)
+        else:
+            chosen = self._laws(data, fitted, evidence, scenes, rung)
+            chosen += self._curves(data, evidence, scenes) if rung == LAW_RUNG else []
+        # the scores were compared without their chance: it is wanted of the best alone
+        return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
+
+    def _laws(
+        self, data: Data, fitted: Fitted, evidence: Evidence, scenes: Sequence[Scene], rung: int
+    ) -> list[Proposal]:
+        """The best shape of every law up to a rung."""
+        work = list(self._shapes(search_context(data, fitted, scenes, self.facts), rung))
         best: dict[str, Proposal] = {}
         factors: Factors = {}
         with ThreadPoolExecutor(THREADS) as pool:
-            scored = pool.map(lambda item: self._scored(data, evidence, scenes, factors, *item), work)
-            for number, found in enumerate(scored):
-                told((number + 1) / len(work))
+            for found in pool.map(lambda item: self._scored(data, evidence, scenes, factors, *item), work):
                 if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
                     best[found.kind] = found
         self.tried = len(work)
-        chosen = [more for found in best.values() for more in (found, *self._with_datum(data, evidence, found))]
-        if rung >= LAW_RUNG and "curves" not in self.ablate:
-            chosen += self._curves(data, evidence, scenes, rung)
-        # the scores were compared without their chance: it is wanted of the best alone
-        return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
+        return [more for found in best.values() for more in self._with_datum(data, evidence, found)]
 
     def _shapes(self, context: SearchContext, rung: int) -> Iterator[tuple[str, Shape]]:
         """Laws and their shapes. Below the rung of the laws waves are of the machine's own orders."""
         for name, law in LAWS.items():
             if name in self.without or law.in_base or law.name == "lookup" or law.rung > rung:
                 continue
-            if name == "unbalance" and self.facts.units != "rotary":
+            if law.rotary and self.facts.units != "rotary":
                 continue
             shapes = law.search(context)
             if law.rung == WAVE_RUNG and rung == WAVE_RUNG:
@@ -173,55 +177,57 @@ class Search:
     def _scored(
         self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors, name: str, shape: Shape
     ) -> Proposal:
-        key = (name, *shape.values())
+        key: tuple[str | float, ...] = (name, *shape.values())
         columns = self._kept.get(key)
         if columns is None:
             columns = strength_columns(data.rows, scenes, name, shape, factors)
-            if not law_of(name).follows_model and not law_of(name).wave:
+            if law_of(name).acts_on == "motion" and not law_of(name).wave:
+                # made again in each refit: to propose, those of the first model will do
                 self._kept[key] = columns._replace(values=columns.values.astype(np.float32))
         return proposal(data, evidence, name, name, shape, columns)
 
     def _with_datum(self, data: Data, evidence: Evidence, found: Proposal) -> list[Proposal]:
-        """A wave with a datum of its own in each run."""
-        law = law_of(found.name)
-        if (
-            self.facts.absolute_angle
-            or data.runs < 2
-            or "datum" in self.ablate
-            or not set(law.per_run) & set(found.effect.strengths)
-        ):
-            return []
+        """A wave with one datum in all runs, and with one of its own in each: of a single run nobody knows the next."""
+        per_run = set(law_of(found.name).per_run) & set(found.effect.strengths)
+        if self.facts.absolute_angle or "datum" in self.ablate or not per_run:
+            return [found]
         one = Columns(tuple(found.effect.strengths), (-1,) * len(found.effect.strengths), found.columns)
         columns = with_datum(one, found.name, data.rows)
-        return [proposal(data, evidence, found.name, found.kind, dict(found.effect.shapes), columns)]
+        own = proposal(data, evidence, found.name, found.kind, dict(found.effect.shapes), columns)
+        return [found, own] if data.runs > 1 else [own]
 
-    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene], rung: int) -> list[Proposal]:
-        """All curves, and the tables that say most beyond the two curves of their axes."""
-
-        def scored(curve: Curve) -> Proposal:
-            names = tuple(f"y{k:02d}" for k in range(curve.columns.shape[1]))
-            columns = Columns(names, (-1,) * len(names), curve.columns)
-            return proposal(data, evidence, curve.name, kind_of_curve(curve), curve.shapes, columns)
-
-        def wanted(curve: Curve) -> bool:
-            return not {curve.name, kind_of_curve(curve)} & self.without
-
+    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
+        """All curves over one axis."""
         with ThreadPoolExecutor(THREADS) as pool:
-            single = list(pool.map(scored, filter(wanted, curves(data.rows, scenes))))
-            if rung < TABLE_RUNG:
-                self.tried += len(single)
-                return [found for found in single if found.score.rank]
-            coarse = [curve for curve in coarse_tables(data.rows, scenes) if wanted(curve)]
-            both = list(pool.map(lambda c: self._beyond(data, evidence, c), coarse))
-            self.tried += len(single) + len(coarse)
-            order = sorted(range(len(coarse)), key=lambda k: -both[k])[:TABLES]
-            fine = pool.map(lambda k: fine_table(data.rows, scenes, coarse[k].pair), order)
-            tables = list(pool.map(scored, [curve for curve in fine if curve is not None]))
-        return [found for found in (*single, *tables) if found.score.rank]
+            wanted = filter(self._wanted, curves(data.rows, scenes))
+            found = list(pool.map(lambda curve: self._of_curve(data, evidence, curve), wanted))
+        self.tried += len(found)
+        return [one for one in found if one.score.rank]
 
-    def _beyond(self, data: Data, evidence: Evidence, curve: Curve) -> float:
-        assert curve.beside is not None
-        return beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
+    def _tables(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
+        """Fine tables over the pairs whose coarse ones say most beyond the two curves of their axes."""
+        with ThreadPoolExecutor(THREADS) as pool:
+            coarse = [curve for curve in coarse_tables(data.rows, scenes) if self._wanted(curve)]
+            gains = list(pool.map(lambda c: -_beyond(data, evidence, c), coarse))
+            best = [coarse[k].pair for k in ranked(range(len(coarse)), gains.__getitem__)[:TABLES]]
+            fine = [curve for curve in pool.map(lambda pair: fine_table(data.rows, scenes, pair), best) if curve]
+            found = list(pool.map(lambda curve: self._of_curve(data, evidence, curve), fine))
+        self.tried = len(coarse)
+        return [one for one in found if one.score.rank]
+
+    def _wanted(self, curve: Curve) -> bool:
+        return "curves" not in self.ablate and not {curve.name, kind_of_curve(curve)} & self.without
+
+    def _of_curve(self, data: Data, evidence: Evidence, curve: Curve) -> Proposal:
+        names = tuple(f"y{k:02d}" for k in range(curve.columns.shape[1]))
+        columns = Columns(names, (-1,) * len(names), curve.columns)
+        return proposal(data, evidence, curve.name, kind_of_curve(curve), curve.shapes, columns)
+
+
+def _beyond(data: Data, evidence: Evidence, curve: Curve) -> float:
+    """What a coarse table explains beyond its two curves."""
+    assert curve.beside is not None
+    return beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
 
 
 TABLES = 3  # pairs of axes that get a fine table

@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 TOLD_RATIO = 1.2  # rms over the floor, above which a rest is told
-TREES = 120
+TREES = 80
 LEAVES = 15
 LEAST_LEAF = 40  # rows
 MOST_ROWS = 16_000

@@ -24,7 +24,19 @@ from ..identification.runs import CONTRADICTION_SHARE
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
 from .base import NAMES, RIGID
-from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, jacobian, share_gone, slots_of, unseen, with_levels
+from .fitting import (
+    Data,
+    Fitted,
+    at_rest,
+    consistent_scenes,
+    evaluate,
+    fit,
+    jacobian,
+    share_gone,
+    slots_of,
+    unseen,
+    with_levels,
+)
 from .gates import Reference, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
 from .scenes import Effect, load_rows, strength_columns
@@ -144,15 +156,15 @@ class Selector:
         plain = base_of(data)
         assert self.ladder is not None
         return Selection(
-            data, plain, standing.fitted, standing.matrix, self._final(data, standing, accepted), tuple(self.refused.values()),
+            data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios,
         )  # fmt: skip
 
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
         """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
 
-        They are fitted beside a rigid base from the start: a base that was fitted without them, or that has more freedom
-        than the data determine, bends. The friction of the whole base is then a rung of its own.
+        They are fitted beside a rigid base from the start: a base that was fitted without them, or that is
+        freer than the data determine, bends. The friction of the whole base is then a rung of its own.
         """
         rigid = data._replace(free=RIGID)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
@@ -216,7 +228,7 @@ class Selector:
     ) -> tuple[Data, Standing, list[Accepted]] | None:
         """One more effect; None where none is left on this rung."""
         evidence = evidence_of(data, standing.fitted, standing.matrix)
-        proposals = self.search.proposals(data, standing.fitted, evidence, rung, lambda share: None)
+        proposals = self.search.proposals(data, standing.fitted, evidence, rung)
         tried = self.search.tried
         if rung == LAW_RUNG and not self.first:
             self.first = tuple(ranked(proposals, key=lambda one: -one.worth))
@@ -243,14 +255,14 @@ class Selector:
         note = Accepted(
             chosen[0].name, chosen[2], min(1.0, chosen[0].score.p * tried), 0.0,
             tuple(dict.fromkeys(item[0].name for item in family if item[0].name != chosen[0].name)),
-            tuple((item[0].name, item[2].value) for item in believed if item is not chosen), tried,
+            tuple((item[0].name, item[2].value) for item in believed if item[0].name != chosen[0].name), tried,
         )  # fmt: skip
         return self._pruned(renewed_data, renewed_standing, [*accepted, note])
 
     def _contradicted(
         self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
     ) -> bool:
-        """Whether an inertia for each run explains unseen rows, and no effect explains them better: no law says that."""
+        """Whether an inertia for each run explains unseen rows, and no effect explains them better."""
         rows = data.rows
         inertia = standing.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
         columns = np.stack(
@@ -317,14 +329,23 @@ class Selector:
         """Drop what explains too little now that the others are there, the weakest first; gains are those of today."""
         while accepted:
             judged = [self._judged(data, standing, number) for number in range(len(accepted))]
-            weakest = min(range(len(judged)), key=lambda k: judged[k][0].value)
-            own, share, without = judged[weakest]
-            if (not own.holds or share < LEAST_SHARE) and "drop" not in self.ablate:
-                del accepted[weakest]
-                data, standing = renewed(data, without.fitted)
-                continue
-            accepted = [replace(note, gain=g, share=s) for note, (g, s, _) in zip(accepted, judged, strict=True)]
-            break
+            chances = [self._chance(data, standing, k) * note.tried for k, note in enumerate(accepted)]
+            idle = [
+                k for k, (own, share, _) in enumerate(judged)
+                if not own.holds or share < LEAST_SHARE or chances[k] > self.rate
+            ]  # fmt: skip
+            if not idle or "drop" in self.ablate:
+                return (
+                    data,
+                    standing,
+                    [
+                        replace(note, gain=own, share=share, p=min(1.0, chance))
+                        for note, (own, share, _), chance in zip(accepted, judged, chances, strict=True)
+                    ],
+                )
+            weakest = min(idle, key=lambda k: judged[k][0].value)
+            del accepted[weakest]
+            data, standing = renewed(data, judged[weakest][2].fitted)
         return data, standing, accepted
 
     def _judged(self, data: Data, standing: Standing, number: int) -> tuple[Gain, float, Standing]:
@@ -334,18 +355,14 @@ class Selector:
         own = gain(without.unseen, standing.unseen, folds_used(data))
         return own, share_gone(without.fitted, standing.fitted), without
 
-    def _final(self, data: Data, standing: Standing, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
-        """The chance of each effect anew, given all the others that stand."""
-        found = []
+    def _chance(self, data: Data, standing: Standing, number: int) -> float:
+        """Of one effect, given all the others that stand: as if nothing else had been tried."""
+        own = columns_of(data, standing, number)
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
-        for number, note in enumerate(accepted):
-            own = columns_of(data, standing, number)
-            load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
-            others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
-            without = standing.fitted._replace(white=standing.fitted.white + load)
-            chance = score(evidence_of(data, without, others), standing.matrix[:, own]).p
-            found.append(replace(note, p=min(1.0, chance * note.tried)))
-        return tuple(found)
+        load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
+        others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
+        without = standing.fitted._replace(white=standing.fitted.white + load)
+        return score(evidence_of(data, without, others, robust=False), standing.matrix[:, own]).p
 
 
 def _worse(best: Standing, other: Standing, folds: Folds) -> bool:

@@ -57,7 +57,7 @@ def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
 
 
 def rigid_start(stretches: Sequence[Stretch], rows: Rows) -> tuple[TorqueStart, float]:
-    """J, viscous and Coulomb friction, delay, a falling Stribeck curve where there is one; the level that is left, Nm."""
+    """J, friction, delay, a falling Stribeck curve where there is one; and the level of what is left, Nm."""
     used = np.flatnonzero(rows.kept)
     if used.size < 2 * len(DELAYS_S):
         raise DataError("hardly anything moves in these runs: raise the excitation, or add a run at higher speed")

@@ -118,7 +118,7 @@ def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bo
     """G from the losses of the rows (m,) of two models, each fitted on the other folds."""
     fall = without - with_it
     used = np.ones(fall.size, bool) if kept is None else kept
-    sums = np.bincount(folds.block[used], fall[used])
+    sums = np.asarray(np.bincount(folds.block[used], fall[used]), dtype=np.float64)
     sums = sums[np.bincount(folds.block[used]) > 0]
     count = sums.size
     if count < 2:

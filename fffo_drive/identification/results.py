@@ -32,6 +32,9 @@ LINEAR_UNITS = {
     "Nm/rps": "N s/m",
     "1/rev": "1/m",
     "Nm/rev": "N/m",
+    "rps2": "m/s²",
+    "Nm/rps2": "N s²/m²",
+    "Nm/s": "N/s",
 }
 
 

@@ -58,6 +58,7 @@ class CircleSource(NamedTuple):
     axis: str
     verdict: str  # of the diagnosis
     effects: tuple[str, ...]
+    unexplained_rest: str  # of the diagnosis: what is left and could be explained; empty: nothing
     not_compensated: dict[str, str]  # of these: the reason
     gates: tuple[dict[str, Any], ...]
     model_error: dict[str, Any]  # before, after: held-out figures of the diagnosis
@@ -129,6 +130,7 @@ def as_object(source: CircleSource) -> dict[str, Any]:
         "axis": source.axis,
         "verdict": source.verdict,
         "effects": list(source.effects),
+        "unexplained_rest": source.unexplained_rest or None,
         "not_compensated": source.not_compensated,
         "adopted": source.adopted,
         "gates": list(source.gates),
@@ -178,7 +180,10 @@ def _verdict(source: CircleSource) -> Verdict:
     pair = source.tracking.metrics["true" if "true" in source.tracking.metrics else "measured"]
     names = ", ".join(source.effects)
     standing: Standing = "good"
-    if not source.effects:
+    if source.verdict == "nothing_carries_over":
+        standing = "caution"
+        headline = "Nothing was found that carries over to the run that was held out: the model stays as it is."
+    elif not source.effects:
         headline = "Nothing was found that the model lacks: it stays as it is."
     elif not source.adopted:
         standing = "caution"
@@ -194,11 +199,17 @@ def _verdict(source: CircleSource) -> Verdict:
         headline = f"Found and adopted: {names}. The squared tracking error {word} by {abs(change):.0f} %."
     reasons = []
     held_out = [(source.model_error.get(key) or {}).get("held_out") for key in ("before", "after")]
-    if source.effects and all(held_out):
-        old, new = (figures["torque_relative_percent"] for figures in held_out if figures)
-        reasons.append(f"The model's torque error on the run that was held out: {old:.2f} to {new:.2f} %.")
+    errors = [figures["torque_relative_percent"] for figures in held_out if figures]
+    if source.effects and len(errors) == len(held_out):
+        old, new = ("not finite" if error is None else f"{error:.2f}" for error in errors)  # JSON has no NaN
+        reasons.append(
+            f"The model's torque error on the run that was held out: {old} to {new} % of the torque that the axis "
+            "needs."
+        )
     reasons += [f"Not compensated: {name}: {reason}." for name, reason in source.not_compensated.items()]
     cautions = _cautions(source.runs)
+    if source.unexplained_rest:
+        cautions.append(f"Not explained: {source.unexplained_rest}.")
     standing = "caution" if cautions and standing == "good" else standing
     return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
 

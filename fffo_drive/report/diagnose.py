@@ -15,9 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
+from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest, report
+from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
-from .diagnose_figures import Words, channel_figure, effect_figures, run_figures, words_of
+from ..units import inertia_kg_m2
+from .diagnose_figures import LINEAR, PAIR, Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
     Cell,
     Column,
@@ -37,15 +39,14 @@ from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
 
 KIND = "diagnose"
 NORMAL_95 = 1.96
+WIDEST = 1e3  # half an interval over its value, beyond which the data say nothing of a parameter
 SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
-PAIR = " x "  # in the name of a channel over two axes
 SHOWN_REJECTED = 15
 LISTING_WIDTH = 110
 DASH = Cell(text="–")
-LINEAR_UNITS = {
-    "Nm": "N", "Nm/rps": "N s/m", "rps": "m/s", "1/rev": "1/m", "Nm/rev": "N/m", "Nm s²/rev²": "N s²/m²", "rev": "m",
-}  # fmt: skip
+NOT_FINITE = Cell(text="not finite")
+NOT_DETERMINED = Cell(text="not determined")
 MODEL_ROWS = {
     "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
     "coulomb_nm": ("Fc, Coulomb level", "Nm"),
@@ -81,18 +82,19 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     tables = [_found(accepted)] if accepted else []
     tables += [_before_after(diagnosis, accepted, words)]
-    parameters = _parameters(accepted)
+    parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
     tables += [_rivals(accepted)] if any(finding.rivals for finding in accepted) else []
     tables += [_channels(diagnosis)] if diagnosis.channels else []
     tables += [_rejected(rejected)] if rejected else []
-    tables += [_base(diagnosis)]
+    tables += [_runs(diagnosis.runs_look, words)] if diagnosis.runs_look is not None else []
+    tables += [_base(diagnosis, words)]
     channels = channel_figure(diagnosis.channels)
     sections = (
-        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted)),
+        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted, words)),
         Section(
             "Before and after",
-            f"Residual {words.torque} of each run: of the base model, and with everything that was accepted.",
+            f"Residual {words.torque} of each run: of the base model, and with everything that was added.",
             run_figures(diagnosis.runs, words),
         ),
         Section("Where the residual lives", "Before and after, axis by axis.", (channels,) if channels else ()),
@@ -113,28 +115,92 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
 
 
 def _verdict(diagnosis: Diagnosis, accepted: Sequence[Finding], source: DiagnosisSource) -> Verdict:
-    cautions = list(diagnosis.cautions)
+    cautions = [*doubts(diagnosis), *diagnosis.cautions]
     if diagnosis.before is None:
         cautions.append("Nothing was held out: the errors are those of the runs that were fitted.")
     standing: Standing = "caution" if cautions or diagnosis.verdict == "unexplained" else "good"
+    if diagnosis.verdict == "nothing_carries_over" or _not_finite(diagnosis):
+        standing = "bad"
     reasons = [_reason(finding) for finding in accepted]
     rate = 100.0 * diagnosis.false_alarm_rate
     reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
-    if diagnosis.ceiling.explained_of_explainable is not None:
-        share = 100.0 * diagnosis.ceiling.explained_of_explainable
-        reasons.append(f"{share:.0f} % of what any model could explain is explained ({diagnosis.ceiling.note}).")
+    reasons += _repeated(diagnosis)
     if source.model_path and accepted:
         reasons.append(f"The model with it is in {source.model_path}; `fffo-drive adopt` puts it in service.")
+    if not source.model_path and diagnosis.model_after is None:
+        reasons.append("No model was written: the one in service stays.")
     return Verdict(standing=standing, headline=diagnosis.headline, reasons=reasons, cautions=cautions)
+
+
+def _repeated(diagnosis: Diagnosis) -> list[str]:
+    """What repeats of a reference say, a sentence each."""
+    found, ceiling = [], diagnosis.ceiling
+    if ceiling.explained_of_explainable is not None:
+        share = 100.0 * ceiling.explained_of_explainable
+        found.append(f"{share:.0f} % of what any model could explain is explained ({ceiling.note}).")
+    if ceiling.left_repeatable_fraction is not None:
+        share = 100.0 * ceiling.left_repeatable_fraction
+        found.append(f"{share:.0f} % of the squared residual that is left repeats with the reference.")
+    return found
+
+
+def doubts(diagnosis: Diagnosis) -> list[str]:
+    """What speaks against the figures of a diagnosis, a sentence each: held-out errors that rose, what is left."""
+    found = []
+    words = words_of(diagnosis)
+    for what, before, after in _held_out_errors(diagnosis):
+        if not math.isfinite(after):
+            found.append(f"The held-out error in {what} is not finite: the model cannot be used for it.")
+        elif after > before:
+            found.append(f"The held-out error in {what} rose from {before:.3g} to {after:.3g} {words.unit_of(what)}.")
+    if diagnosis.unexplained_rest is not None:
+        found.append(_rest(diagnosis.unexplained_rest, words))
+    return found
+
+
+def _held_out_errors(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
+    """(quantity, before, after) of the held-out runs, in the units of the page."""
+    before, after = diagnosis.before, diagnosis.after
+    if before is None or after is None:
+        return []
+    words = words_of(diagnosis)
+    quantities = (
+        (words.torque, words.torque_scale, before.torque_rms_nm, after.torque_rms_nm),
+        ("velocity", words.speed_scale, before.velocity_rms_rps, after.velocity_rms_rps),
+    )
+    return [(what, scale * old.value, scale * new.value) for what, scale, old, new in quantities]
+
+
+def _not_finite(diagnosis: Diagnosis) -> bool:
+    return not all(math.isfinite(after) for _, _, after in _held_out_errors(diagnosis))
+
+
+def _rest(rest: Rest, words: Words) -> str:
+    left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
+    text = (
+        f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
+        "the same rows leaves, or what does not repeat"
+    )
+    if rest.repeats_share is not None:
+        text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
+    if rest.axes:
+        text += f"; it goes with {_names([axis.replace('_', ' ') for axis in rest.axes])}"
+    return text + "."
 
 
 def _reason(finding: Finding) -> str:
     family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
     share = 100.0 * finding.explained_fraction
     return (
-        f"{finding.name}{family}. It explains {share:.0f} % of the squared residual that was left; chance "
+        f"{finding.name}{family}. It takes away {share:.0f} % of the squared residual that all others leave; chance "
         f"would do so with p = {significant(finding.false_alarm_probability, 2)}. Acts in: {finding.regime}."
+        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
     )
+
+
+def unproven(finding: Finding) -> bool:
+    """The held-out runs were asked, and do not show it."""
+    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
 
 
 def _names(names: Sequence[str]) -> str:
@@ -143,12 +209,13 @@ def _names(names: Sequence[str]) -> str:
 
 def _found(accepted: Sequence[Finding]) -> Table:
     columns = [
-        Column(label="explains", unit="%"),
+        Column(label="takes away", unit="%"),
+        Column(label="fitted runs", unit="nats", group="gain"),
+        Column(label="held out", unit="nats", group="gain"),
         Column(label="size", unit="% of friction"),
         Column(label="false alarm", unit="p"),
         Column(label="not told from", words=True),
         Column(label="axis", words=True),
-        Column(label="acts in", words=True),
         Column(label="feed-forward", words=True),
     ]
     rows = [
@@ -156,26 +223,39 @@ def _found(accepted: Sequence[Finding]) -> Table:
             label=finding.name,
             cells=[
                 number(100.0 * finding.explained_fraction),
+                _gain(finding.gain),
+                _gain(finding.held_out_gain),
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
                 Cell(text=", ".join(finding.alternatives) or "–"),
                 Cell(text=_axes(finding).replace("_", " ")),
-                Cell(text=finding.regime),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],
         )
         for finding in accepted
     ]
     note = (
-        "In the order of what they explain: share of the squared residual of the fit runs that those above have left. "
-        "The probability of a false alarm is over the whole search."
+        "Takes away: share of the squared residual of the fit runs that all other effects leave. Gain: log-likelihood "
+        "given all others, on rows that the fit did not see (blocks of the fit runs in turn), and on the held-out "
+        "runs; 95 % intervals. The probability of a false alarm is over the whole search."
     )
     return Table(name="found", title="What the model lacks", note=note, corner="Effect", columns=columns, rows=rows)
+
+
+def _gain(found: tuple[float, float] | None) -> Cell:
+    if found is None:
+        return DASH
+    value, sd = found
+    if not (math.isfinite(value) and math.isfinite(sd)):
+        return NOT_FINITE
+    return number(value, 3, value - NORMAL_95 * sd, value + NORMAL_95 * sd)
 
 
 def _interval(found: Interval | None) -> Cell:
     if found is None:
         return DASH
+    if not math.isfinite(found.value):
+        return NOT_FINITE
     if not (math.isfinite(found.low) and math.isfinite(found.high)):
         return number(found.value)
     return number(found.value, low=found.low, high=found.high)
@@ -190,7 +270,7 @@ def _errors(figures: ErrorFigures | None, words: Words) -> list[Cell]:
         return [DASH] * 3
     torque = _scaled(figures.torque_rms_nm, words.torque_scale)
     velocity = _scaled(figures.velocity_rms_rps, words.speed_scale)
-    simulated = velocity.value > 0.0  # for all of the held-out runs, and no part of them
+    simulated = velocity.value != 0.0  # of whole runs, and no part of them
     return [_interval(figures.torque_relative_percent), _interval(torque), _interval(velocity) if simulated else DASH]
 
 
@@ -216,10 +296,10 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
         rms = significant(ceiling.noise_rms_nm * words.torque_scale)
         floor = f" What does not repeat: {rms} {words.small_torque} rms."
     note = (
-        f"Residual {words.torque}, of the motor's and as rms; velocity of a free simulation over short windows. "
-        "95 % intervals from whole windows that are drawn again. Below the held-out runs: where each effect acts in "
-        "them. "
-        f"{ceiling.note.capitalize()}.{floor}"
+        f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
+        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's inertia along the measured "
+        f"motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks that are drawn again. "
+        f"Below the held-out runs: where each effect acts in them. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
 
@@ -230,14 +310,14 @@ def _axes(finding: Finding) -> str:
     return finding.axis if across is None else f"{finding.axis} x {across}"
 
 
-def _parameters(accepted: Sequence[Finding]) -> Table:
+def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
     rows = []
     for finding in accepted:
         for one in finding.parameters if finding.curve is None else ():
             reach = None if one.sd is None else NORMAL_95 * one.sd
             low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
             name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")
-            rows.append(Row(label=name, unit=one.unit, cells=[number(one.value, 4, low, high)]))
+            rows.append(Row(label=name, unit=words.unit(one.unit), cells=[number(one.value, 4, low, high)]))
     return Table(
         name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
         columns=[Column(label="value")],
@@ -247,13 +327,12 @@ def _parameters(accepted: Sequence[Finding]) -> Table:
 
 
 def _rivals(accepted: Sequence[Finding]) -> Table:
-    columns = [Column(label="loss in its place"), Column(label="collinearity"), Column(label="told apart", words=True)]
+    columns = [Column(label="gain in its place", unit="% of its"), Column(label="told apart", words=True)]
     rows = [
         Row(
             label=f"{rival.name} for {finding.name}",
             cells=[
-                number(rival.loss_ratio, 4),
-                number(rival.collinearity, 2),
+                number(100.0 / rival.loss_ratio if rival.loss_ratio > 0.0 else math.nan),
                 Cell(text="no: one family" if rival.same_family else "yes"),
             ],
         )
@@ -261,8 +340,8 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
         for rival in finding.rivals[:SHOWN_RIVALS]
     ]
     note = (
-        "Each was refitted in the place of the finding, all parameters free. A loss above 1 is worse than its; "
-        "collinearity is between the torques of the two once what the base model can take in is taken out."
+        "Each was refitted in the place of the finding, all parameters free, and judged on rows that the fit did not "
+        "see. One family: their gains do not differ by more than two standard deviations."
     )
     return Table(
         name="rivals", title="What it was confused with", note=note, corner="Rival", columns=columns, rows=rows
@@ -319,23 +398,55 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     return Table(
         name="rejected",
         title="Looked at and not accepted",
-        note="Nearest first.",
+        note="Explained enough to be tried, and refused: by what a machine can be, by the measured current, or because "
+        "it did not carry over.",
         corner="Effect",
         columns=columns,
         rows=rows,
     )
 
 
-def _base(diagnosis: Diagnosis) -> Table:
-    def unit(text: str) -> str:
-        return LINEAR_UNITS.get(text, text) if diagnosis.units == "linear" else text
+def _runs(look: RunsLook, words: Words) -> Table:
+    linear = words is LINEAR
+    inertia = 1.0 if linear else inertia_kg_m2(1.0)
+    columns = [
+        Column(label="M, mass" if linear else "J, inertia", unit="kg" if linear else "kg m²"),
+        Column(label="viscous", unit=words.unit("Nm/rps")), Column(label="Coulomb", unit=words.unit("Nm")),
+        Column(label="offset", unit=words.unit("Nm")), Column(label="turns", words=True),
+    ]  # fmt: skip
+    scales = {"inertia_nm_s2_per_rev": inertia, "viscous_nm_per_rps": 1.0, "coulomb_nm": 1.0, "offset_nm": 1.0}
+    rows = [
+        Row(
+            label=run.name,
+            cells=[
+                *(_estimate(run.estimates.get(name), scale) for name, scale in scales.items()),
+                Cell(text="one way" if run.turns_one_way else "both ways"),
+            ],
+        )
+        for run in look.runs
+    ]
+    remarks = "".join(f" {remark.text[:1].upper()}{remark.text[1:]}." for remark in look.remarks)
+    note = (
+        "A rigid regression of each fitted run by itself: what runs of one axis agree in. 95 % intervals from whole "
+        f"blocks; not determined: the run by itself does not say.{remarks}"
+    )
+    return Table(name="runs", title="Runs by themselves", note=note, corner="Run", columns=columns, rows=rows)
 
+
+def _estimate(one: Estimate | None, scale: float) -> Cell:
+    if one is None or not one.determined or not math.isfinite(one.value):
+        return NOT_DETERMINED
+    value, reach = scale * one.value, NORMAL_95 * scale * one.sd
+    return number(value, 4, value - reach, value + reach)
+
+
+def _base(diagnosis: Diagnosis, words: Words) -> Table:
     rows = [Row(label="J, inertia", unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))]
-    if diagnosis.units == "linear":  # the file keeps kg m² at 2 pi; the mass is what people know
+    if words is LINEAR:  # the file keeps kg m² at 2 pi; the mass is what people know
         rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
     rows.append(Row(label="Td, delay", unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
     for name, (label, text) in MODEL_ROWS.items():
-        rows.append(Row(label=label, unit=unit(text), cells=_model_cells(diagnosis, name)))
+        rows.append(Row(label=label, unit=words.unit(text), cells=_model_cells(diagnosis, name)))
     return Table(
         name="base", title="Base model", corner="Parameter", rows=rows,
         columns=[Column(label="before"), Column(label="with the effects")],
@@ -344,7 +455,8 @@ def _base(diagnosis: Diagnosis) -> Table:
 
 
 def _model_cells(diagnosis: Diagnosis, name: str, factor: float = 1.0) -> list[Cell]:
-    return [_quantity(model, name, factor) for model in (diagnosis.model_before, diagnosis.model_after)]
+    models = (diagnosis.model_before, diagnosis.model_after)
+    return [DASH if model is None else _quantity(model, name, factor) for model in models]
 
 
 def _quantity(model: ModelFile, name: str, factor: float) -> Cell:
@@ -353,6 +465,8 @@ def _quantity(model: ModelFile, name: str, factor: float) -> Cell:
     if quantity.sd is None:
         return number(value, 4)
     reach = NORMAL_95 * quantity.sd * factor
+    if not reach <= WIDEST * abs(value) and value != 0.0:
+        return NOT_DETERMINED
     return number(value, 4, low=value - reach, high=value + reach)
 
 
@@ -364,7 +478,7 @@ def _reasons(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not accepted:
         return ()
     text = "\n".join(_wrapped(f"{finding.name}: {finding.reason}") for finding in accepted)
-    note = "On the fitted runs alone; the held-out runs decide nothing."
+    note = "Chosen on the fitted runs alone; the held-out runs only refuse."
     return (Listing(name="reasons", title="Why each was accepted", note=note, text=text),)
 
 

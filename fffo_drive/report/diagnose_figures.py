@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, RunFigure
+from ..identification.results import LINEAR_UNITS
 from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
+PAIR = " x "  # in the name of a channel over two axes
 SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angle": "output", "acceleration": "accel."}
 BEFORE, AFTER, LAW = "grey", "blue", "orange"
 POINTS = (BEFORE, AFTER, "green", "purple")
@@ -26,10 +29,19 @@ class Words(NamedTuple):
     torque_scale: float = 1e3
     small_speed: str = "mrps"
     speed_scale: float = 1e3
+    units: Mapping[str, str] = MappingProxyType({})  # of a rotary axis -> what stands for it
+
+    def unit(self, rotary: str) -> str:
+        """What stands for a unit of a rotary axis."""
+        return self.units.get(rotary, rotary)
+
+    def unit_of(self, quantity: str) -> str:
+        """Unit of an error in this quantity."""
+        return self.small_speed if quantity == "velocity" else self.small_torque
 
 
 ROTARY = Words()
-LINEAR = Words("force", "N", "N", 1.0, "mm/s")
+LINEAR = Words("force", "N", "N", 1.0, "mm/s", units=LINEAR_UNITS)
 
 
 def words_of(diagnosis: Diagnosis) -> Words:
@@ -37,17 +49,17 @@ def words_of(diagnosis: Diagnosis) -> Words:
     return LINEAR if diagnosis.units == "linear" else ROTARY
 
 
-def effect_figures(findings: Sequence[Finding]) -> tuple[Figure, ...]:
+def effect_figures(findings: Sequence[Finding], words: Words) -> tuple[Figure, ...]:
     """The picture of each finding that has one."""
     pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
     return tuple(
-        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half")
+        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half", words)
         for number, finding in enumerate(pictured, 1)
         if finding.picture is not None
     )
 
 
-def _effect(name: str, effect: str, picture: Picture, width: str) -> Figure:
+def _effect(name: str, effect: str, picture: Picture, width: str, words: Words) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
     series = [_series(curve, POINTS[k % len(POINTS)]) for k, curve in enumerate(clouds)]
@@ -58,8 +70,8 @@ def _effect(name: str, effect: str, picture: Picture, width: str) -> Figure:
         kind="xy",
         title=picture.title,
         caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
-        x=Axis(picture.x_label, picture.x_unit or "-"),
-        y=Axis(picture.y_label, picture.y_unit or "-"),
+        x=Axis(picture.x_label, words.unit(picture.x_unit) or "-"),
+        y=Axis(picture.y_label.replace(ROTARY.torque, words.torque), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
         width="full" if width == "full" else "half",
     )
@@ -118,8 +130,9 @@ def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str)
 
 
 def channel_figure(channels: Sequence[Channel]) -> Figure | None:
-    """Share of the residual that a free curve over each axis explains, before and after."""
-    shown = sorted(channels, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
+    """Share of the residual that a free curve over each axis explains, before and after; pairs are in the table."""
+    single = [channel for channel in channels if PAIR not in channel.name]
+    shown = sorted(single, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
     if not shown:
         return None
     groups = {

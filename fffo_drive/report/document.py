@@ -191,7 +191,9 @@ def count(value: int) -> Cell:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits, in plain notation between 1e-4 and 1e6."""
+    """A number to so many significant digits, in plain notation between 1e-4 and 1e6; a dash where it is not finite."""
+    if not math.isfinite(value):
+        return "–"
     if value == 0.0:
         return "0"
     exponent = math.floor(math.log10(abs(value)))

@@ -56,7 +56,7 @@ def test_the_textbook_does_on_the_converted_sets_what_is_published_of_it():
     assert all(one["gaps"] == 0 for one in found.values())
     assert found["emps: DATA_EMPS -> DATA_EMPS_PULSES"]["percent"] == pytest.approx(5.98, abs=0.15)
     bam = {name: one for name, one in found.items() if name.startswith("bam")}
-    assert [one["runs"] for one in bam.values()] == [6, 6]  # two gains of three trajectories that are long enough
+    assert [one["runs"] for one in bam.values()] == [8, 8]  # two gains of four trajectories
     assert sorted(one["percent"] for one in bam.values()) == pytest.approx([30.0, 34.0], abs=2.0)
 
 

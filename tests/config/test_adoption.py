@@ -79,6 +79,45 @@ def test_the_held_out_error_has_to_fall_for_sure():
     assert "--held-out" in held_out_gate({"before": {}, "after": {}}).text
 
 
+def test_a_diagnosis_that_does_not_carry_over_is_refused_with_its_own_reason():
+    headline = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
+    refused = held_out_gate(report_of() | {"verdict": "nothing_carries_over", "headline": headline})
+    assert not refused.passed
+    assert refused.text == headline
+
+
+@pytest.mark.parametrize("broken", [{"before": None}, {"after": None}])
+def test_a_held_out_error_that_is_no_number_is_refused(broken):
+    report = report_of()
+    for key in broken:
+        report[key]["held_out"] = {"torque_rms_nm": None, "interval_95": {"torque_rms_nm": [None, None]}}
+    gate = held_out_gate(report)
+    assert not gate.passed
+    assert "not finite" in gate.text
+
+
+def test_an_interval_without_an_end_shows_nothing_by_itself():
+    report = report_of(after=0.0097)
+    for key in ("before", "after"):
+        report[key]["held_out"]["interval_95"]["torque_rms_nm"] = [None, None]
+    assert not held_out_gate(report).passed
+    regime = {"held_out_regime": {"torque_rms_nm": None}}
+    report["effects"][0] |= {"before": regime, "after": {"held_out_regime": {"torque_rms_nm": 0.001}}}
+    assert not held_out_gate(report).passed
+    report["effects"][0]["before"] = {"held_out_regime": {"torque_rms_nm": 0.002}}
+    assert held_out_gate(report).passed
+
+
+def test_what_is_not_explained_is_shown_and_does_not_refuse():
+    rest = {"rms_nm": 0.004, "floor_nm": 0.002, "sentence": "75 % of what is left could be explained"}
+    report = report_of() | {"unexplained_rest": rest}
+    found = {gate.name: gate for gate in gates(AXIS, MODEL, with_effects(effect()), report, False)}
+    assert found["unexplained rest"].passed
+    assert found["unexplained rest"].text == rest["sentence"]
+    none = gates(AXIS, MODEL, with_effects(effect()), report | {"unexplained_rest": None}, False)
+    assert "unexplained rest" not in {gate.name for gate in none}
+
+
 def test_a_strength_has_to_be_told_from_zero():
     assert interval_gate(effect()).passed
     assert not interval_gate(effect(sd=5e-3)).passed
@@ -259,6 +298,15 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
         assert axis_path.read_text() == before
     model_path.write_bytes(b"\xff\xfe\x00")
     fails(model_path, 78, "not UTF-8 text")
+
+
+def test_where_a_diagnosis_wrote_no_model_adopt_says_why(axis_path, capsys):
+    model_path = axis_path.parent / "found" / "model.yaml"
+    model_path.unlink()
+    report = report_of() | {"verdict": "nothing_carries_over", "headline": "Nothing that carries over was found."}
+    (model_path.parent / "report.json").write_text(json.dumps(report | {"kind": "diagnose"}))
+    said = told(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
+    assert "the diagnosis wrote no model: Nothing that carries over was found." in said
 
 
 def test_a_history_that_is_damaged_is_said_before_anything_changes(axis_path, capsys):

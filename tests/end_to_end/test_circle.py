@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from report.test_diagnose_command import NOTHING
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
 from fffo_drive.cli.circle_runs import MOST_LOST, Circle, SpoiledRunError, health_of, write_axis
 from fffo_drive.config.axis import read_axis
+from fffo_drive.diagnosis import diagnose as engine
 from fffo_drive.recording.reader import read_run
 from fffo_drive.signals import ROW
 
@@ -65,6 +67,21 @@ def test_in_process(tmp_path, capsys):
     # the same directory is not written over
     assert main(["close-the-loop", axis, "--out", str(tmp_path)]) == 78
     assert "another --out" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_what_does_not_carry_over_to_the_run_that_was_held_out_is_not_adopted(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(engine, "diagnose", lambda *given: NOTHING)
+    axis = changed(tmp_path, "axis_undeclared.yaml", lambda axis: axis.update(profile=SHORT))
+    out = tmp_path / "out"
+    assert main(["close-the-loop", axis, "--sim", SIM, "--out", str(out), "--quick", "--json"]) == 1
+    said = capsys.readouterr()
+    result = json.loads(said.out)
+    assert (result["verdict"], result["effects"], result["adopted"]) == ("nothing_carries_over", [], False)
+    assert f"not adopted: held-out error: {NOTHING.headline}" in said.err
+    assert not (out / "diagnosis" / "model.yaml").exists()
+    assert "diagnosis" not in read_axis(out / "axis.yaml").model
+    assert "carries over" in json.loads((out / "report.json").read_text())["verdict"]["headline"]
 
 
 @pytest.mark.long

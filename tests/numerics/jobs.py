@@ -12,41 +12,48 @@ import pickle
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from diagnosis.test_diagnose import FACTS, runs
-from diagnosis.test_recovery import PLANTED, fitted_on, found_of
-from diagnosis.test_rigid import FACTS as RIGID_FACTS
-from diagnosis.test_rigid import asymmetric
-from diagnosis.test_rigid import record as rigid_record
-from diagnosis.test_tables import records_with
-from identification.rig import random_plant
+from identification.rig import random_plant, record
 from identification.synthetic import AXIS, PERIOD_S
 from identification.test_fit import excited
 
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.stability import LinearAxis
-from fffo_drive.diagnosis.base import NAMES
-from fffo_drive.diagnosis.diagnose import diagnose
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings, diagnose
 from fffo_drive.diagnosis.results import report
-from fffo_drive.diagnosis.rigid import diagnose_rigid
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.evaluation.campaign import run_case
 from fffo_drive.evaluation.summary import figures_of
 from fffo_drive.identification.coordinates import PARAMETERS
+from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
+from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import fit_records
 from fffo_drive.identification.tuning import design
 from fffo_drive.model.axis import AxisState, simulate
+from fffo_drive.model.effects.registry import LAWS
 from fffo_drive.model.friction import REST
 
 Answer = dict[str, Any]
 Records = dict[str, Any]
+Runs = tuple[list[Record], list[Record]]
 
 SCENARIO = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.yaml"
-LAG = EffectConfig("current_lag", PLANTED["current_lag"][0])
+FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3, gear_ratio=160.0, resolver_bits=15)
+LINEAR_FACTS = DriveFacts(torque_constant_nm_per_a=0.148, units="linear", position_lsb_rev=2.0**-15)
+PLANTED = {  # name of the law -> what the plant is given
+    "coulomb_drift": {"share": 0.6, "time_constant_s": 30.0},
+    "elasticity": {"load_share": 0.4, "frequency_hz": 25.0, "damping": 0.06},
+    "dead_zone": {"width_a": 0.2},
+    "torque_ripple": {"share": 0.15, "order": 6.0},
+    "current_lag": {"time_constant_s": 0.007},
+    "position_dependent_friction": {"period_rev": 22.0, "wave_share": 0.4, "window_share": 0.0},
+    "friction_ripple": {"share": 0.5, "order": 8.0},
+}
 SHOWN = 997  # every so many samples of a long signal are compared
 
 # relative, of every number of a job
@@ -67,14 +74,24 @@ class Job(NamedTuple):
     answer: Callable[[Records], Answer]
 
 
+def runs(*effects: EffectConfig) -> Runs:
+    """Runs to fit and one to hold out, of an axis with effects."""
+    plant = replace(random_plant(5), roughness_nm=2e-4, effects=effects)
+    fit = [
+        record(plant, identification_sequence(24.0, PERIOD_S, 0.5, 1.1, 0.1, 10.0), "identify"),
+        record(plant, separating_recipe(PERIOD_S, 12.0, 80.0, 1), "recipe"),
+    ]
+    check = identification_sequence(20.0, PERIOD_S, 0.45, 1.0, 0.15, 8.0)
+    return fit, [record(replace(plant, seed=99), check, "check")]
+
+
 def written_once() -> Records:
     """Records that both processors are given."""
     return {
         "identify": excited(random_plant(3)),
         "effect": runs(EffectConfig("asymmetric_viscous", {"share": 0.4})),
         "no effect": runs(),
-        "rigid": [rigid_record(asymmetric), rigid_record(asymmetric, 2, "held out")],
-        **{name: records_with(EffectConfig(name, PLANTED[name][0])) for name in PLANTED},
+        **{name: runs(EffectConfig(name, values)) for name, values in PLANTED.items()},
     }
 
 
@@ -116,15 +133,9 @@ def identified(records: Records) -> Answer:
     }
 
 
-def diagnosed(name: str) -> Callable[[Records], Answer]:
+def diagnosed(name: str, facts: DriveFacts = FACTS) -> Callable[[Records], Answer]:
     """What the model of an axis lacks."""
-    return lambda records: _timeless(report(diagnose(*records[name], FACTS)))
-
-
-def diagnosed_rigid(records: Records) -> Answer:
-    """What the model of a linear axis lacks."""
-    fit, held_out = records["rigid"]
-    return _timeless(report(diagnose_rigid(fit, [held_out], RIGID_FACTS)))
+    return lambda records: _timeless(report(diagnose(*records[name], facts)))
 
 
 def _timeless(content: Answer) -> Answer:
@@ -138,22 +149,24 @@ def recovered(name: str) -> Callable[[Records], Answer]:
     return lambda records: _recovered(records[name], name)
 
 
-def _recovered(records: Any, name: str) -> Answer:
-    _, fitted, base = fitted_on(records, name)
+def _recovered(runs_: Runs, name: str) -> Answer:
+    """The model that a search over this law alone ends at."""
+    settings = DiagnosisSettings(without=frozenset(LAWS) - {name}, ablate=frozenset({"curves"}))
+    found = diagnose(*runs_, FACTS, settings=settings)
+    model = found.model_after or found.model_before
     return {
-        "found": found_of(fitted),
-        "fitted": dict(zip(NAMES, fitted.physical, strict=True)),
-        "loss": fitted.loss,
-        "base": dict(zip(NAMES, base.physical, strict=True)),
-        "base loss": base.loss,
+        "verdict": found.verdict,
+        "found": {f.name: {n.name: n.value for n in f.parameters} for f in found.findings if f.accepted},
+        "inertia": model.inertia_kg_m2.value,
+        "friction": model.friction.model_dump(mode="json"),
+        "error": found.fit_after.torque_rms_nm.value,
     }
 
 
 def lag_of_its_own_run(_: Records) -> Answer:
     """What the data of a lag determine, on a run that this processor simulated."""
-    _, fitted, _ = fitted_on(records_with(LAG), "current_lag")
-    found = found_of(fitted)
-    return {name: found[name] for name in PLANTED["current_lag"][1]}
+    found = _recovered(runs(EffectConfig("current_lag", PLANTED["current_lag"])), "current_lag")["found"]
+    return {name: values.get("tau_s") for name, values in found.items()}
 
 
 def controllers(_: Records) -> Answer:
@@ -174,7 +187,7 @@ JOBS = {
     "identify": Job(JUMPING, identified),
     "diagnose, an effect": Job(DETERMINED, diagnosed("effect")),
     "diagnose, no effect": Job(DETERMINED, diagnosed("no effect")),
-    "diagnose, linear axis": Job(DETERMINED, diagnosed_rigid),
+    "diagnose, linear axis": Job(DETERMINED, diagnosed("effect", LINEAR_FACTS)),
     **{f"recover {name}": Job(DETERMINED, recovered(name)) for name in PLANTED},
     "recover current_lag, own run": Job(NOISE, lag_of_its_own_run),
     "controllers, own run": Job(NOISE, controllers),

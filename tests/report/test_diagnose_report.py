@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fffo_drive.cli.diagnose import curve_words
-from fffo_drive.diagnosis.cautions import cautions
 from fffo_drive.diagnosis.results import (
     Ceiling,
     Channel,
@@ -22,13 +20,14 @@ from fffo_drive.diagnosis.results import (
     Interval,
     Number,
     Picture,
+    Rest,
     Rival,
     RunFigure,
 )
 from fffo_drive.diagnosis.results import report as report_object
-from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.identification.runs import PARAMETERS, Estimate, Remark, RunLook, RunsLook
 from fffo_drive.model.parameters import read_model
-from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
+from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, doubts, write_diagnosis_report
 from fffo_drive.report.document import provenance, source_file
 from fffo_drive.report.page import render_page
 
@@ -62,7 +61,8 @@ def finding(**changes):
         "false_alarm_probability": 0.002, "accepted": True, "reason": "beyond chance", "regime": "everywhere",
         "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
         "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
-        "picture": picture(), "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
+        "picture": picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
+        "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
     }  # fmt: skip
     return Finding(**{**content, **changes})
 
@@ -75,7 +75,7 @@ def diagnosis(**changes):
         "verdict": "effects_found", "headline": "Cogging is missing in the model.",
         "findings": (finding(), finding(name="unbalance", accepted=False, reason="within chance", picture=None)),
         "before": errors(0.0052), "after": errors(0.0021), "fit_before": errors(0.005), "fit_after": errors(0.002),
-        "ceiling": Ceiling(0.9, 0.001, 0.95, "2 repeats of the staircase"),
+        "ceiling": Ceiling(0.9, None, 0.001, 0.95, "2 repeats of the staircase"),
         "channels": (Channel("motor_angle", 0.6, 0.02, True, False, 100_000),),
         "runs": (run, replace(run, name="track", role="fit")),
         "model_before": read_model(TABLE_1), "model_after": read_model(TABLE_1), "false_alarm_rate": 0.01,
@@ -90,7 +90,7 @@ def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     assert report.verdict.standing == "good"
     first = report.verdict.reasons[0]
     assert "cogging, or torque_ripple" in first
-    assert "62 %" in first
+    assert "62 % of the squared residual that all others leave" in first
     assert "p = 0.0020" in first
     page = render_page(report)
     marks = [page.index(mark) for mark in ('class="verdict', 'id="table-found"', 'id="table-errors"', "<figure")]
@@ -111,6 +111,26 @@ def test_errors_stand_before_and_after_with_intervals_on_all_of_it_and_where_the
     assert cells[5].value == pytest.approx(6.3)
     assert [column.group for column in tables["errors"].columns] == ["before"] * 3 + ["after"] * 3
     assert rows["cogging"].unit == "20 s"
+    assert "that the axis needs" in tables["errors"].note
+
+
+def test_a_gain_stands_with_its_interval_on_fitted_and_on_held_out_runs():
+    tables = {table.name: table for table in diagnosis_report(SOURCE, diagnosis()).tables}
+    columns = [(column.group, column.label) for column in tables["found"].columns]
+    fitted, held_out = (columns.index(("gain", label)) for label in ("fitted runs", "held out"))
+    cells = tables["found"].rows[0].cells
+    assert (cells[fitted].value, cells[held_out].value) == (200.0, 50.0)
+    assert cells[fitted].low == pytest.approx(200.0 - 1.96 * 10.0)
+    unproven = diagnosis(findings=(finding(held_out_gain=None),))
+    tables = {table.name: table for table in diagnosis_report(SOURCE, unproven).tables}
+    assert tables["found"].rows[0].cells[held_out].text == "–"
+
+
+def test_a_refused_effect_stands_with_the_reason():
+    reason = "it buys its error by shrinking the axis: 31 % of the torque would be needed"
+    report = diagnosis_report(SOURCE, diagnosis(findings=(finding(accepted=False, reason=reason),)))
+    table = next(table for table in report.tables if table.name == "rejected")
+    assert [(row.label, row.cells[-1].text) for row in table.rows] == [("cogging", reason)]
 
 
 def test_a_family_comes_with_the_experiment_that_decides_and_a_sure_one_without():
@@ -179,16 +199,97 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     assert "motor angle x speed" in page
 
 
-def test_what_does_harm_on_held_out_runs_is_said():
-    selected = SimpleNamespace(left=None, fitted=SimpleNamespace(effects=()))
-    facts = DriveFacts(torque_constant_nm_per_a=0.148)
-    better, worse = errors(0.003, 20.0), errors(0.010, 20.0)
-    assert cautions(selected, facts, (worse, better)) == []
-    said = cautions(selected, facts, (better, worse))[0]
-    assert "error in torque is 233 % larger" in said
-    assert cautions(selected, facts, (None, None)) == [
-        "no held-out run: the errors before and after are those of the fit runs"
-    ]
+REST = Rest(0.004, 0.002, 0.4, ("travel_since_reversal", "time"), "75 % could be explained and is not")
+
+
+def test_a_rest_is_never_silent():
+    for verdict in ("effects_found", "unexplained", "nothing_carries_over"):
+        found = diagnosis(verdict=verdict, unexplained_rest=REST)
+        report = diagnosis_report(SOURCE, found)
+        assert report.verdict.standing == ("bad" if verdict == "nothing_carries_over" else "caution")
+        (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
+        assert "2 are what a black box" in said
+        assert "40 % of the square" in said
+        assert "travel since reversal and time" in said
+    assert report_object(found)["unexplained_rest"]["floor_nm"] == 0.002
+
+
+def test_where_nothing_carries_over_there_is_no_model_and_nothing_is_good():
+    refused = finding(accepted=False, reason="does not carry over: the error in torque is no smaller")
+    found = diagnosis(verdict="nothing_carries_over", findings=(refused,), model_after=None)
+    report = diagnosis_report(SOURCE._replace(model_path=""), found)
+    assert report.verdict.standing == "bad"
+    assert any("No model was written" in reason for reason in report.verdict.reasons)
+    base = next(table for table in report.tables if table.name == "base")
+    assert {row.cells[1].text for row in base.rows} == {"–"}
+    assert "found" not in {table.name for table in report.tables}
+    render_page(report)
+
+
+@pytest.mark.parametrize("field", ["torque_rms_nm", "velocity_rms_rps"])
+def test_a_held_out_error_that_rose_or_is_not_finite_is_never_good(field):
+    risen = replace(errors(0.002), **{field: Interval(1.0, 0.9, 1.1)})
+    report = diagnosis_report(SOURCE, diagnosis(after=risen))
+    assert report.verdict.standing == "caution"
+    assert any("rose from" in text for text in report.verdict.cautions)
+    for value in (float("nan"), float("inf")):
+        broken = diagnosis(after=replace(errors(0.002), **{field: Interval(value, value, value)}))
+        report = diagnosis_report(SOURCE, broken)
+        assert report.verdict.standing == "bad"
+        assert any("not finite" in text for text in report.verdict.cautions)
+        cells = next(table for table in report.tables if table.name == "errors").rows[0].cells
+        assert "not finite" in {cell.text for cell in cells}
+        render_page(report)
+    assert doubts(diagnosis()) == []
+
+
+def test_numbers_of_a_finding_that_are_not_finite_do_not_stop_the_page(tmp_path):
+    nan = float("nan")
+    wrong = finding(
+        explained_fraction=nan, false_alarm_probability=nan, gain=(nan, nan), held_out_gain=(nan, nan),
+        strength_percent=nan, parameters=(Number("cos_nm", nan, nan, "Nm"),),
+        rivals=(Rival("unbalance", float("inf"), 0.0, False),),
+    )  # fmt: skip
+    paths = write_diagnosis_report(SOURCE, diagnosis(findings=(wrong,)), tmp_path)
+    assert json.loads(paths.json.read_text())["effects"][0]["gain"] == [None, None]
+
+
+def test_each_run_stands_by_itself_and_what_it_does_not_say_is_not_a_number():
+    def look(name, inertia, one_way):
+        sure = Estimate(0.003, 0.0001, True, 1.0)
+        told = dict.fromkeys(PARAMETERS, sure) | {"inertia_nm_s2_per_rev": Estimate(inertia, 2e-5, True, 1.0)}
+        told["offset_nm"] = sure._replace(determined=not one_way)
+        return RunLook(name, 0.0, told, one_way, 4000, 3.0, 0.1)
+
+    remark = Remark("contradiction", ("inertia_nm_s2_per_rev",), ("a", "b"), "a and b contradict each other")
+    looks = RunsLook((look("a", 1e-3, False), look("b", 2e-3, True), RunLook("c", 0.0, {}, True, 3, 1e9, 1.0)),
+                     (remark,), 0.001)  # fmt: skip
+    tables = {t.name: t for t in diagnosis_report(SOURCE, diagnosis(runs_look=looks)).tables}
+    a, b, c = tables["runs"].rows
+    assert a.cells[0].value == pytest.approx(1e-3 / (2.0 * np.pi))  # kg m2
+    assert a.cells[0].high == pytest.approx((1e-3 + 1.96 * 2e-5) / (2.0 * np.pi))
+    assert [cell.text for cell in b.cells[3:]] == ["not determined", "one way"]
+    assert {cell.text for cell in c.cells[:4]} == {"not determined"}
+    assert "A and b contradict each other." in tables["runs"].note
+    tables = {t.name: t for t in diagnosis_report(SOURCE, diagnosis(runs_look=looks, units="linear")).tables}
+    assert tables["runs"].rows[0].cells[0].value == pytest.approx(1e-3)  # kg
+    assert [column.unit for column in tables["runs"].columns[:4]] == ["kg", "N s/m", "N", "N"]
+
+
+@pytest.mark.parametrize("sd", [1e290, float("inf")])
+def test_a_parameter_that_the_data_do_not_determine_has_no_interval_that_looks_like_one(sd):
+    model = read_model(TABLE_1)
+    exponent = model.friction.stribeck_exponent.model_copy(update={"sd": sd})
+    loose = model.model_copy(update={"friction": model.friction.model_copy(update={"stribeck_exponent": exponent})})
+    base = next(t for t in diagnosis_report(SOURCE, diagnosis(model_after=loose)).tables if t.name == "base")
+    cells = {row.label: row.cells for row in base.rows}["δ, Stribeck exponent"]
+    assert cells[0].value == pytest.approx(model.friction.stribeck_exponent.value)
+    assert cells[1].text == "not determined"
+
+
+def test_what_is_left_and_repeats_is_said():
+    reasons = diagnosis_report(SOURCE, diagnosis(ceiling=Ceiling(0.9, 0.25, 0.001, 0.95, "2 repeats"))).verdict.reasons
+    assert "25 % of the squared residual that is left repeats with the reference." in reasons
 
 
 def test_a_linear_axis_is_told_in_its_own_units():
@@ -198,6 +299,16 @@ def test_a_linear_axis_is_told_in_its_own_units():
     base = {row.label: row for row in tables["base"].rows}
     mass = base["M, mass"].cells[0].value
     assert mass == pytest.approx(2 * np.pi * read_model(TABLE_1).inertia_kg_m2.value)
+    assert [row.unit for row in tables["parameters"].rows] == ["N", "1/m"]
+    effect = {figure.name: figure for figure in report.figures}["effect-1"]
+    assert (effect.x.unit, effect.y.label, effect.y.unit) == ("m", "residual force", "N")
+
+
+def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
+    shown, hidden = finding(), finding(name="unbalance", held_out_gain=(-3.0, 5.0))
+    reasons = diagnosis_report(SOURCE, diagnosis(findings=(shown, hidden))).verdict.reasons
+    said = "On the held-out runs it does not lower the error."
+    assert [said in reason for reason in reasons[:2]] == [False, True]
 
 
 def test_the_json_is_the_stable_schema(tmp_path):

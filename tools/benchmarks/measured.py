@@ -13,7 +13,7 @@ from engine import Call, diagnosed, first_names, in_parallel, rest_is_told, writ
 from measured_sets import write_all
 from rows import CUTOFF_HZ, Textbook, needed_nm, rms, rows_of
 
-from fffo_drive.identification.dataset import SHORTEST_S, load_records
+from fffo_drive.identification.dataset import load_records
 from fffo_drive.identification.facts import read_facts
 
 NAME = "measured"
@@ -65,13 +65,8 @@ def cases() -> list[Case]:
 def _records(case: Case, sets: Path) -> tuple[Any, Any, Any]:
     folder = sets / case.machine
     facts = read_facts(folder / "drive.yaml")
-
-    def long_enough(name: str) -> bool:
-        return len((folder / f"{name}.csv").read_text().splitlines()) > SHORTEST_S * (facts.sample_rate_hz or 1.0)
-
     fit, held_out = (
-        load_records([folder / f"{name}.csv" for name in names if long_enough(name)], facts)
-        for names in (case.fit, case.held_out)
+        load_records([folder / f"{name}.csv" for name in names], facts) for names in (case.fit, case.held_out)
     )
     return fit, held_out, facts
 
@@ -131,8 +126,7 @@ def run() -> int:
         + ", ".join(f"{machine} {hz:g} Hz" for machine, hz in OWN_BAND_HZ.items())
         + ". The diagnosis' own figures are "
         "over its own rows, which leave out what no row can be made of.",
-        "On BAM the command is a voltage (load times supply); `lift_and_drop` is under torque for less than the "
-        f"{SHORTEST_S:g} s that a log needs, and is left out for all.",
+        "On BAM the command is a voltage (load times supply).",
         "tro2021 is left out: three logs of velocity and torque alone, of 500 samples at 16 to 78 Hz, one speed each.",
     ]
     return finish(report, options)

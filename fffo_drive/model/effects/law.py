@@ -134,6 +134,7 @@ class Law:
     joint: bool = False  # its torque is made from the motion: fed back as a torque it would run away
     shown_by_current: bool = False  # a measured current falls short of its command by what it takes
     needs_current: bool = False  # without a measured current it cannot be told: the command has the residual in it
+    rotary: bool = False  # it is of a shaft that turns: no linear axis has it
     in_base: bool = False  # the base model has it already: a note, and never a finding
     rung: Literal[0, 1, 2, 3, 4] = 3  # of the ladder: 0 constants; 1 weight; 2 cogging; 3 other laws; 4 free curves
     fold: Callable[[Mapping[str, float]], Folded | None] = not_folded  # of a picture; None: it is over `picture`

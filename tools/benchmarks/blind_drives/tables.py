@@ -122,7 +122,7 @@ def _effect(effect: Mapping[str, Any]) -> str:
         numbers = ", ".join(f"{key} {_number(value)}" for key, value in effect["parameters"].items())
     probability = effect["false_alarm_probability"]
     chance = "< 1e-4" if probability < 1e-4 else f"{probability:.2g}"
-    share = f"{100 * effect['explained_fraction']:.0f} % of what was left, p {chance}"
+    share = f"{100 * effect['explained_fraction']:.0f} % of what all others leave, p {chance}"
     return f"`{effect['name']}`{family} ({share}; {numbers})"
 
 

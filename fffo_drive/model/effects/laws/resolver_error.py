@@ -36,4 +36,5 @@ LAW = Law(
     motions=("creep", "coast_downs"),
     picture="motor_angle",
     per_run=("cos1_rev", "sin1_rev", "cos2_rev", "sin2_rev"),
+    rotary=True,
 )

@@ -53,4 +53,5 @@ LAW = Law(
     rung=1,
     fold=lambda values: ("motor_angle", values["ratio"]),
     wave="plain",
+    rotary=True,
 )

@@ -1,0 +1,63 @@
+"""The page of a circle says what became of the diagnosis: adopted, refused, nothing that carries over, a rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from report.bench_runs import PERIOD_NS, STICTION_RPS, bench_rows, reference
+
+from fffo_drive.report.circle import CircleRun, CircleSource, as_object, circle_report, tracking_of
+from fffo_drive.report.document import provenance
+from fffo_drive.report.page import render_page
+
+PROFILE = reference(20.0)
+HEADLINE = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
+REST = "75 % of the squared residual that is left could be explained and is not"
+
+
+def circle(**changes):
+    before, after = (bench_rows(PROFILE, STICTION_RPS[name], seed) for seed, name in enumerate(("PI", "PI+FFFO")))
+    for rows in (before, after):
+        rows["true_velocity_rps"] = np.nan  # the drive does not know its shaft
+    after = after if changes.pop("again", True) else None
+    figures = {"held_out": {"torque_relative_percent": 5.0}}
+    content = {
+        "axis": "bench", "verdict": "effects_found", "effects": ("cogging",), "unexplained_rest": "",
+        "not_compensated": {}, "gates": ({"name": "held-out error", "passed": True, "text": "fell"},),
+        "model_error": {"before": figures, "after": {"held_out": {"torque_relative_percent": 2.0}}},
+        "tracking": tracking_of(before, after, PERIOD_NS / 1e9, PROFILE.values.size),
+        "runs": (CircleRun("before", 2000, 40_000, 0.0, 0.0005),), "provenance": provenance([], {}),
+    }  # fmt: skip
+    return CircleSource(**{**content, **changes})
+
+
+@pytest.fixture(scope="module")
+def refused():
+    gate = {"name": "held-out error", "passed": False, "text": HEADLINE}
+    return circle(verdict="nothing_carries_over", effects=(), gates=(gate,), again=False)
+
+
+def test_what_does_not_carry_over_is_not_adopted_and_the_page_says_so(refused):
+    report = circle_report(refused)
+    assert not refused.adopted
+    assert report.verdict.standing == "caution"
+    assert "carries over" in report.verdict.headline
+    assert HEADLINE in render_page(report)
+    assert as_object(refused)["verdict"] == "nothing_carries_over"
+
+
+def test_an_adoption_that_helps_is_good_unless_something_is_left():
+    report = circle_report(circle())
+    assert report.verdict.standing == "good"
+    assert "5.00 to 2.00 % of the torque that the axis needs" in report.verdict.reasons[0]
+    left = circle(unexplained_rest=REST)
+    report = circle_report(left)
+    assert report.verdict.standing == "caution"
+    assert f"Not explained: {REST}." in report.verdict.cautions
+    assert as_object(left)["unexplained_rest"] == REST
+
+
+def test_an_error_that_is_no_number_does_not_stop_the_page():
+    none = {"held_out": {"torque_relative_percent": None}}
+    report = circle_report(circle(model_error={"before": none, "after": none}))
+    assert "not finite to not finite %" in report.verdict.reasons[0]

@@ -1,0 +1,131 @@
+"""The command around a diagnosis: what it writes, takes away and refuses, its summary and its exit code."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report.test_diagnose_report import REST, diagnosis, errors, finding
+
+from fffo_drive.cli import main
+from fffo_drive.cli.diagnose import searched_names
+from fffo_drive.diagnosis import diagnose as engine
+from fffo_drive.diagnosis.curves import axes_of
+from fffo_drive.identification.runs import Remark, RunsLook
+
+FACTS = "torque_constant_nm_per_a: 0.148\nresolver_bits: 15\nsample_rate_hz: 1000\n"
+SHARE = "62 % of the squared residual that all others leave, p 0.002"
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch):
+    """Calls the command with an engine that was told what to find; the settings that the engine was given."""
+    (tmp_path / "drive.yaml").write_text(FACTS)
+    wave = np.sin(2.0 * np.pi * 1e-3 * np.arange(3000))  # a log that can be read is enough
+    rows = "\n".join(f"{0.001 * k:.3f},{value:.4f},{-0.2 * value:.5f}" for k, value in enumerate(wave))
+    for name in ("fit", "check"):
+        (tmp_path / f"{name}.csv").write_text(f"time_s,current_command_a,position_rev\n{rows}\n")
+
+    def call(found, *words):
+        given = []
+
+        def diagnose(fit, held_out, facts, model, settings, progress):
+            given.append(settings)
+            return found
+
+        monkeypatch.setattr(engine, "diagnose", diagnose)
+        code = main(["diagnose", "--drive", str(tmp_path / "drive.yaml"), "--fit", str(tmp_path / "fit.csv"),
+                     "--held-out", str(tmp_path / "check.csv"), "--out", str(tmp_path / "out"), *words])  # fmt: skip
+        return code, (given or [None])[0]
+
+    return call
+
+
+NOTHING = diagnosis(
+    verdict="nothing_carries_over", headline="Nothing that carries over was found: the error in torque is no smaller.",
+    findings=(finding(accepted=False, reason="does not carry over"),), model_after=None,
+)  # fmt: skip
+
+
+def test_the_summary_gives_shares_of_what_all_others_leave_and_errors_of_what_the_axis_needs(command, tmp_path, capsys):
+    remark = Remark("repeated_reference", (), ("fit",), "fit and check have the same reference")
+    look = RunsLook((), (remark,), 0.001)
+    code, _ = command(diagnosis(runs_look=look, unexplained_rest=REST))
+    said = capsys.readouterr()
+    assert code == 0
+    assert SHARE in said.out
+    assert "held out: torque error 5.20 to 2.10 % (1.89 to 2.31) of the torque that the axis needs" in said.out
+    assert "runs: fit and check have the same reference" in said.out
+    assert "caution: Not explained: 4 mNm rms" in said.err
+    assert (tmp_path / "out" / "model.yaml").exists()
+
+
+def test_where_nothing_carries_over_no_model_is_left_and_the_exit_code_says_so(command, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert command(diagnosis())[0] == 0
+    assert (out / "model.yaml").exists()
+    assert command(NOTHING)[0] == 65
+    said = capsys.readouterr()
+    assert not (out / "model.yaml").exists()
+    assert f"{out / 'model.yaml'}: of an earlier diagnosis, removed" in said.err
+    assert "Nothing that carries over was found" in said.out
+    assert json.loads((out / "report.json").read_text())["verdict"] == "nothing_carries_over"
+    assert command(NOTHING)[0] == 65  # there is none to remove
+
+
+def test_a_model_that_no_diagnosis_wrote_is_neither_overwritten_nor_removed(command, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "model.yaml").write_text("mine")
+    assert command(NOTHING)[0] == 78
+    assert "no diagnosis wrote it" in capsys.readouterr().err
+    assert (out / "model.yaml").read_text() == "mine"
+    (out / "report.json").write_text("{}")
+    assert command(diagnosis(), "--model", str(out / "model.yaml"))[0] == 78
+    assert "--model" in capsys.readouterr().err
+
+
+def test_a_held_out_error_that_rose_is_a_caution(command, capsys):
+    command(diagnosis(after=replace(errors(0.0021), velocity_rms_rps=errors(0.1).velocity_rms_rps)))
+    assert "caution: The held-out error in velocity rose from 15.6 to 300 mrps." in capsys.readouterr().err
+
+
+def test_the_settings_of_the_search_are_given_on(command):
+    names = ("cogging", "friction(time)", "motor_angle x speed")
+    _, settings = command(diagnosis(), "--alpha", "0.05", "--without", *names)
+    assert settings.false_alarm_rate == 0.05
+    assert settings.without == set(names)
+    _, settings = command(diagnosis())
+    assert settings == engine.DiagnosisSettings()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--without", "coging"), "did you mean 'cogging'?"),
+        (("--without", "friction(tim)"), "did you mean 'friction(time)'?"),
+        (("--without", "unknown:velocty"), "did you mean 'unknown:velocity'?"),
+        (("--without", "motor_angle x sped"), "did you mean 'motor_angle x speed'?"),
+        (("--alpha", "0"), "--alpha: 0 is no probability"),
+        (("--alpha", "nan"), "--alpha: nan is no probability"),
+    ],
+)
+def test_what_is_not_searched_or_no_probability_is_refused(command, capsys, words, said):
+    code, settings = command(diagnosis(), *words)
+    assert (code, settings) == (78, None)
+    assert said in capsys.readouterr().err
+
+
+def test_every_axis_of_the_search_can_be_left_out():
+    names = searched_names()
+    assert {f"unknown:{axis.word}" for axis in axes_of(100.0)} <= set(names)
+    assert {"torque_offset", "response(frequency)", "wound(memory)", "motor_angle x velocity"} <= set(names)
+    assert len(set(names)) == len(names)
+
+
+def test_the_help_names_the_exit_codes(capsys):
+    with pytest.raises(SystemExit):
+        main(["diagnose", "--help"])
+    assert "65 nothing that was found carries over" in " ".join(capsys.readouterr().out.split())
