@@ -60,7 +60,7 @@ def fitted(planted, name):
     data, base = based(records_with(EffectConfig(planted, PLANTED[planted][0])), FACTS)
     search = Search(FACTS, only(name), frozenset({"curves", "datum"}))
     evidence = evidence_of(data, base, jacobian(data, base))
-    (one,) = search.proposals(data, base, evidence, LAW_RUNG, lambda share: None)
+    (one,) = search.proposals(data, base, evidence, LAW_RUNG)
     found = refitted(data, base, one, two_starts=True)
     for _ in range(3):  # to its end: the levels of noise are those of the model that stands
         data, standing = renewed(data, found)
