@@ -94,11 +94,13 @@ def planted(
     noise *= noise_nm / max(float(noise.std()), 1e-12)
     carried = command + (load(motion) + noise) / KT
     kept = np.exp(-PERIOD_S / lag_s) if lag_s else 0.0
-    asked = (carried - kept * np.concatenate([[0.0], carried[:-1]])) / (1.0 - kept)  # the lag makes `carried` of it
+    before = np.concatenate([[0.0], carried[:-1]])
+    asked = (carried - kept * before) / (1.0 - kept)  # the lag makes `carried` of it
     measured = position + 2e-6 * draw.normal(size=position.size)
+    counted = np.floor(measured / LSB_REV) * LSB_REV
     return Record(
         name=name, path=Path(name), period_s=PERIOD_S, torque_constant_nm_per_a=KT,
-        current_a=asked, measured_current_a=carried if lag_s else None, position_rev=np.floor(measured / LSB_REV) * LSB_REV,
+        current_a=asked, measured_current_a=carried if lag_s else None, position_rev=counted,
         velocity_rps=None, reference_rps=None, lsb_rev=LSB_REV, breaks=(), digest="", begin_s=begin_s,
     )  # fmt: skip
 

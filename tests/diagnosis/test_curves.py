@@ -33,7 +33,7 @@ def found_in(name):
     data, base = based(records_with(EffectConfig(name, values)), GEARED)
     evidence = evidence_of(data, base, jacobian(data, base))
     search = Search(GEARED, only(), frozenset())
-    proposals = search.proposals(data, base, evidence, LAW_RUNG, lambda share: None)
+    proposals = search.proposals(data, base, evidence, LAW_RUNG)
     return data, base, evidence, sorted(proposals, key=lambda one: -one.worth)
 
 

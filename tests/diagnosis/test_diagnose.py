@@ -182,17 +182,17 @@ OF_INERTIA = "The runs contradict each other: the inertia is not the same in all
     ],
 )
 def test_the_verdict_by_what_was_found(names, worse, rest, remarks, verdict, words):
-    word, headline = verdict_of(accepted(*names), worse, rest, remarks, None)
+    word, headline = verdict_of(accepted(*names), worse, rest, remarks)
     assert word == verdict
     assert words in headline
 
 
 def test_what_does_not_lower_the_held_out_error_is_no_headline():
     page = [*accepted("cogging"), *accepted("quadratic_drag", held_out_gain=(-3.0, 1.0))]
-    assert verdict_of(page, "", None, (), object())[1] == "The model lacks: cogging."
+    assert verdict_of(page, "", None, ())[1] == "The model lacks: cogging."
     with_alternative = accepted("cogging")[0]
     object.__setattr__(with_alternative, "alternatives", ("unbalance", "torque_ripple"))
-    assert "cogging (or unbalance or torque_ripple)" in verdict_of([with_alternative], "", None, (), None)[1]
+    assert "cogging (or unbalance or torque_ripple)" in verdict_of([with_alternative], "", None, ())[1]
 
 
 def test_runs_of_another_inertia_are_told_in_headline_and_cautions():

@@ -194,7 +194,7 @@ def test_where_direction_and_travel_are_one_thing_that_is_said_and_nothing_is_na
 
 @pytest.mark.slow
 def test_a_push_with_a_clock_of_its_own_is_told_as_a_rest():
-    """A harmonic of the clock is no lie, nor is the mean of the pushes, 1.15 mNm; most of the push is in none of them."""
+    """Harmonics of the clock are no lie, nor is the mean of the pushes, 1.15 mNm; most of a push is in neither."""
     found = page("clock")
     for finding in accepted("clock"):
         if finding.name == "torque_offset":

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fffo_drive.diagnosis.candidates import Effect
-from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
 from identification.synthetic import TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import NAMES

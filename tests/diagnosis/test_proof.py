@@ -1,4 +1,4 @@
-"""The proof on held-out runs: one yardstick for all models, a datum found on the first part, and what does worse told."""
+"""The proof on held-out runs: one yardstick, a datum found on the first part, and what does worse is told."""
 
 from functools import cache
 
@@ -97,8 +97,7 @@ def test_the_torque_that_is_needed_is_the_same_for_all_models():
     ratios = []
     for model in (true, small):
         proof = proof_of(model, ladder=true)
-        for figures in (proof.before, proof.after):
-            ratios.append(figures.torque_relative_percent.value / figures.torque_rms_nm.value)
+        ratios += [f.torque_relative_percent.value / f.torque_rms_nm.value for f in (proof.before, proof.after)]
     assert ratios == pytest.approx([ratios[0]] * 4, rel=1e-9)
     proof = proof_of(true, ladder=true)
     needed = np.sqrt(np.mean(proof.needed_nm[proof.data.rows.kept] ** 2))

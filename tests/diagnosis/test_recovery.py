@@ -5,27 +5,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-<<<<<<< HEAD
-from diagnosis.test_tables import FACTS, base_on, records_with
-from fffo_drive.diagnosis.current_side import LEAST_SHARE, shortage, shown_share
-from fffo_drive.diagnosis.screening import screen, search_context
-from fffo_drive.diagnosis.selection import beside, evidence_of
-=======
 from diagnosis.planted import based, only
 from identification.rig import random_plant, record
->>>>>>> h-dtests
 from identification.synthetic import PERIOD_S
 from scipy import signal
 
 from fffo_drive.diagnosis.base import BASE, NAMES, moved
-<<<<<<< HEAD
-from fffo_drive.diagnosis.fitting import evaluate, loaded_sensitivities, polished
-=======
 from fffo_drive.diagnosis.fitting import evaluate, jacobian, loaded_sensitivities
 from fffo_drive.diagnosis.gates import SHOWN_SHARE, shown_share
 from fffo_drive.diagnosis.propose import LAW_RUNG, Search, evidence_of
 from fffo_drive.diagnosis.select import refitted, renewed
->>>>>>> h-dtests
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
@@ -71,7 +60,7 @@ def fitted(planted, name):
     data, base = based(records_with(EffectConfig(planted, PLANTED[planted][0])), FACTS)
     search = Search(FACTS, only(name), frozenset({"curves", "datum"}))
     evidence = evidence_of(data, base, jacobian(data, base))
-    (one,) = search.proposals(data, base, evidence, LAW_RUNG, lambda share: None)
+    (one,) = search.proposals(data, base, evidence, LAW_RUNG)
     found = refitted(data, base, one, two_starts=True)
     for _ in range(3):  # to its end: the levels of noise are those of the model that stands
         data, standing = renewed(data, found)

@@ -2,22 +2,11 @@
 
 import numpy as np
 import pytest
-<<<<<<< HEAD
-from fffo_drive.diagnosis.candidates import scenes_of, strength_columns
-from fffo_drive.diagnosis.evidence import estimate_whitening, make_evidence, score, whiten
-from fffo_drive.diagnosis.paths import make_filter, rows_of, stretches_of
-from fffo_drive.diagnosis.screening import comparable, false_alarm_probability
-from identification.synthetic import PERIOD_S, TRUTH, chirp_record
-
-from fffo_drive.diagnosis.base import BASE, NAMES, balanced, delayed, models_along, moved, residual_rows, sensitivities
-from fffo_drive.diagnosis.spectra import order_peaks
-=======
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import BASE, NAMES, balanced, delayed, models_along, moved, residual_rows, sensitivities
 from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
 from fffo_drive.diagnosis.spectra import frequency_peaks, order_peaks, slow_orders
->>>>>>> h-dtests
 
 RNG = np.random.default_rng(3)
 

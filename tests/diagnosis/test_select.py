@@ -131,6 +131,10 @@ def test_what_the_base_can_say_is_none_of_the_ladder():
     assert not search._distinct(one_way._replace(free=select.RIGID), "torque_offset")
     assert search._distinct(data_with("constant")._replace(free=select.RIGID), "torque_offset")
     assert names(search.run(one_way)) == []
+    search = selector("torque_offset")
+    assert len(search._ladder(data_with("constant"))[2]) == 1
+    search._distinct = lambda data, name: False
+    assert search._ladder(data_with("constant"))[2] == []
 
 
 # The rounds
@@ -151,31 +155,31 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     data, standing, _ = at_the_start("wave")
     fitted = fit(data, standing.fitted.physical, [effect("cogging", {"cos_nm": 0.001, "sin_nm": 0.0}, order=5.0)])
     note = Accepted("cogging", Gain(1.0, 0.1, np.zeros(1)), 0.5, 0.1, (), (), 1000)
-    (final,) = selector()._final(data, stand(data, fitted), [note])
-    assert final.p == pytest.approx(1000 * SMALLEST_P)
-    weak = fit(data, standing.fitted.physical, [effect("cogging", {"cos_nm": 1e-5, "sin_nm": 0.0}, order=0.7)])
-    (chance,) = selector()._final(data, stand(data, weak), [note])
-    (single,) = selector()._final(data, stand(data, weak), [replace(note, tried=1)])
-    assert chance.p == pytest.approx(min(1.0, 1000 * single.p))
+    standing = stand(data, fitted)
+    chance = selector()._chance(data, standing, 0)
+    assert chance == SMALLEST_P
+    (kept,) = selector()._pruned(data, standing, [note])[2]
+    assert kept.p == pytest.approx(1000 * chance)
+    assert selector()._pruned(data, standing, [replace(note, tried=10**12)])[2] == []  # by now it may be chance
 
 
 def test_what_might_be_chance_is_not_contended():
     data, standing, evidence = at_the_start("wave")
     for rate, count in ((0.01, 1), (0.0, 0)):
         search = selector("cogging", rate=rate)
-        proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG, lambda share: None)
+        proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG)
         laws, _ = search._contenders(data, standing, evidence, proposals, search.search.tried)
         assert len(laws) == count
     search = selector("cogging")
     search.barred.add("cogging")
-    proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG, lambda share: None)
+    proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG)
     assert search._contenders(data, standing, evidence, proposals, 1)[0] == []
 
 
 def test_what_explains_less_than_a_share_of_what_is_left_is_none():
     data, standing, evidence = at_the_start("wave")
     search = selector("cogging")
-    proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG, lambda share: None)
+    proposals = search.search.proposals(data, standing.fitted, evidence, LAW_RUNG)
     (one,) = proposals
     small = one._replace(score=one.score._replace(explained=0.019 * evidence.energy))
     assert search._contenders(data, standing, evidence, [small], 1)[0] == []
@@ -187,7 +191,7 @@ def test_no_more_are_refitted_than_are_allowed_and_two_of_a_kind():
     data, standing, evidence = at_the_start("wave")
     search = selector("cogging", "torque_ripple", "friction_ripple", "periodic_disturbance", "quadratic_drag")
     (one,) = [
-        p for p in search.search.proposals(data, standing.fitted, evidence, LAW_RUNG, lambda share: None)
+        p for p in search.search.proposals(data, standing.fitted, evidence, LAW_RUNG)
         if p.name == "cogging"
     ]  # fmt: skip
     same, _ = search._contenders(data, standing, evidence, [one] * 5, 1)

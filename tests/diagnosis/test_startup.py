@@ -1,4 +1,4 @@
-"""The base model from nothing: J from a regression that knows a constant torque and gravity; one-way runs do not crash."""
+"""The base model from nothing: J right beside a constant torque and gravity; one-way runs do not crash."""
 
 import numpy as np
 import pytest

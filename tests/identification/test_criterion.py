@@ -1,4 +1,4 @@
-"""The one criterion: folds of whole blocks, gains on rows that the fit did not see, and a test that noise does not pass."""
+"""The one criterion: folds of whole blocks, gains on unseen rows, and a test that noise does not pass."""
 
 import numpy as np
 import pytest
