@@ -28,7 +28,7 @@ from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
 from .gates import needed_rows
 from .pictures import ceiling, picture, run_figures
-from .proof import Proof, data_of, error_figures, with_own_datum
+from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .rest import rest_of
 from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
@@ -67,8 +67,6 @@ def prepared(records: Sequence[Record], facts: DriveFacts, model: ModelFile | No
 
 def filter_for(records: Sequence[Record], facts: DriveFacts, settings: DiagnosisSettings) -> Filter:
     """The filter that all signals share."""
-    if not records:
-        raise DataError("no runs to fit: at least one is needed")
     cutoff_hz = settings.cutoff_hz or cutoff_of(records, facts.units == "rotary")
     return make_filter(records[0].period_s, cutoff_hz)
 
@@ -92,7 +90,7 @@ def base_figures(
     base = settled(data := prepared(fit, facts, model, filter_), base_of(data))[1].fitted
     data = data_of(held_out, filter_, base)
     found = with_own_datum(data, base)[0]
-    return error_figures(data, found, needed_rows(data, found))
+    return error_figures(data, found, needed_rows(data, found), inertia_of(found))
 
 
 def diagnose(
@@ -106,6 +104,10 @@ def diagnose(
     begin = time.monotonic()
     settings = settings or DiagnosisSettings()
     tell = progress or (lambda share, text: None)
+    if not fit:
+        raise DataError("no runs to fit: at least one is needed")
+    import sklearn.ensemble  # noqa: F401  loads slowly; before the limit, or its threads are not under it
+
     records = one_rate([*fit, *held_out])
     fit, held_out = records[: len(fit)], records[len(fit) :]
     with threadpool_limits(1):  # small matrices: the threads here are over candidates
@@ -160,8 +162,8 @@ def assemble(
         findings=tuple(findings),
         before=proof.before if proof else None,
         after=proof.after if proof else None,
-        fit_before=error_figures(data, base, needed),
-        fit_after=error_figures(data, fitted, needed),
+        fit_before=error_figures(data, base, needed, inertia_of(selected.ladder)),
+        fit_after=error_figures(data, fitted, needed, inertia_of(selected.ladder)),
         ceiling=repeats,
         channels=lives,
         runs=(

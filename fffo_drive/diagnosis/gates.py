@@ -72,8 +72,15 @@ def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
             return "it acts on the command, which has the residual in it: a log with the measured current would tell"
         if shown is not None and shown < SHOWN_SHARE:
             return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
-    if reference is None or "shrink" in ablate or law_of(effect.name).rung <= WAVE_RUNG:
+    if "shrink" in ablate or law_of(effect.name).rung <= WAVE_RUNG:
         return ""  # a constant, a weight or a wave swallows no command
+    return shrinking(data, fitted, reference)
+
+
+def shrinking(data: Data, fitted: Fitted, reference: Reference | None) -> str:
+    """How a model buys its error with another axis than that of the first rungs; empty where it does not."""
+    if reference is None:
+        return ""
     ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
     if reference.inertia_sd < DETERMINED_SD and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
         return f"it buys its error with another axis: the inertia would be {ratio:.2g} times that without it"

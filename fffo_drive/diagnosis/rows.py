@@ -209,7 +209,8 @@ def _stretch(number: int, record: Record, part: slice, thin: int) -> Stretch:
         number, record.name, record.begin_s + part.start * period_s, period_s, record.torque_constant_nm_per_a,
         record.lsb_rev, position, np.ascontiguousarray(record.current_a[part]), cut(record.measured_current_a),
         cut(record.reference_rps), thin * period_s, slow(smooth), slow(velocity), slow(acceleration), slow(path),
-        np.ascontiguousarray(good[::thin]), np.ascontiguousarray(rest[::thin]), np.zeros(-(-smooth.size // thin)),
+        np.minimum.reduceat(good, np.arange(0, good.size, thin)),
+        np.ascontiguousarray(rest[::thin]), np.zeros(-(-smooth.size // thin)),
     )  # fmt: skip
 
 

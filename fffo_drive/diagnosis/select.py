@@ -37,7 +37,7 @@ from .fitting import (
     unseen,
     with_levels,
 )
-from .gates import Reference, objection
+from .gates import Reference, objection, shrinking
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
 from .scenes import Effect, load_rows, strength_columns
 
@@ -133,6 +133,7 @@ class Selector:
         self.search = Search(facts, rules.without, rules.ablate)
         self.refused: dict[str, Refused] = {}
         self.barred: set[str] = set()
+        self.visited: set[tuple[tuple[str, ...], ...]] = {()}
         self.first: tuple[Proposal, ...] = ()
         self.first_p = 1.0
         self.reference: Reference | None = None
@@ -189,17 +190,26 @@ class Selector:
         if not sets[chosen] or share < LEAST_SHARE:
             return *settled(data, bare.fitted), []
         accepted = [
-            Accepted(name, gain(bare.unseen, whole.unseen, folds), 1.0, share, family, (), len(sets))
+            Accepted(name, gain(bare.unseen, whole.unseen, folds), 0.0, share, family, (), len(sets))
             for name, family in zip(sets[chosen], self._families(sets, standings, chosen, folds), strict=True)
         ]
         data, standing = settled(data, whole.fitted)
         return self._pruned(data, standing, accepted)
 
     def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing]) -> int:
-        """The first of the smallest sets that are not worse than the best: a constant before what differs by way."""
-        best = min(standings, key=lambda one: float(one.unseen.sum()))
+        """The smallest sets of which one is not worse than the best; of these the first that is not worse than they.
+
+        A constant torque stands before a friction that differs by direction.
+        """
         folds = folds_used(data)
-        return next(k for k, one in enumerate(standings) if not _worse(best, one, folds))
+
+        def best(of: Sequence[int]) -> Standing:
+            return standings[min(of, key=lambda k: float(standings[k].unseen.sum()))]
+
+        first = best(range(len(sets)))
+        size = min(len(own) for own, one in zip(sets, standings, strict=True) if not _worse(first, one, folds))
+        alike = [k for k, own in enumerate(sets) if len(own) == size]
+        return next(k for k in alike if not _worse(best(alike), standings[k], folds))
 
     def _families(
         self, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing], chosen: int, folds: Folds
@@ -246,18 +256,25 @@ class Selector:
         best = max(believed, key=lambda item: item[2].value)
         family = [item for item in believed if not _worse(best[1], item[1], evidence.folds)]
         chosen = min(family, key=lambda item: (item[0].rung, numbers_of(item[1].fitted), -item[2].value))
-        renewed_data, renewed_standing = renewed(data, chosen[1].fitted)
-        reason = objection(renewed_data, renewed_standing.fitted, self.reference, self.ablate)
-        if reason:  # it went on shrinking
-            self.barred.add(chosen[0].name)
-            self.refused[chosen[0].name] = Refused(chosen[0].name, reason, 0.0, chosen[0].score.p * tried)
-            return self._round(data, standing, accepted, rung)
         note = Accepted(
             chosen[0].name, chosen[2], min(1.0, chosen[0].score.p * tried), 0.0,
             tuple(dict.fromkeys(item[0].name for item in family if item[0].name != chosen[0].name)),
             tuple((item[0].name, item[2].value) for item in believed if item[0].name != chosen[0].name), tried,
         )  # fmt: skip
-        return self._pruned(renewed_data, renewed_standing, [*accepted, note])
+        found = self._pruned(*renewed(data, chosen[1].fitted), [*accepted, note])
+        others = any(law_of(e.name).rung > WAVE_RUNG for e in found[1].fitted.effects)
+        reason = shrinking(found[0], found[1].fitted, self.reference) if others and "shrink" not in self.ablate else ""
+        if reason:  # it went on shrinking
+            self.barred.add(chosen[0].name)
+            self.refused[chosen[0].name] = Refused(
+                chosen[0].name, reason, share_gone(standing.fitted, chosen[1].fitted), note.p
+            )
+            return self._round(data, standing, accepted, rung)
+        state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
+        if state in self.visited:  # what is added throws out what was there, and the other way round
+            return None
+        self.visited.add(state)
+        return found
 
     def _contradicted(
         self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
@@ -328,55 +345,47 @@ class Selector:
     ) -> tuple[Data, Standing, list[Accepted]]:
         """Drop what explains too little now that the others are there, the weakest first; gains are those of today."""
         while accepted:
-            judged = [self._judged(data, standing, number) for number in range(len(accepted))]
-            chances = [self._chance(data, standing, k) * note.tried for k, note in enumerate(accepted)]
-            idle = [
-                k for k, (own, share, _) in enumerate(judged)
-                if not own.holds or share < LEAST_SHARE or chances[k] > self.rate
-            ]  # fmt: skip
+            judged = [self._judged(data, standing, number, note) for number, note in enumerate(accepted)]
+            idle = [k for k, (note, _) in enumerate(judged) if self._is_idle(note)]
             if not idle or "drop" in self.ablate:
-                return (
-                    data,
-                    standing,
-                    [
-                        replace(note, gain=own, share=share, p=min(1.0, chance))
-                        for note, (own, share, _), chance in zip(accepted, judged, chances, strict=True)
-                    ],
-                )
-            weakest = min(idle, key=lambda k: judged[k][0].value)
+                return data, standing, [note for note, _ in judged]
+            weakest = min(idle, key=lambda k: judged[k][0].gain.value)
             del accepted[weakest]
-            data, standing = renewed(data, judged[weakest][2].fitted)
+            data, standing = renewed(data, judged[weakest][1].fitted)
         return data, standing, accepted
 
-    def _judged(self, data: Data, standing: Standing, number: int) -> tuple[Gain, float, Standing]:
-        """Gain and share of one effect given all others, and what stands without it.
+    def _is_idle(self, note: Accepted) -> bool:
+        return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
+
+    def _judged(self, data: Data, standing: Standing, number: int, note: Accepted) -> tuple[Accepted, Standing]:
+        """One effect given all others: its gain, share and chance; and what stands without it.
 
         What the first rungs have found is judged beside the laws: a free curve holds a constant too.
         """
         effects = standing.fitted.effects
-        curves = [e for e in effects if e.name.startswith(UNKNOWN)]
-        others = [e for k, e in enumerate(effects) if k != number]
-        without = stand(data, fit(data, standing.fitted.physical, others))
-        if curves and law_of(effects[number].name).rung <= WAVE_RUNG:
-            laws = [e for e in effects if e not in curves]
+        own = effects[number]
+        without = stand(data, fit(data, standing.fitted.physical, [e for e in effects if e is not own]))
+        beside, alone = standing, without
+        laws = [e for e in effects if not e.name.startswith(UNKNOWN)]
+        if len(laws) < len(effects) and law_of(own.name).rung <= WAVE_RUNG:
             beside = stand(data, fit(data, standing.fitted.physical, laws))
-            alone = stand(data, fit(data, standing.fitted.physical, [e for e in laws if e is not effects[number]]))
-        else:
-            beside, alone = standing, without
-        return gain(alone.unseen, beside.unseen, folds_used(data)), share_gone(alone.fitted, beside.fitted), without
+            alone = stand(data, fit(data, standing.fitted.physical, [e for e in laws if e is not own]))
+            number = laws.index(own)
+        judged = replace(
+            note, gain=gain(alone.unseen, beside.unseen, folds_used(data)),
+            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, number, note),
+        )  # fmt: skip
+        return judged, without
 
-    def _chance(self, data: Data, standing: Standing, number: int) -> float:
-        """Of one effect, given all the others that stand: as if nothing else had been tried."""
+    def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
+        """Of one effect, given all the others that stand; as it was where they leave hardly anything of its columns."""
         own = columns_of(data, standing, number)
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
-        effects = standing.fitted.effects
-        first = law_of(effects[number].name).rung <= WAVE_RUNG  # judged beside the laws, as in `_judged`
-        gone = {k for k, e in enumerate(effects) if first and e.name.startswith(UNKNOWN)} | {number}
-        dropped = [column for k in gone for column in range(*columns_of(data, standing, k).indices(10**9))]
-        others = np.delete(standing.matrix, dropped, axis=1)
+        others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
         without = standing.fitted._replace(white=standing.fitted.white + load)
-        return score(evidence_of(data, without, others, robust=False), standing.matrix[:, own]).p
+        found = score(evidence_of(data, without, others, robust=False), standing.matrix[:, own])
+        return min(1.0, found.p * note.tried) if found.rank else note.p
 
 
 def _worse(best: Standing, other: Standing, folds: Folds) -> bool:

@@ -89,7 +89,7 @@ LAW = Law(
     axis="travel_since_reversal",
     kernel=backlash,
     parameters=(
-        Parameter("share", "-", STRENGTH, 0.0, 0.9, 0.2, "share of the inertia behind the gap"),
+        Parameter("share", "-", STRENGTH, 0.0, 0.9, 0.2, "share of the inertia behind the gap", plausible=(0.15, 0.9)),
         Parameter("gap_rev", "rev", SHAPE, 0.0, 1000.0, 0.01, "width of the gap at the motor shaft", logarithmic=True),
         Parameter(
             "friction_share",
