@@ -218,7 +218,6 @@ def test_a_delay_is_a_note_and_never_a_finding():
     assert not any("homed angle" in text for text in cautions(None, FACTS, None, [], [object()], own))
 
 
-@pytest.mark.xfail(strict=True, raises=IndexError, reason="the look at the runs comes first, and looks at records[0]")
 def test_no_runs_are_refused_in_a_sentence():
     with pytest.raises(DataError, match="no runs"):
         diagnose([], [], FACTS)

@@ -15,6 +15,7 @@ from fffo_drive.diagnosis.gates import (
     needed_rms_nm,
     objection,
     shown_share,
+    shrinking,
 )
 
 OFFSET_NM = 0.006
@@ -105,7 +106,7 @@ def test_a_limit_of_the_voltage_needs_the_measured_current():
 @pytest.mark.parametrize("factor", [0.1, 0.6, 1.6])
 def test_an_effect_that_buys_its_error_with_another_inertia_is_refused(factor):
     _, fitted, _ = axis()
-    wave = effect("cogging", {"cos_nm": 1e-3, "sin_nm": 0.0}, order=3.0)
+    wave = effect("quadratic_drag", {"drag_nm_per_rps2": 1e-7})
     other = moved(fitted.physical, "inertia_nm_s2_per_rev", float(np.log(factor)))
     assert "another axis" in judged(wave, other)
     assert "times" in judged(wave, other)
@@ -119,8 +120,9 @@ def test_an_inertia_that_the_data_do_not_determine_is_no_reference():
     assert reference.inertia_sd < DETERMINED_SD
     assert reference.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.02)
     light, _ = evaluate(data, moved(fitted.physical, "inertia_nm_s2_per_rev", -0.5), fitted.effects)
-    assert objection(data, light, reference, NONE) != ""
-    assert objection(data, light, reference._replace(inertia_sd=2.0 * DETERMINED_SD), NONE) == ""
+    assert shrinking(data, light, reference) != ""
+    assert shrinking(data, light, reference._replace(inertia_sd=2.0 * DETERMINED_SD)) == ""
+    assert objection(data, light, reference, NONE) == ""  # a constant torque swallows no command
 
 
 def test_an_axis_that_needs_less_torque_is_refused_also_where_its_inertia_is_not_told():
@@ -129,7 +131,7 @@ def test_an_axis_that_needs_less_torque_is_refused_also_where_its_inertia_is_not
     for name in ("inertia_nm_s2_per_rev", "coulomb_nm", "static_nm", "viscous_nm_per_rps"):
         physical[NAMES.index(name)] *= 0.3
     small, _ = evaluate(data, physical, fitted.effects)
-    told = objection(data, small, reference._replace(inertia_sd=1.0), NONE)
+    told = shrinking(data, small, reference._replace(inertia_sd=1.0))
     assert "shrinking the axis" in told
     assert "%" in told
 

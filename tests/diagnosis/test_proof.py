@@ -72,12 +72,13 @@ def test_a_model_whose_error_in_torque_is_no_smaller_does_worse(torque_nm):
 
 
 def test_a_model_that_is_better_in_torque_and_worse_in_velocity_does_worse():
-    """An axis that shrinks: what is left of the torque moves less inertia."""
-    _, base, true = fitted()
-    proof = proof_of(true)
-    shrunk = proof.fitted.physical.copy()
-    shrunk[NAMES.index("inertia_nm_s2_per_rev")] *= 0.2
-    proof.fitted = proof.fitted._replace(physical=shrunk)
+    """What it leaves is less, and keeps its sign for an eighth of a second at a time: it drives the axis away."""
+    proof = proof_of(fitted()[2])
+    rows = proof.data.rows
+    sign = np.where(np.floor(rows.time_s / 0.125) % 2.0, 1.0, -1.0)
+    size = 0.7 * np.sqrt(np.mean(proof.base.residual_nm[rows.kept] ** 2))
+    proof.fitted = left(proof.data, proof.fitted, size * sign - proof.fitted.residual_nm)
+    proof.ladder = left(proof.data, proof.ladder, np.random.default_rng(4).normal(0.0, size, sign.size))
     assert proof.gain_of().value > 0.0
     assert "velocity" in proof.worse()
 
@@ -112,14 +113,16 @@ def test_the_error_in_velocity_is_what_the_torque_that_is_left_makes_of_a_window
     steps = round(0.25 / rows.filter.row_period_s)
     constant_left = base._replace(residual_nm=np.full(rows.kept.size, 0.01))
     whole = data._replace(rows=rows._replace(kept=kept))
-    assert velocity_squares(whole, constant_left, kept) == pytest.approx(0.0, abs=1e-12)  # it says nothing of a form
+    assert velocity_squares(whole, constant_left, inertia, kept) == pytest.approx(
+        0.0, abs=1e-12
+    )  # it says nothing of a form
     ramp = base._replace(residual_nm=np.where(np.arange(kept.size) % steps < steps // 2, 0.01, -0.01))
-    found = velocity_squares(whole, ramp, kept)
+    found = velocity_squares(whole, ramp, inertia, kept)
     peak = 0.01 / inertia * 0.125
     assert np.sqrt(found[:5]) == pytest.approx(peak / np.sqrt(3.0), rel=0.1)  # a triangle
     halved = kept.copy()
     halved[: kept.size // 2] = False
-    assert 0 < velocity_squares(whole, ramp, halved).size < found.size
+    assert 0 < velocity_squares(whole, ramp, inertia, halved).size < found.size
 
 
 def test_a_datum_is_found_on_the_first_part_of_a_run_and_the_rest_is_scored():
@@ -164,9 +167,9 @@ def test_intervals_are_of_whole_blocks():
     draw = np.random.default_rng(2)
     count = data.rows.folds.block.max() + 1
     common = left(data, base, -base.residual_nm + draw.normal(size=count)[data.rows.folds.block])
-    found = error_figures(data, common, np.ones(data.rows.kept.size)).torque_rms_nm
+    found = error_figures(data, common, np.ones(data.rows.kept.size), 1.0).torque_rms_nm
     assert found.low < found.value < found.high
     own = left(data, base, -base.residual_nm + draw.normal(size=data.rows.kept.size))
-    other = error_figures(data, own, np.ones(data.rows.kept.size)).torque_rms_nm
+    other = error_figures(data, own, np.ones(data.rows.kept.size), 1.0).torque_rms_nm
     assert (found.high - found.low) > 3.0 * (other.high - other.low)
     assert found.value == pytest.approx(np.sqrt(np.mean(common.residual_nm[data.rows.kept] ** 2)))

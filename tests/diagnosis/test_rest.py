@@ -78,7 +78,6 @@ def test_a_disturbance_with_a_clock_of_its_own_is_told_with_its_period():
     assert float(words.group(1)) == pytest.approx(CLOCK_S, rel=0.01)
 
 
-@pytest.mark.xfail(strict=True, reason="the period is as fine as a run is long: over three runs the phase is lost")
 def test_a_clock_that_goes_on_from_run_to_run_is_told_as_well():
     assert "a clock of its own" in rest(clock).axes
 

@@ -156,10 +156,9 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     fitted = fit(data, standing.fitted.physical, [effect("cogging", {"cos_nm": 0.001, "sin_nm": 0.0}, order=5.0)])
     note = Accepted("cogging", Gain(1.0, 0.1, np.zeros(1)), 0.5, 0.1, (), (), 1000)
     standing = stand(data, fitted)
-    chance = selector()._chance(data, standing, 0)
-    assert chance == SMALLEST_P
+    assert selector()._chance(data, standing, 0, note) == pytest.approx(1000 * SMALLEST_P)
     (kept,) = selector()._pruned(data, standing, [note])[2]
-    assert kept.p == pytest.approx(1000 * chance)
+    assert kept.p == pytest.approx(1000 * SMALLEST_P)
     assert selector()._pruned(data, standing, [replace(note, tried=10**12)])[2] == []  # by now it may be chance
 
 
@@ -264,17 +263,9 @@ def test_an_effect_to_which_something_is_objected_is_refused_with_the_reason(mon
     assert refused.p < 0.01
 
 
-def test_an_effect_that_goes_on_shrinking_the_axis_once_all_is_fitted_again_is_barred(monkeypatch):
-    calls = []
-
-    def later(data, fitted, reference, ablate):
-        calls.append(fitted)
-        return "" if len(calls) == 1 else "it shrinks"
-
-    monkeypatch.setattr(select, "objection", later)
-    selection = selector("cogging").run(data_with("wave"))
-    assert names(selection) == []
-    assert [one.name for one in selection.refused] == ["cogging"]
+def test_a_wave_swallows_no_command_and_is_not_asked_whether_it_shrinks_the_axis(monkeypatch):
+    monkeypatch.setattr(select, "shrinking", lambda data, fitted, reference: "it shrinks")
+    assert names(selector("cogging").run(data_with("wave"))) == ["cogging"]
 
 
 def test_no_more_effects_than_are_allowed(monkeypatch):
