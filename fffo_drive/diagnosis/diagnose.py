@@ -26,7 +26,7 @@ from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
-from .gates import needed_rows
+from .gates import WAVE_RUNG, needed_rows
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .rest import rest_of
@@ -145,7 +145,10 @@ def assemble(
     sd = standard_deviations(data, fitted, selected.matrix)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
-    findings = ranked(findings, key=lambda f: (0.0 if f.accepted else 2.0) - f.explained_fraction)
+    # what the first rungs of the ladder found stands first, then what takes away most
+    findings = ranked(
+        findings, key=lambda f: (0.0 if f.accepted else 4.0) - f.explained_fraction - 2.0 * _first(f.name)
+    )
     repeats = ceiling(data, base, fitted)
     tell(0.85, "what is left")
     rest = rest_of(data, fitted, repeats)
@@ -186,6 +189,11 @@ def assemble(
         fit_names=tuple(r.name for r in fit),
         held_out_names=tuple(r.name for r in held_out),
     )  # fmt: skip
+
+
+def _first(name: str) -> bool:
+    """Whether a law is of the first rungs: a constant torque, direction, weight."""
+    return law_of(name).rung < WAVE_RUNG
 
 
 def verdict_of(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from diagnosis.planted import PERIOD_S, based, effect, left, nothing, planted, runs
 
-from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.fitting import Fitted, fit
 from fffo_drive.diagnosis.proof import (
     DATUM_MOST,

@@ -19,7 +19,6 @@ from fffo_drive.diagnosis.rows import (
     slow_rps,
     stretches_of,
 )
-from fffo_drive.identification.dataset import DataError
 
 
 def turning(wave_nm=0.0, order=72.0, speed_rps=1.0, duration_s=8.0):
