@@ -26,9 +26,10 @@ from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
-from .gates import WAVE_RUNG, needed_rows
+from .gates import needed_rows
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
+from .propose import WAVE_RUNG
 from .rest import rest_of
 from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of

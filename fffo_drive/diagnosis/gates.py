@@ -15,13 +15,13 @@ from ..model.effects.law import SHAPE
 from ..model.effects.registry import law_of
 from .base import BASE, NAMES, delayed, models_along
 from .fitting import Data, Fitted, consistent_scenes, standard_deviations, torque_of
+from .propose import WAVE_RUNG
 from .scenes import Effect, load_along
 
 Floats = npt.NDArray[np.float64]
 
 INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
 NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
-WAVE_RUNG = 2  # of the ladder, up to which laws are judged by the textbook alone
 DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
 AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...
 BEYOND = 0.1  # ... and a strength may be beyond by so much, for its noise
