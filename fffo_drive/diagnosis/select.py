@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..identification.criterion import Folds, Gain, gain, unseen_loss
 from ..identification.facts import DriveFacts
+from ..identification.fit import PRESLIDING_LSB
 from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
@@ -167,7 +168,7 @@ class Selector:
         They are fitted beside a rigid base from the start: a base that was fitted without them, or that is
         freer than the data determine, bends. The friction of the whole base is then a rung of its own.
         """
-        rigid = data._replace(free=RIGID)
+        rigid = rigid_of(data)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
         if self.facts.units != "rotary" or data.rows.turns < GRAVITY_TURNS * (self.facts.gear_ratio or 1.0):
             laws.remove("unbalance")
@@ -445,6 +446,19 @@ def starting_effect(name: str, facts: DriveFacts) -> Effect:
     law = law_of(name)
     shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
     return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
+
+
+def rigid_of(data: Data) -> Data:
+    """The data with a rigid base: friction of one level, at once."""
+    start = data.start.copy()
+    coulomb_nm = start[NAMES.index("coulomb_nm")]
+    stiffness_per_rev = 1.0 / (PRESLIDING_LSB[0] * max(stretch.lsb_rev for stretch in data.stretches))
+    for name, value in (
+        ("static_nm", coulomb_nm), ("stiffness_per_rev", stiffness_per_rev),
+        ("attraction_nm_per_rev", coulomb_nm * stiffness_per_rev),
+    ):  # fmt: skip
+        start[NAMES.index(name)] = value
+    return data._replace(free=RIGID, start=start)
 
 
 def base_of(data: Data) -> Fitted:
