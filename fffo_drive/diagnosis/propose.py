@@ -237,7 +237,7 @@ def proposal(data: Data, evidence: Evidence, name: str, kind: str, shape: Shape,
     """An effect at a shape with its best strengths; its chance is not computed yet."""
     found = score(evidence, data.white(columns.values), chance=False)
     effect = effect_of(name, shape, columns, found.strengths, data.runs)
-    return Proposal(name, kind, law_of(name).rung, effect, columns.values, found)
+    return Proposal(name, kind, law_of(name).rung, effect, columns.values.astype(np.float32), found)
 
 
 def machine_orders(facts: DriveFacts) -> set[float]:

@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from ..identification.criterion import Folds, Gain, gain, unseen_loss
 from ..identification.facts import DriveFacts
-from ..identification.fit import PRESLIDING_LSB
 from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
@@ -348,6 +347,9 @@ class Selector:
         while accepted:
             judged = [self._judged(data, standing, number, note) for number, note in enumerate(accepted)]
             idle = [k for k, (note, _) in enumerate(judged) if self._is_idle(note)]
+            if len(accepted) == 1 and judged[0][0].share >= LEAST_SHARE:
+                # it was judged when it was accepted, at the noise of then: nothing has come since
+                return data, standing, [replace(judged[0][0], p=accepted[0].p or judged[0][0].p)]
             if not idle or "drop" in self.ablate:
                 return data, standing, [note for note, _ in judged]
             weakest = min(idle, key=lambda k: judged[k][0].gain.value)
@@ -449,15 +451,9 @@ def starting_effect(name: str, facts: DriveFacts) -> Effect:
 
 
 def rigid_of(data: Data) -> Data:
-    """The data with a rigid base: friction of one level, at once."""
+    """The data with a rigid base: friction of one level."""
     start = data.start.copy()
-    coulomb_nm = start[NAMES.index("coulomb_nm")]
-    stiffness_per_rev = 1.0 / (PRESLIDING_LSB[0] * max(stretch.lsb_rev for stretch in data.stretches))
-    for name, value in (
-        ("static_nm", coulomb_nm), ("stiffness_per_rev", stiffness_per_rev),
-        ("attraction_nm_per_rev", coulomb_nm * stiffness_per_rev),
-    ):  # fmt: skip
-        start[NAMES.index(name)] = value
+    start[NAMES.index("static_nm")] = start[NAMES.index("coulomb_nm")]
     return data._replace(free=RIGID, start=start)
 
 
