@@ -30,6 +30,7 @@ from .spectra import frequency_peaks, order_peaks, slow_orders
 
 Floats = npt.NDArray[np.float64]
 
+LONG_WAVES = 64  # half periods of a linear travel that are tried as waves
 PEAKS = 4  # of each spectrum that become shapes
 DISTINCT = 1e-3  # share of a column's square that must be left once the base is projected out
 COLLINEAR = 1e-8  # eigenvalue over the largest, below which columns of one candidate are one
@@ -268,6 +269,8 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
     orders = {
         p.place for values in (1.0, sign, scaled) for p in order_peaks(rows, residual_nm * values, PEAKS, *scanned)
     }
+    if not rotary:  # nothing is known of its period: by half periods of the travel
+        orders |= {0.5 * k / rows.turns for k in range(4, LONG_WAVES)}
     if rotary:  # of a turn whole orders are tried one by one
         orders |= {float(k) for k in range(1, int(min(HIGHEST_ORDER, highest)) + 1)}
         orders |= {k for k in machine_orders(facts) if k <= highest}
