@@ -18,6 +18,7 @@ from ..identification.criterion import HUBER, clipped, huber, levels, unseen_los
 from ..identification.prediction import THREADS
 from ..model.effects import slots
 from ..model.effects.law import PER_TURN, SHAPE
+from ..model.effects.laws.lookup import VISCOUS
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import (
@@ -297,7 +298,7 @@ def fit(
         hessian = matrix.T @ (weight[:, None] * matrix)
         gradient[:count] -= precision * distance(best.physical, data.start)[:count]
         hessian[np.arange(count), np.arange(count)] += precision
-        _curve_prior(hessian, gradient, best.effects, numbers, count)
+        _curve_prior(hessian, gradient, best, numbers, count)
         accepted = None
         for _ in range(4):
             step = _solve(hessian, gradient, damping)
@@ -330,14 +331,14 @@ def _penalty(data: Data, fitted: Fitted, precision: Floats) -> float:
     return 0.5 * float(np.sum(precision * away * away)) / max(1, fitted.white.size)
 
 
-def _curve_prior(
-    hessian: Floats, gradient: Floats, effects: Sequence[Effect], numbers: Sequence[Slot], first: int
-) -> None:
-    """Values of free curves are drawn towards nothing where the motion hardly goes."""
+def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Sequence[Slot], first: int) -> None:
+    """Values of free curves are of the size of the friction, and drawn towards nothing where the motion hardly goes."""
     for place, slot in enumerate(numbers, first):
-        if law_of(effects[slot.effect].name).name == LOOKUP:
-            precision = CURVE_PRIOR * hessian[place, place]
-            gradient[place] -= precision * float(effects[slot.effect].strengths[slot.name][0])
+        effect = fitted.effects[slot.effect]
+        if law_of(effect.name).name == LOOKUP:
+            size = "viscous_nm_per_rps" if effect.shapes["kind"] == VISCOUS else "coulomb_nm"
+            precision = CURVE_PRIOR * hessian[place, place] + 1.0 / fitted.physical[NAMES.index(size)] ** 2
+            gradient[place] -= precision * float(effect.strengths[slot.name][0])
             hessian[place, place] += precision
 
 
