@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -74,39 +73,6 @@ def friction_along(
         output[k, 0] = state.torque_nm
         output[k, 1] = state.travel_rev
         output[k, 2] = state.direction
-
-
-@njit
-def wave_sums(
-    angle_rev: Floats, weighted: Floats, gain: Floats, first_order: float, order_step: float, output: Any
-) -> None:
-    """Least-squares periodogram over orders: five sums an order, `output` (orders, 5).
-
-    `angle_rev` (n,) where the samples lie, `weighted` (n,) their values, `gain` (n,) how much of a wave is left there.
-    Columns: sum(y c), sum(y s), sum(c c), sum(c s), sum(s s), with c, s the cosine and sine times the gain.
-    """
-    turn = 2.0 * math.pi
-    for k in range(output.shape[0]):
-        order = first_order + k * order_step
-        yc = 0.0
-        ys = 0.0
-        cc = 0.0
-        cs = 0.0
-        ss = 0.0
-        for j in range(angle_rev.size):
-            phase = turn * order * angle_rev[j]
-            c = math.cos(phase) * gain[j]
-            s = math.sin(phase) * gain[j]
-            yc += weighted[j] * c
-            ys += weighted[j] * s
-            cc += c * c
-            cs += c * s
-            ss += s * s
-        output[k, 0] = yc
-        output[k, 1] = ys
-        output[k, 2] = cc
-        output[k, 3] = cs
-        output[k, 4] = ss
 
 
 @njit
