@@ -175,8 +175,18 @@ def test_held_out_runs_are_foretold_no_worse_than_by_a_textbook(name):
     before, after = page(name).before, page(name).after
     assert after.torque_rms_nm.value <= OTHER_FILTER * textbook(trap(name))[1]
     assert after.torque_relative_percent.value < before.torque_relative_percent.value
-    # no worse than its interval tells; false where it is NaN
-    assert 0.0 < after.velocity_rms_rps.low <= before.velocity_rms_rps.high
+
+
+SLOWER = pytest.mark.xfail(strict=True, reason="the error in velocity grows by 5 to 18 %, inside its interval")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=SLOWER if n in ("disc", "coupled", "waves_slow") else ()) for n in NAMED]
+)
+def test_the_error_in_velocity_does_not_grow(name):
+    before, after = page(name).before, page(name).after
+    assert 0.0 < after.velocity_rms_rps.value <= OTHER_FILTER * before.velocity_rms_rps.value  # false where it is NaN
 
 
 @pytest.mark.slow
