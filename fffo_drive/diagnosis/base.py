@@ -8,8 +8,10 @@ against it with a wrong velocity, and near the Stribeck speed that is a wrong fr
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from ..identification.coordinates import MODEL_PARAMETERS, PARAMETERS, axis_of
 from ..identification.kinematics import low_pass
 from ..identification.prediction import THREADS
 from ..model.axis import AxisConfig
+from ..model.friction import FrictionConfig
 from .kernels import friction_along
 from .rows import Rows, Stretch, second_difference
 
@@ -31,8 +34,8 @@ NAMES = tuple(PARAMETERS)
 # it is positive, in s and s2 where it is not
 PRIOR_SD = {"delay_s": 0.003, "stribeck_exponent": 1.0, "sensor_lag_s2": 1e-4}
 PRIOR_LOG_SD = 2.0
-RELATIVE_STEP = 0.02  # of the numeric sensitivities: of a positive parameter, by its logarithm
-EXPONENT_STEP = 0.02
+RELATIVE_STEP = 0.005  # of the numeric sensitivities: of a positive parameter, by its logarithm
+EXPONENT_STEP = 0.005
 BALANCE_HZ = 30.0
 
 
@@ -62,9 +65,7 @@ def delayed(values: Floats, delay_samples: float) -> Floats:
 def along(stretch: Stretch, physical: Floats) -> Along:
     """The base model along a stretch."""
     axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
-    torque = stretch.torque_constant_nm_per_a * delayed(stretch.current_a, axis.delay_s / stretch.period_s)
-    path = _friction_path(stretch, axis)
-    return Along(torque, path[:, 0].copy(), path[:, 1].copy(), path[:, 2].copy())
+    return Along(_torque(stretch, physical), *_friction_path(stretch, axis))
 
 
 def models_along(stretches: Sequence[Stretch], physical: Floats) -> list[Along]:
@@ -116,13 +117,14 @@ def moved(physical: Floats, name: str, step: float) -> Floats:
 
 def step_of(name: str, period_s: float) -> float:
     """Size of a numeric step, in the coordinate of `moved`."""
-    sizes = {"delay_s": 0.2 * period_s, "stribeck_exponent": EXPONENT_STEP, "sensor_lag_s2": period_s * period_s}
+    sizes = {"delay_s": 0.1 * period_s, "stribeck_exponent": EXPONENT_STEP, "sensor_lag_s2": period_s * period_s}
     return sizes.get(name, RELATIVE_STEP)
 
 
 def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) -> Floats:
     """d(what the base model explains)/d(coordinate) of BASE at the rows: minus that of the residual. (m, len(BASE))"""
     period_s = rows.filter.period_s
+    friction = [_friction(stretch, physical) for stretch in stretches]
     matrix = np.empty((rows.time_s.size, len(BASE)))
 
     def column(k: int) -> None:
@@ -133,33 +135,50 @@ def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) ->
             matrix[:, k] = _value(physical, "inertia_nm_s2_per_rev") * snap_rows(rows)
         else:
             step = step_of(name, period_s)
-            high, low = moved(physical, name, step), moved(physical, name, -step)
-            parts = []
-            for stretch in stretches:
-                if name == "delay_s":
-                    # the torque is taken away from the residual: the sign turns
-                    kt = stretch.torque_constant_nm_per_a
-                    at = [_value(p, "delay_s") / stretch.period_s for p in (high, low)]
-                    change = -kt * (delayed(stretch.current_a, at[0]) - delayed(stretch.current_a, at[1]))
-                    parts.append(rows.filter.rows(change))
-                else:
-                    parts.append(rows.laws.rows(_friction(stretch, high) - _friction(stretch, low)))
-            matrix[:, k] = np.concatenate(parts) / (2.0 * step)
+            high = moved(physical, name, step)
+            if name == "delay_s":
+                # the torque is taken away from the residual: the sign turns
+                parts = [rows.filter.rows(_torque(s, physical) - _torque(s, high)) for s in stretches]
+            else:
+                pairs = zip(stretches, friction, strict=True)
+                parts = [rows.laws.rows(_friction(s, high) - before) for s, before in pairs]
+            matrix[:, k] = np.concatenate(parts) / step
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(column, range(len(BASE))))
     return matrix
 
 
+def _torque(stretch: Stretch, physical: Floats) -> Floats:
+    delay_s = _value(physical, "delay_s")
+    return np.asarray(stretch.torque_constant_nm_per_a * delayed(stretch.current_a, delay_s / stretch.period_s))
+
+
 def _friction(stretch: Stretch, physical: Floats) -> Floats:
-    axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
-    return np.ascontiguousarray(_friction_path(stretch, axis)[:, 0])
+    return np.asarray(_friction_path(stretch, axis_config(physical, stretch.torque_constant_nm_per_a))[0])
+
+
+_PATHS: OrderedDict[tuple[int, FrictionConfig], tuple[Stretch, Floats]] = OrderedDict()
+PATHS_KEPT_BYTES = 100_000_000  # of friction that was computed last: fits begin where others ended
 
 
 def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
+    """Torque Nm, travel since reversal rev and direction along a stretch. (3, n), not to be changed."""
+    key = (id(stretch), axis.friction)
+    known = _PATHS.get(key)
+    if known is not None and known[0] is stretch:
+        return known[1]
     path = np.empty((stretch.samples, 3))
     friction_along(axis.friction, stretch.path_rev, stretch.rest, stretch.balance_nm, stretch.law_period_s, path)
-    return path
+    found = np.ascontiguousarray(path.T)
+    with _KEEPING:
+        _PATHS[key] = (stretch, found)
+        for _ in range(len(_PATHS) - max(1, PATHS_KEPT_BYTES // found.nbytes)):
+            _PATHS.popitem(last=False)
+    return found
+
+
+_KEEPING = Lock()
 
 
 def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:
@@ -167,7 +186,7 @@ def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:
     found = []
     for stretch in stretches:
         axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
-        torque = stretch.torque_constant_nm_per_a * delayed(stretch.current_a, axis.delay_s / stretch.period_s)
+        torque = _torque(stretch, physical)
         inertia = axis.inertia_nm_s2_per_rev * stretch.acceleration_rps2
         cutoff_hz = min(BALANCE_HZ, 0.2 / stretch.period_s)
         smooth = low_pass(torque, cutoff_hz, stretch.period_s)[:: stretch.thin]

@@ -45,7 +45,7 @@ Integers = npt.NDArray[np.int64]
 LOOKUP = "lookup"  # a free curve: its knots stay
 CURVE_PRIOR = 1e-3  # of the squared norm of a curve's column
 CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
-STEADY = 0.02  # ... and at which the effects' sensitivities serve again
+STEADY = 0.02  # ... and at which the sensitivities serve again
 STEEPEST = 5.0  # Fs over Fc at most
 LARGEST_GROWTH = 0.02  # of the plain squared residual, that an effect may cost
 LARGEST_LOG = 0.5  # of a positive parameter in one step
@@ -280,19 +280,16 @@ def fit(
     best, scenes = evaluate(data, start, effects)
     turns = data.rows.turns
     numbers = slots_of(effects, turns, shapes)
-    if not free_base:
-        base_white = np.zeros((best.white.size, 0))
-    else:
-        base_white = data.white(_free(data, loaded_sensitivities(data, start, effects)))
-    count = base_white.shape[1]
+    count = len(BASE) if free_base else 0
     precision = 1.0 / prior_sds()[:count] ** 2
     damping, change = 1e-4, np.inf
-    matrix = base_white
+    matrix = np.zeros((best.white.size, 0))
     penalty = _penalty(data, best, precision)
     for _ in range(iterations):
         if change > STEADY:
-            own = data.white(effect_jacobian(data, best.effects, numbers, scenes))
-            matrix = np.concatenate([base_white, own], axis=1)
+            own = effect_jacobian(data, best.effects, numbers, scenes)
+            base = _free(data, loaded_sensitivities(data, best.physical, best.effects))[:, :count]
+            matrix = data.white(np.concatenate([base, own], axis=1))
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
         gradient = matrix.T @ (weight * best.white)
         hessian = matrix.T @ (weight[:, None] * matrix)
@@ -347,7 +344,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
 
     A change of level grows with the level, and what acts on the command comes as late as the torque does.
     """
-    matrix = _base_sensitivities(data, physical).copy()
+    matrix = sensitivities(data.stretches, physical, data.rows)
     delay = BASE.index("delay_s")
     others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
@@ -357,23 +354,6 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
         if carried:
             matrix[:, columns] += _load_slopes(data, physical, effects, carried, columns)
     return matrix
-
-
-_RECENT: dict[tuple[int, bytes], tuple[Data, Floats]] = {}  # of the last starts of fits, which contenders share
-_RECENT_SIZE = 6
-
-
-def _base_sensitivities(data: Data, physical: Floats) -> Floats:
-    """Sensitivities of the base alone: made once where several fits begin at one place."""
-    key = (id(data.stretches), physical.tobytes())
-    known = _RECENT.get(key)
-    if known is not None and known[0].stretches is data.stretches:
-        return known[1]
-    found = sensitivities(data.stretches, physical, data.rows)
-    while len(_RECENT) >= _RECENT_SIZE:
-        _RECENT.pop(next(iter(_RECENT)), None)
-    _RECENT[key] = (data, found)
-    return found
 
 
 def _load_slopes(

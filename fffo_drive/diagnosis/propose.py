@@ -6,6 +6,7 @@ is proposed that a refit of them could explain.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import Folds, clipped, hotelling_p
+from ..identification.criterion import Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
@@ -35,6 +36,7 @@ PEAKS = 4  # of each spectrum that become shapes
 DISTINCT = 1e-3  # share of a column's square that must be left once the base is projected out
 COLLINEAR = 1e-8  # eigenvalue over the largest, below which columns of one candidate are one
 WAVE_RUNG, LAW_RUNG, TABLE_RUNG = 2, 3, 4  # waves at the machine's orders; all laws and curves; tables over two axes
+SHAPES_AT_ONCE = 16  # scored with one product of matrices
 INSIDE_SHARE = 0.2  # of the motion that may lie inside a dead zone: there the residual explains itself
 
 
@@ -77,10 +79,10 @@ class Proposal(NamedTuple):
         return self.score.explained - numbers * 10.0
 
 
-def evidence_of(data: Data, fitted: Fitted, known: Floats, robust: bool = True) -> Evidence:
-    """`known` (q, b): white sensitivities of everything that is refitted anyway; `robust`: outliers are pulled in."""
+def evidence_of(data: Data, fitted: Fitted, known: Floats) -> Evidence:
+    """`known` (q, b): white sensitivities of everything that is refitted anyway. Outliers are pulled in."""
     basis = orthonormal(known)
-    residual = clipped(fitted.white) if robust else fitted.white
+    residual = clipped(fitted.white)
     residual = residual - basis @ (basis.T @ residual)
     return Evidence(residual, basis, Folds(*(part[data.used] for part in data.rows.folds)))
 
@@ -97,29 +99,65 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     return np.asarray(scaled @ (vectors[:, good] / np.sqrt(values[good])))
 
 
-def score(evidence: Evidence, white: Floats, chance: bool = True) -> Score:
-    """Score white columns (q, k). Without `chance` p is not computed."""
-    squares = np.einsum("ij,ij->j", white, white)
-    white = white - evidence.basis @ (evidence.basis.T @ white)
-    left = np.einsum("ij,ij->j", white, white)
+class _Solved(NamedTuple):
+    """Least squares of the residual on columns, once what is refitted anyway is projected out of both."""
+
+    explained: float
+    strengths: Floats  # (k,)
+    turn: Floats  # (k, rank) from columns to orthonormal ones
+
+    def score(self, p: float = 1.0) -> Score:
+        """With this chance."""
+        return Score(self.explained, self.strengths, self.turn.shape[1], p)
+
+
+def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
+    """`squares` (k,) of the columns as they are; `gram` (k, k) and `product` (k,) with the residual as projected."""
+    left = np.diag(gram)
     use = (left > DISTINCT * squares) & (left > 0.0)
-    strengths = np.zeros(white.shape[1])
+    strengths = np.zeros(squares.size)
+    turn = np.zeros((squares.size, 0))
     if not use.any():
-        return Score(0.0, strengths, 0, 1.0)
+        return _Solved(0.0, strengths, turn)
     norms = np.sqrt(left[use])
-    scaled = white[:, use] / norms
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    values, vectors = np.linalg.eigh(gram[np.ix_(use, use)] / np.outer(norms, norms))
     good = values > COLLINEAR * values[-1]
-    turn = vectors[:, good] / np.sqrt(values[good])
-    axes = scaled @ turn
-    total = evidence.residual @ axes
-    strengths[use] = (turn @ total) / norms
-    p = 1.0
-    if chance:
-        products = axes * evidence.residual[:, None]
-        sums = [np.bincount(evidence.folds.window, products[:, k]) for k in range(products.shape[1])]
-        p = hotelling_p(np.stack(sums, axis=1))
-    return Score(float(total @ total), strengths, int(good.sum()), p)
+    turn = np.zeros((squares.size, int(good.sum())))
+    turn[use] = vectors[:, good] / np.sqrt(values[good]) / norms[:, None]
+    total = product @ turn
+    return _Solved(float(total @ total), turn @ total, turn)
+
+
+def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Score:
+    """Score white columns (q, k). `load` (q,): the effect's own torque, where the residual is what it leaves."""
+    shared, square = evidence.basis.T @ white, white.T @ white
+    found = _solved(np.diag(square), square - shared.T @ shared, evidence.residual @ white)
+    if not found.turn.shape[1]:
+        return found.score()
+    axes = white @ found.turn - evidence.basis @ (shared @ found.turn)
+    residual = evidence.residual
+    left = residual - axes @ (axes.T @ residual)
+    whole = residual if load is None else left + load
+
+    def in_windows(values: Floats) -> Floats:
+        return np.stack([np.bincount(evidence.folds.window, values * axis) for axis in axes.T], axis=1)
+
+    leverage = np.bincount(evidence.folds.window, np.einsum("ij,ij->i", axes, axes)).astype(np.float64)
+    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage))
+
+
+def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:
+    """Scores, without their chance, of candidates whose white columns (q, sum of sizes) stand side by side."""
+    shared, whole = evidence.basis.T @ white, white.T @ white
+    gram, product = whole - shared.T @ shared, evidence.residual @ white
+    ends = np.cumsum(sizes)
+    own = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+    return [_solved(np.diag(whole)[k], gram[k, k], product[k]).score() for k in own]
+
+
+def quick_score(evidence: Evidence, white: Floats) -> Score:
+    """`score` of one candidate without its chance."""
+    return scores(evidence, white, [white.shape[1]])[0]
 
 
 def beyond(evidence: Evidence, white: Floats, beside: Floats) -> Score:
@@ -153,10 +191,12 @@ class Search:
     ) -> list[Proposal]:
         """The best shape of every law up to a rung."""
         work = list(self._shapes(search_context(data, fitted, scenes, self.facts), rung))
+        parts = [work[k : k + SHAPES_AT_ONCE] for k in range(0, len(work), SHAPES_AT_ONCE)]
         best: dict[str, Proposal] = {}
         factors: Factors = {}
         with ThreadPoolExecutor(THREADS) as pool:
-            for found in pool.map(lambda item: self._scored(data, evidence, scenes, factors, *item), work):
+            scored = pool.map(lambda part: self._scored(data, evidence, scenes, factors, part), parts)
+            for found in itertools.chain.from_iterable(scored):
                 if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
                     best[found.kind] = found
         self.tried = len(work)
@@ -176,8 +216,18 @@ class Search:
             yield from ((name, shape) for shape in shapes)
 
     def _scored(
-        self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors, name: str, shape: Shape
-    ) -> Proposal:
+        self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors,
+        part: Sequence[tuple[str, Shape]],
+    ) -> list[Proposal]:  # fmt: skip
+        columns = [self._columns(data, scenes, factors, name, shape) for name, shape in part]
+        white = data.white(np.concatenate([one.values for one in columns], axis=1))
+        found = scores(evidence, white, [len(one.names) for one in columns])
+        return [
+            proposal(data, name, name, shape, one, own)
+            for (name, shape), one, own in zip(part, columns, found, strict=True)
+        ]
+
+    def _columns(self, data: Data, scenes: Sequence[Scene], factors: Factors, name: str, shape: Shape) -> Columns:
         key: tuple[str | float, ...] = (name, *shape.values())
         columns = self._kept.get(key)
         if columns is None:
@@ -185,7 +235,7 @@ class Search:
             if law_of(name).acts_on == "motion" and not law_of(name).wave:
                 # made again in each refit: to propose, those of the first model will do
                 self._kept[key] = columns._replace(values=columns.values.astype(np.float32))
-        return proposal(data, evidence, name, name, shape, columns)
+        return columns
 
     def _with_datum(self, data: Data, evidence: Evidence, found: Proposal) -> list[Proposal]:
         """A wave with one datum in all runs, and with one of its own in each: of a single run nobody knows the next."""
@@ -194,7 +244,8 @@ class Search:
             return [found]
         one = Columns(tuple(found.effect.strengths), (-1,) * len(found.effect.strengths), found.columns)
         columns = with_datum(one, found.name, data.rows)
-        own = proposal(data, evidence, found.name, found.kind, dict(found.effect.shapes), columns)
+        scored = quick_score(evidence, data.white(columns.values))
+        own = proposal(data, found.name, found.kind, dict(found.effect.shapes), columns, scored)
         return [found, own] if data.runs > 1 else [own]
 
     def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
@@ -222,7 +273,8 @@ class Search:
     def _of_curve(self, data: Data, evidence: Evidence, curve: Curve) -> Proposal:
         names = tuple(f"y{k:02d}" for k in range(curve.columns.shape[1]))
         columns = Columns(names, (-1,) * len(names), curve.columns)
-        return proposal(data, evidence, curve.name, kind_of_curve(curve), curve.shapes, columns)
+        scored = quick_score(evidence, data.white(columns.values))
+        return proposal(data, curve.name, kind_of_curve(curve), curve.shapes, columns, scored)
 
 
 def _beyond(data: Data, evidence: Evidence, curve: Curve) -> float:
@@ -234,11 +286,10 @@ def _beyond(data: Data, evidence: Evidence, curve: Curve) -> float:
 TABLES = 3  # pairs of axes that get a fine table
 
 
-def proposal(data: Data, evidence: Evidence, name: str, kind: str, shape: Shape, columns: Columns) -> Proposal:
-    """An effect at a shape with its best strengths; its chance is not computed yet."""
-    found = score(evidence, data.white(columns.values), chance=False)
-    effect = effect_of(name, shape, columns, found.strengths, data.runs)
-    return Proposal(name, kind, law_of(name).rung, effect, columns.values.astype(np.float32), found)
+def proposal(data: Data, name: str, kind: str, shape: Shape, columns: Columns, scored: Score) -> Proposal:
+    """An effect at a shape with its best strengths."""
+    effect = effect_of(name, shape, columns, scored.strengths, data.runs)
+    return Proposal(name, kind, law_of(name).rung, effect, columns.values.astype(np.float32), scored)
 
 
 def machine_orders(facts: DriveFacts) -> set[float]:

@@ -65,6 +65,7 @@ class Effect:
 
 
 KEPT_BAND = 0.7  # of what a thinned command can carry
+LEAST_OF_TORQUE = 0.1  # that a ripple leaves, as in its law
 SAMPLES_A_WAVE = 8.0  # of a kernel at the laws' rate, at top speed: fewer alias
 
 
@@ -166,10 +167,15 @@ def load_rows(rows: Rows, scenes: Sequence[Scene], effect: Effect) -> Floats:
         parts = [load_along(scene, effect.name, effect.values(scene.stretch.run)) for scene in scenes]
         return np.concatenate([rows.laws.rows(part) for part in parts])
     found = np.zeros(rows.time_s.size)
-    columns = wave_columns(rows, scenes, effect.name, effect.shapes)
+    factors: Factors = {}
+    columns = wave_columns(rows, scenes, effect.name, effect.shapes, factors)
     for strength, column in zip(law_of(effect.name).strengths, columns.T, strict=True):
         values = effect.strengths.get(strength.name, np.zeros(1))
         found += column * (values[rows.run] if values.size > 1 else values[0])
+    if law_of(effect.name).wave == "torque":  # the torque that makes up for it is rippled too
+        factor = factors["torque"]
+        ripple = np.divide(found, factor, out=np.zeros_like(found), where=factor != 0.0)
+        found /= np.maximum(LEAST_OF_TORQUE, 1.0 - ripple)
     return found
 
 

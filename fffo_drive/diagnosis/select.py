@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import Folds, Gain, gain, unseen_loss
+from ..identification.criterion import Folds, Gain, clipped, gain, unseen_loss
 from ..identification.facts import DriveFacts
 from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
@@ -38,22 +38,22 @@ from .fitting import (
     with_levels,
 )
 from .gates import Reference, objection, shrinking
-from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, score
+from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect, load_rows, strength_columns
 
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
 GRAVITY_TURNS = 0.25  # of the output: less of a wave is a constant and a slope
-ROUNDS = 4  # in which levels of noise and model are brought to agree ...
-SETTLED = 0.005  # ... by this relative change of inertia, friction and its levels
-CHANGING = [NAMES.index(n) for n in ("inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "static_nm")]
+ROUNDS = 8  # in which levels of noise and model are brought to agree ...
+SETTLED = 0.1  # ... so that the model moves by less than so many levels of noise
 ITERATIONS = 6  # of a contender's fit ...
 LADDER_ITERATIONS = 8  # ... and of those of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
 TRIED_A_KIND = 2  # ... and of those so many of one rung's kind
 REFITTED = 4  # ... and of those, laws that are refitted ...
 CURVES_REFITTED = 2  # ... and curves
+KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
 LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
 
 
@@ -231,7 +231,7 @@ class Selector:
         start = evaluate(data, data.start, ())[0]
         effect = starting_effect(name, self.facts)
         own = strength_columns(data.rows, consistent_scenes(data, data.start, ()), name, effect.shapes).values
-        return score(evidence_of(data, start, jacobian(data, start)), data.white(own), chance=False).rank > 0
+        return quick_score(evidence_of(data, start, jacobian(data, start)), data.white(own)).rank > 0
 
     def _round(
         self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
@@ -285,7 +285,7 @@ class Selector:
         columns = np.stack(
             [np.where(rows.run == k, inertia * rows.acceleration_rps2, 0.0) for k in range(data.runs)], axis=1
         )
-        own = score(evidence, data.white(columns), chance=False)
+        own = quick_score(evidence, data.white(columns))
         if data.runs < 2 or own.explained < LEAST_SHARE * evidence.energy:
             return False
         matrix = np.concatenate([standing.matrix, data.white(columns)], axis=1)
@@ -325,7 +325,11 @@ class Selector:
         """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
         with ThreadPoolExecutor(THREADS) as pool:
             both = "two_starts" not in self.ablate
-            results = list(pool.map(lambda one: refitted(data, standing.fitted, one.proposal, both), contenders))
+            promises = [one.proposal.score.explained / evidence.energy for one in contenders]
+            results = list(pool.map(
+                lambda one, promised: refitted(data, standing.fitted, one.proposal, promised, both),
+                contenders, promises,
+            ))  # fmt: skip
             standings = list(pool.map(lambda one: stand(data, one), results))
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
@@ -386,8 +390,7 @@ class Selector:
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
         others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
-        without = standing.fitted._replace(white=standing.fitted.white + load)
-        found = score(evidence_of(data, without, others, robust=False), standing.matrix[:, own])
+        found = score(evidence_of(data, standing.fitted, others), standing.matrix[:, own], load)
         return min(1.0, found.p * note.tried) if found.rank else note.p
 
 
@@ -427,20 +430,19 @@ def columns_of(data: Data, standing: Standing, number: int) -> slice:
     return slice(first + own[0], first + own[-1] + 1)
 
 
-def refitted(data: Data, fitted: Fitted, one: Proposal, two_starts: bool) -> Fitted:
-    """A proposal refitted with everything, from where the model is and from where the base began.
+def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_starts: bool) -> Fitted:
+    """A proposal refitted with everything, from where the model is; `promised`: share that its columns explain.
 
-    A base that was fitted without the effect bends to take it in, and may not find back from where that led. The best
-    strengths stand against a change of the base that was never made: where they are far out, the fit begins with none.
+    Its best strengths stand beside a change of the base that was not made: it begins with none, and the first step
+    makes both. A base that was fitted without the effect bends to take it in, and may not find back from where that
+    led: what keeps less than KEPT of its promise is fitted from where the base began, too.
     """
     nothing = replace(one.effect, strengths={name: np.zeros_like(v) for name, v in one.effect.strengths.items()})
-    begins = [(fitted.physical, nothing if one.name.startswith(UNKNOWN) else one.effect)]
-    if two_starts and not one.name.startswith(UNKNOWN):
-        begins.append((data.start, one.effect))
-    found = min(
-        (fit(data, begin, [*fitted.effects, effect], ITERATIONS) for begin, effect in begins), key=lambda one: one.loss
-    )
-    return found if found.loss < fitted.loss else fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
+    found = fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
+    if not two_starts or one.name.startswith(UNKNOWN) or share_gone(fitted, found) > KEPT * promised:
+        return found
+    again = fit(data, data.start, [*fitted.effects, one.effect], ITERATIONS)
+    return again if again.loss < found.loss else found
 
 
 def starting_effect(name: str, facts: DriveFacts) -> Effect:
@@ -458,20 +460,28 @@ def rigid_of(data: Data) -> Data:
 
 
 def base_of(data: Data) -> Fitted:
-    """The base model alone, fitted from the start."""
+    """The base model alone, fitted from the start at the levels of noise as they are."""
     found = fit(data, data.start, (), LADDER_ITERATIONS)
-    return fit(at_rest(data, found.physical, ()), found.physical, ())
+    for _ in range(ROUNDS):
+        before, found = found, fit(at_rest(data, found.physical, ()), found.physical, ())
+        if _moved(data, before, found) < SETTLED:
+            break
+    return found
 
 
 def settled(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
     """`renewed` until the levels of noise and the model agree."""
     for _ in range(ROUNDS):
         data, standing = renewed(data, fitted)
-        change = np.abs(np.log(standing.fitted.physical[CHANGING] / fitted.physical[CHANGING])).max()
-        fitted = standing.fitted
+        change, fitted = _moved(data, fitted, standing.fitted), standing.fitted
         if change < SETTLED:
             break
     return data, standing
+
+
+def _moved(data: Data, before: Fitted, after: Fitted) -> float:
+    """How far a model moved: rms over the rows, in levels of noise, outliers pulled in."""
+    return float(np.sqrt(np.mean(clipped(data.white(after.residual_nm - before.residual_nm)) ** 2)))
 
 
 def renewed(data: Data, fitted: Fitted) -> tuple[Data, Standing]:

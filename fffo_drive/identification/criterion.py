@@ -140,3 +140,25 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
     )
     tail = float(stats.f.sf(statistic * (count - rank) / (rank * (count - 1)), rank, count - rank))
     return min(1.0, max(SMALLEST_P, tail * tried))
+
+
+def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats) -> float:
+    """Chance that noise alone gives an effect its windows' scores `with_it` (W, k), by those `beside` it (W, k).
+
+    `beside` is what the residual with the effect fitted has of the same columns: the variance is that of the windows
+    (White, 1980). `leverage` (W,): how much of the columns lies in each window. Each window's scores count by the root
+    of it, so that no single one decides, and the degrees of freedom are the number of windows that the effect is in:
+    a rare one that is far above the noise wherever it is, is no chance. The T2 of the means takes rareness for noise.
+    """
+    root = np.sqrt(leverage)
+    weight = np.divide(1.0, root, out=np.zeros_like(root), where=root > 0.0)[:, None]
+    size, scores = np.sum(weight * with_it, axis=0), weight * beside
+    rank = size.size
+    windows = float(root.sum() ** 2 / max(float(leverage.sum()), 1e-300))
+    if windows <= rank + 2:
+        return 1.0
+    scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", scores, scores), 1e-300))
+    spread = (scores / scale).T @ (scores / scale)
+    statistic = float(size / scale @ np.linalg.pinv(spread, rcond=1e-10) @ (size / scale))
+    tail = float(stats.f.sf(statistic * (windows - rank) / (rank * windows), rank, windows - rank))
+    return min(1.0, max(SMALLEST_P, tail))

@@ -19,7 +19,9 @@ from fffo_drive.diagnosis.propose import (
     machine_orders,
     orthonormal,
     proposal,
+    quick_score,
     score,
+    scores,
     search_context,
 )
 from fffo_drive.diagnosis.scenes import strength_columns
@@ -119,7 +121,20 @@ def test_the_chance_is_that_of_the_windows_scores():
     products = white * evidence.residual[:, None]
     sums = np.stack([np.bincount(evidence.folds.window, one) for one in products.T], axis=1)
     assert found.p == pytest.approx(hotelling_p(sums), rel=1e-3)
-    assert score(evidence, white, chance=False).p == 1.0
+
+
+def test_many_candidates_scored_side_by_side_have_the_scores_that_each_has_alone():
+    data, evidence, columns = columns_of("cogging", wavy=True, order=5.0)
+    white = data.white(columns.values)
+    rows = np.arange(white.shape[0])[:, None]
+    others = np.sin(rows * np.array([[0.1, 0.23, 0.31]]))
+    together = scores(evidence, np.concatenate([others, white, np.zeros_like(white)], axis=1), [3, 2, 2])
+    for found, alone in zip(together, (others, white, np.zeros_like(white)), strict=True):
+        known = score(evidence, alone)
+        assert found.rank == known.rank
+        assert found.explained == pytest.approx(known.explained, rel=1e-9)
+        np.testing.assert_allclose(found.strengths, known.strengths, rtol=1e-9)
+        assert found.p == 1.0
 
 
 def test_of_each_law_the_best_shape_is_kept():
@@ -131,7 +146,8 @@ def test_of_each_law_the_best_shape_is_kept():
     best = next(one for one in found if one.name == "cogging")
     for order in (3.0, 4.0, 6.0):
         columns = strength_columns(data.rows, scenes, "cogging", {"order": order})
-        assert proposal(data, evidence, "cogging", "cogging", {"order": order}, columns).worth < best.worth
+        found = quick_score(evidence, data.white(columns.values))
+        assert proposal(data, "cogging", "cogging", {"order": order}, columns, found).worth < best.worth
 
 
 def test_what_is_left_out_is_not_tried():
