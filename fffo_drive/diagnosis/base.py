@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from typing import NamedTuple
 
@@ -19,7 +18,7 @@ import numpy.typing as npt
 
 from ..identification.coordinates import MODEL_PARAMETERS, PARAMETERS, axis_of
 from ..identification.kinematics import low_pass
-from ..identification.prediction import THREADS
+from ..identification.threads import in_threads
 from ..model.axis import AxisConfig
 from ..model.friction import FrictionConfig
 from .kernels import friction_along
@@ -144,8 +143,7 @@ def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) ->
                 parts = [rows.laws.rows(_friction(s, high) - before) for s, before in pairs]
             matrix[:, k] = np.concatenate(parts) / step
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(column, range(len(BASE))))
+    list(in_threads(column, range(len(BASE))))
     return matrix
 
 

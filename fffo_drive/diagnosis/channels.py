@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import itertools
 
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.prediction import THREADS
+from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
 from .curves import Curve, coarse_tables, curves
 from .fitting import Data, Fitted, consistent_scenes
@@ -29,8 +29,7 @@ def channels(
         name = curve.name.removeprefix(UNKNOWN) if curve.pair is None else curve.pair.name
         return name, [_explained(evidence, data, curve) for evidence in (before, after)]
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        found = list(pool.map(scored, [*curves(data.rows, scenes), *coarse_tables(data.rows, scenes)]))
+    found = list(in_threads(scored, itertools.chain(curves(data.rows, scenes), coarse_tables(data.rows, scenes))))
     best: dict[str, list[tuple[float, float]]] = {}
     for name, pair in found:
         if name not in best or pair[0][0] > best[name][0][0]:

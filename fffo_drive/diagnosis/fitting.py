@@ -6,7 +6,6 @@ Gauss-Newton with damping on residuals of unit variance, Huber's loss, a wide pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..identification.criterion import HUBER, clipped, huber, levels, unseen_loss
-from ..identification.prediction import THREADS
+from ..identification.threads import in_threads
 from ..model.effects import slots
 from ..model.effects.law import PER_TURN, SHAPE
 from ..model.effects.laws.lookup import VISCOUS
@@ -267,8 +266,7 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
             moved_effect = changed(effects, slot, slot.step)[slot.effect]
             matrix[:, place] = (load_rows(rows, scenes, moved_effect) - base[slot.effect]) / slot.step
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(column, range(len(numbers))))
+    list(in_threads(column, range(len(numbers))))
     return matrix
 
 
@@ -367,8 +365,7 @@ def _load_slopes(
         scenes = consistent_scenes(data, moved(physical, BASE[k], step), effects)
         return (torque_of(data, scenes, carried) - before) / step
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        return np.stack(list(pool.map(slope, columns)), axis=1)
+    return np.stack(list(in_threads(slope, columns)), axis=1)
 
 
 def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:

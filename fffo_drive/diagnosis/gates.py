@@ -63,16 +63,26 @@ def needed_rms_nm(data: Data, fitted: Fitted) -> float:
 def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
     """Why the last effect of a model is not believed; empty where nothing speaks against it."""
     effect = fitted.effects[-1]
-    shape = "" if "shapes" in ablate else _shape_objection(data, effect)
-    if shape:
-        return shape
+    changed = misshapen(data, fitted, reference, ablate)
+    if changed:
+        return changed
     if law_of(effect.name).shown_by_current and "current" not in ablate:
         shown = shown_share(data, fitted, effect)
         if shown is None and law_of(effect.name).needs_current:
             return "it acts on the command, which has the residual in it: a log with the measured current would tell"
         if shown is not None and shown < SHOWN_SHARE:
             return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
-    if "shrink" in ablate or law_of(effect.name).rung <= WAVE_RUNG:
+    return ""
+
+
+def misshapen(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
+    """Why no machine is like a model: an effect of a shape that none has, or an axis that shrinks."""
+    shapes = () if "shapes" in ablate else fitted.effects
+    for effect in shapes:
+        reason = _shape_objection(data, effect)
+        if reason:
+            return reason
+    if "shrink" in ablate or all(law_of(effect.name).rung <= WAVE_RUNG for effect in fitted.effects):
         return ""  # a constant, a weight or a wave swallows no command
     return shrinking(data, fitted, reference)
 
@@ -100,9 +110,11 @@ def _shape_objection(data: Data, effect: Effect) -> str:
             continue  # the current shows whether it is so
         low, high = parameter.plausible
         value = values[parameter.name]
-        spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (high - low)
-        if not low - spare < value < high + spare:
-            return f"no machine is so: {parameter.name} {value:.3g} {parameter.unit} is outside of {low:g} to {high:g}"
+        begin, end, place = np.log([low, high, value]) if parameter.logarithmic else (low, high, value)
+        spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (end - begin)
+        if not begin - spare < place < end + spare:
+            words = f"{effect.name} with {parameter.name} {value:.3g} {parameter.unit}"
+            return f"no machine is so: {words} is outside of {low:g} to {high:g}"
     return ""
 
 

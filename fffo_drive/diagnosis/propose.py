@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +15,13 @@ import numpy.typing as npt
 
 from ..identification.criterion import Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
-from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
+from ..identification.threads import in_threads
 from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
 from .base import NAMES
-from .curves import Curve, coarse_tables, curves, fine_table, kind_of_curve
+from .curves import Curve, Pair, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
 from .rows import HIGHEST_ORDER, SLOW_QUANTILE
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
@@ -194,11 +193,10 @@ class Search:
         parts = [work[k : k + SHAPES_AT_ONCE] for k in range(0, len(work), SHAPES_AT_ONCE)]
         best: dict[str, Proposal] = {}
         factors: Factors = {}
-        with ThreadPoolExecutor(THREADS) as pool:
-            scored = pool.map(lambda part: self._scored(data, evidence, scenes, factors, part), parts)
-            for found in itertools.chain.from_iterable(scored):
-                if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
-                    best[found.kind] = found
+        scored = in_threads(lambda part: self._scored(data, evidence, scenes, factors, part), parts)
+        for found in itertools.chain.from_iterable(scored):
+            if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
+                best[found.kind] = found
         self.tried = len(work)
         return [more for found in best.values() for more in self._with_datum(data, evidence, found)]
 
@@ -250,21 +248,23 @@ class Search:
 
     def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
         """All curves over one axis."""
-        with ThreadPoolExecutor(THREADS) as pool:
-            wanted = filter(self._wanted, curves(data.rows, scenes))
-            found = list(pool.map(lambda curve: self._of_curve(data, evidence, curve), wanted))
+        wanted = filter(self._wanted, curves(data.rows, scenes))
+        found = list(in_threads(lambda curve: self._of_curve(data, evidence, curve), wanted))
         self.tried += len(found)
         return [one for one in found if one.score.rank]
 
     def _tables(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
         """Fine tables over the pairs whose coarse ones say most beyond the two curves of their axes."""
-        with ThreadPoolExecutor(THREADS) as pool:
-            coarse = [curve for curve in coarse_tables(data.rows, scenes) if self._wanted(curve)]
-            gains = list(pool.map(lambda c: -_beyond(data, evidence, c), coarse))
-            best = [coarse[k].pair for k in ranked(range(len(coarse)), gains.__getitem__)[:TABLES]]
-            fine = [curve for curve in pool.map(lambda pair: fine_table(data.rows, scenes, pair), best) if curve]
-            found = list(pool.map(lambda curve: self._of_curve(data, evidence, curve), fine))
-        self.tried = len(coarse)
+        coarse = filter(self._wanted, coarse_tables(data.rows, scenes))
+        pairs = list(in_threads(lambda one: _beyond(data, evidence, one), coarse))
+        best = [pair for pair, _ in ranked(pairs, key=lambda item: -item[1])[:TABLES]]
+
+        def proposed(pair: Pair) -> Proposal | None:
+            fine = fine_table(data.rows, scenes, pair)
+            return None if fine is None else self._of_curve(data, evidence, fine)
+
+        found = filter(None, in_threads(proposed, best))
+        self.tried = len(pairs)
         return [one for one in found if one.score.rank]
 
     def _wanted(self, curve: Curve) -> bool:
@@ -277,10 +277,11 @@ class Search:
         return proposal(data, curve.name, kind_of_curve(curve), curve.shapes, columns, scored)
 
 
-def _beyond(data: Data, evidence: Evidence, curve: Curve) -> float:
-    """What a coarse table explains beyond its two curves."""
+def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[Pair, float]:
+    """The axes of a coarse table, and what it explains beyond its two curves."""
     assert curve.beside is not None
-    return beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
+    assert curve.pair is not None
+    return curve.pair, beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
 
 
 TABLES = 3  # pairs of axes that get a fine table

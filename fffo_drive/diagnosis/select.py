@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -18,9 +17,9 @@ import numpy.typing as npt
 
 from ..identification.criterion import Folds, Gain, clipped, gain, unseen_loss
 from ..identification.facts import DriveFacts
-from ..identification.prediction import THREADS
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
+from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
 from .base import NAMES, RIGID
@@ -37,7 +36,7 @@ from .fitting import (
     unseen,
     with_levels,
 )
-from .gates import Reference, objection, shrinking
+from .gates import Reference, misshapen, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect, load_rows, strength_columns
 
@@ -156,6 +155,8 @@ class Selector:
                 self.reference = Reference.of(data, standing.fitted, standing.matrix)
         plain = base_of(data)
         assert self.ladder is not None
+        stands = {note.name for note in accepted}  # what stands beside an effect does not stand in its place
+        accepted = [replace(one, family=tuple(n for n in one.family if n not in stands)) for one in accepted]
         return Selection(
             data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios,
@@ -178,11 +179,10 @@ class Selector:
             own = [starting_effect(name, self.facts) for name in chosen]
             return stand(data, fit(data, data.start, own, LADDER_ITERATIONS))
 
-        with ThreadPoolExecutor(THREADS) as pool:
-            standings = list(pool.map(lambda chosen: fitted(rigid, chosen), sets))
-            chosen = self._smallest(rigid, sets, standings)
-            simple = standings[chosen]
-            whole, bare = pool.map(lambda own: fitted(data, own), (sets[chosen], ()))
+        standings = list(in_threads(lambda chosen: fitted(rigid, chosen), sets))
+        chosen = self._smallest(rigid, sets, standings)
+        simple = standings[chosen]
+        whole, bare = in_threads(lambda own: fitted(data, own), (sets[chosen], ()))
         folds = folds_used(data)
         if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, folds).holds:
             data, whole, bare = rigid, simple, standings[0]
@@ -262,9 +262,8 @@ class Selector:
             tuple((item[0].name, item[2].value) for item in believed if item[0].name != chosen[0].name), tried,
         )  # fmt: skip
         found = self._pruned(*renewed(data, chosen[1].fitted), [*accepted, note])
-        others = any(law_of(e.name).rung > WAVE_RUNG for e in found[1].fitted.effects)
-        reason = shrinking(found[0], found[1].fitted, self.reference) if others and "shrink" not in self.ablate else ""
-        if reason:  # it went on shrinking
+        reason = misshapen(found[0], found[1].fitted, self.reference, self.ablate)
+        if reason:  # it became so at the noise of the new model
             self.barred.add(chosen[0].name)
             self.refused[chosen[0].name] = Refused(
                 chosen[0].name, reason, share_gone(standing.fitted, chosen[1].fitted), note.p
@@ -311,8 +310,7 @@ class Selector:
         for one in ranked(able, key=lambda one: -one.worth):
             if sum(other.name == one.name for other in picked) < TRIED_A_KIND and len(picked) < TRIED:
                 picked.append(one)
-        with ThreadPoolExecutor(THREADS) as pool:
-            losses = list(pool.map(lambda one: _linear(data, standing, one, evidence.folds), picked))
+        losses = list(in_threads(lambda one: _linear(data, standing, one, evidence.folds), picked))
         gains = [gain(standing.unseen, loss, evidence.folds) for loss in losses]
         order = [k for k in ranked(range(len(picked)), key=lambda k: -gains[k].value) if gains[k].holds]
         found = [Contender(picked[k], losses[k]) for k in order]
@@ -323,14 +321,13 @@ class Selector:
         self, data: Data, standing: Standing, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, Standing, Gain]]:
         """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
-        with ThreadPoolExecutor(THREADS) as pool:
-            both = "two_starts" not in self.ablate
-            promises = [one.proposal.score.explained / evidence.energy for one in contenders]
-            results = list(pool.map(
-                lambda one, promised: refitted(data, standing.fitted, one.proposal, promised, both),
-                contenders, promises,
-            ))  # fmt: skip
-            standings = list(pool.map(lambda one: stand(data, one), results))
+        both = "two_starts" not in self.ablate
+
+        def stands(one: Contender) -> Standing:
+            promised = one.proposal.score.explained / evidence.energy
+            return stand(data, refitted(data, standing.fitted, one.proposal, promised, both))
+
+        standings = list(in_threads(stands, contenders))
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
             own = gain(standing.unseen, result.unseen, evidence.folds)

@@ -6,7 +6,6 @@ A constant torque and a wave of the angle stand beside the axis in the regressio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +16,9 @@ from ..identification.criterion import HUBER, huber
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
 from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
-from ..identification.prediction import THREADS
 from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
+from ..identification.threads import in_threads
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
 from .rows import Rows, Stretch
@@ -123,6 +122,5 @@ def _physical(start: TorqueStart, stretches: Sequence[Stretch], rows: Rows) -> F
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
         return float(huber(residual / scale).mean()) * scale * scale
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        losses = list(pool.map(loss, candidates))
+    losses = list(in_threads(loss, candidates))
     return candidates[first_best(range(len(losses)), losses.__getitem__)]

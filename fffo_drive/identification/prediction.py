@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +17,11 @@ from .dataset import Record
 from .kinematics import trusted
 from .layout import EffectLayout
 from .shooting import ShootingConfig, innovations
+from .threads import in_threads
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-THREADS = min(2, os.cpu_count() or 1)
 OBSERVER_DAMPING = 0.8
 BLOCK_PERIODS = 0.08  # of the observer's bandwidth: residuals are averaged over so much
 SETTLING_PERIODS = 3.0  # of the observer's bandwidth, before its errors count
@@ -144,11 +142,10 @@ def residual(problem: Problem, physical: Floats) -> Floats:
 
 
 def residuals(problem: Problem, candidates: Sequence[Floats]) -> list[Floats]:
-    """`residual` at several parameter vectors, on two threads: the kernel holds no GIL."""
-    if len(candidates) == 1 or THREADS == 1:
-        return [residual(problem, candidate) for candidate in candidates]
-    with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(lambda candidate: residual(problem, candidate), candidates))
+    """`residual` at several parameter vectors, on as many threads as there are."""
+    if len(candidates) == 1:
+        return [residual(problem, candidates[0])]
+    return list(in_threads(lambda candidate: residual(problem, candidate), candidates))
 
 
 def _smooth_slope(forward: Floats, backward: Floats) -> Floats:

@@ -54,7 +54,7 @@ def test_nothing_is_objected_to_the_truth():
     ("one", "words"),
     [
         (effect("elasticity", {"share": 0.3}, frequency_hz=142.0, damping=2.0), "damping 2"),
-        (effect("elasticity", {"share": 0.3}, frequency_hz=40.0, damping=0.4999), "damping"),
+        (effect("elasticity", {"share": 0.3}, frequency_hz=40.0, damping=0.1999), "damping"),
         (effect("current_lag", {"share": 0.9}, tau_s=0.48), "tau_s 0.48 s"),
         (effect("current_lag", {"share": 0.9}, tau_s=0.00499), "tau_s"),
         (effect("current_lag", {"share": 1.7}, tau_s=0.002), "share 1.7"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from diagnosis.planted import FACTS, INERTIA, KT, effect, left, nothing, only, planted, runs, started
 
-from fffo_drive.diagnosis import select
+from fffo_drive.diagnosis import gates, select
 from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import fit, share_gone
 from fffo_drive.diagnosis.gates import Reference
@@ -267,8 +267,16 @@ def test_an_effect_to_which_something_is_objected_is_refused_with_the_reason(mon
 
 
 def test_a_wave_swallows_no_command_and_is_not_asked_whether_it_shrinks_the_axis(monkeypatch):
-    monkeypatch.setattr(select, "shrinking", lambda data, fitted, reference: "it shrinks")
+    monkeypatch.setattr(gates, "shrinking", lambda data, fitted, reference: "it shrinks")
     assert names(selector("cogging").run(data_with("wave"))) == ["cogging"]
+    assert names(selector("quadratic_drag").run(data_with("drag"))) == []
+
+
+def test_what_becomes_misshapen_once_the_noise_is_that_of_the_new_model_is_refused(monkeypatch):
+    monkeypatch.setattr(select, "misshapen", lambda data, fitted, reference, ablate: "no machine is so")
+    selection = selector("cogging").run(data_with("wave"))
+    assert names(selection) == []
+    assert [(one.name, one.reason) for one in selection.refused] == [("cogging", "no machine is so")]
 
 
 def test_no_more_effects_than_are_allowed(monkeypatch):
@@ -382,17 +390,19 @@ def test_an_effect_that_explains_unseen_rows_better_than_an_inertia_for_each_run
 
 
 def test_a_law_is_refitted_from_where_the_base_began_as_well():
-    """A base that was fitted without it has bent: a Stribeck curve a tenth as wide and four times as high."""
+    """A base that was fitted without it has bent: a Stribeck curve ten times as wide and four times as high."""
     data, standing, _ = at_the_start("drag")
     bent = standing.fitted.physical.copy()
-    for name, factor in (("static_nm", 4.0), ("stribeck_velocity_rps", 0.1), ("attraction_nm_per_rev", 0.02)):
+    for name, factor in (("static_nm", 4.0), ("stribeck_velocity_rps", 10.0), ("attraction_nm_per_rev", 0.02)):
         bent[select.NAMES.index(name)] *= factor
     data = data._replace(start=standing.fitted.physical)
     far, _ = select.evaluate(data, bent, ())
     own = effect("quadratic_drag", {"drag_nm_per_rps2": 1e-6})
     one = Proposal("quadratic_drag", "quadratic_drag", 3, own, np.zeros((1, 1)), Score(1.0, np.zeros(1), 1, 0.0))
-    both, single = (refitted(data, far, one, two_starts) for two_starts in (True, False))
+    both, single = (refitted(data, far, one, 0.99, two_starts) for two_starts in (True, False))
     assert both.loss < 0.9 * single.loss
+    kept = refitted(data, far, one, 0.0, True)  # it keeps what its columns promised: one start will do
+    assert kept.loss == single.loss
 
 
 def test_strengths_that_are_far_out_do_not_spoil_a_fit():
@@ -400,7 +410,7 @@ def test_strengths_that_are_far_out_do_not_spoil_a_fit():
     data, standing, _ = at_the_start("constant")
     own = effect("torque_offset", {"torque_nm": 50.0})
     one = Proposal("torque_offset", "torque_offset", 0, own, np.zeros((1, 1)), Score(1.0, np.zeros(1), 1, 0.0))
-    assert refitted(data, standing.fitted, one, False).loss < standing.fitted.loss
+    assert refitted(data, standing.fitted, one, 0.5, False).loss < standing.fitted.loss
 
 
 def test_a_law_begins_without_strength_at_its_own_shape():

@@ -21,6 +21,11 @@ RESAMPLES = 4000
 NOTHING = "(nothing)"
 FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12.0, 72.0, 0.15  # a turn; amplitude over Coulomb friction
 ORDER_TOLERANCE = 0.01  # of a wave's order, for its name to count
+# what says that the friction's own shape is another than 2SEP: true of a plant with another friction, effects or none
+FRICTION_SHAPES = {
+    "stribeck_shape", "presliding_shape", "frictional_lag",
+    "unknown:velocity", "unknown:travel_since_reversal", "unknown:memory",
+}  # fmt: skip
 
 
 class Share(NamedTuple):
@@ -70,6 +75,7 @@ class Scored:
     seed: int
     guesses: tuple[Guess, ...]
     false_findings: tuple[str, ...]  # accepted findings that match no true effect
+    false_beyond_shape: tuple[str, ...]  # of them, those that are no shape of a friction that is not the base's
     verdict: str
     removed: float | None  # share of the squared held-out error that the oracle removes; None: hardly shown there
     seconds: float
@@ -109,10 +115,12 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
     matched = len(effects) - sum(1 for guess in guesses if guess is not None and not guess.in_family)
     false = [f["name"] for f in (left + accepted[len(counted) :])] if effects else [f["name"] for f in accepted]
     assert matched + len(false) == len(accepted)
+    shapes = FRICTION_SHAPES if truth["plant"]["friction"]["kind"] != "single_2sep" else set()
     return Scored(
         seed=int(truth["seed"]),
         guesses=tuple(guess for guess in guesses if guess is not None),
         false_findings=tuple(false),
+        false_beyond_shape=tuple(name for name in false if name not in shapes),
         verdict=report["verdict"],
         removed=_removed(before["torque_rms_nm"], after["torque_rms_nm"], floor_rms_nm) if effects else None,
         seconds=float(report["seconds"]),
@@ -184,6 +192,7 @@ class Summary:
     unknown: Share  # of effects outside it: right axis
     removed: Removed
     false_drives: Share  # effect-free drives with a finding
+    beyond_shape: Share  # of them, those with one that is no shape of their friction
     extra_drives: Share  # drives with effects on which something stands beside the truth
     unexplained_free: Share  # effect-free drives of which something is said to be left
     worse_drives: Share  # drives with effects whose held-out torque error is larger after than before
@@ -206,6 +215,7 @@ def summarise(scored: Sequence[Scored]) -> Summary:
         unknown=wilson(sum(g.in_family for g in odd), len(odd)),
         removed=removed_share(scored),
         false_drives=wilson(sum(bool(one.false_findings) for one in free), len(free)),
+        beyond_shape=wilson(sum(bool(one.false_beyond_shape) for one in free), len(free)),
         extra_drives=wilson(sum(_extra(one) for one in effected), len(effected)),
         unexplained_free=wilson(sum(one.verdict == "unexplained" for one in free), len(free)),
         worse_drives=wilson(sum(one.torque_percent[1] > one.torque_percent[0] for one in effected), len(effected)),

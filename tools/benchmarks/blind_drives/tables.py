@@ -56,12 +56,13 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     report.bounded(f"{label}: held-out squared error removed, of what an oracle removes", str(summary.removed))
     report.facts[f"{KINDS[kind]}: removed"] = summary.removed.mean
     count("effect-free drives with a finding", summary.false_drives, MOST_FALSE)
+    count("effect-free drives with a finding that is no shape of their own friction", summary.beyond_shape)
     count("effect-free drives called unexplained", summary.unexplained_free)
     count("drives with an effect that is not named, and nothing said of a rest", summary.silent, 0)
     count("drives with effects where something stands beside the truth", summary.extra_drives)
     count("drives with effects whose held-out error is larger after", summary.worse_drives)
-    report.figure(f"{label}: median diagnosis, two at a time", summary.median_s, "s", USUAL_S)
-    report.figure(f"{label}: slowest diagnosis, two at a time", summary.slowest_s, "s", SLOWEST_S)
+    report.figure(f"{label}: median processor time, over two cores", summary.median_s, "s", USUAL_S)
+    report.figure(f"{label}: longest processor time, over two cores", summary.slowest_s, "s", SLOWEST_S)
     report.figure(f"{label}: most memory, of a fresh process", summary.peak_mb, "MB", MOST_MB)
 
 

@@ -52,6 +52,7 @@ LAW = Law(
             1.0,
             "time at rest after which 63 % of it are there",
             logarithmic=True,
+            plausible=(0.05, 1000.0),
         ),
         Parameter(
             "release_rev",

@@ -83,7 +83,7 @@ LAW = Law(
             0.03,
             "damping ratio of the resonance",
             logarithmic=True,
-            plausible=(0.001, 0.5),
+            plausible=(0.001, 0.2),
         ),
     ),
     search=_search,

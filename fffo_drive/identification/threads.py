@@ -1,0 +1,26 @@
+"""Work on as many threads as there are: the kernels and the linear algebra hold no GIL."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+THREADS = min(2, os.cpu_count() or 1)
+AHEAD = 2 * THREADS  # items that are drawn ahead: each may hold megabytes
+
+
+def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Results in the order of the items, which are drawn as they are needed."""
+    left = iter(items)
+    with ThreadPoolExecutor(THREADS) as pool:
+        waiting = deque(pool.submit(function, item) for item in itertools.islice(left, AHEAD))
+        while waiting:
+            yield waiting.popleft().result()
+            waiting.extend(pool.submit(function, item) for item in itertools.islice(left, 1))
