@@ -293,8 +293,10 @@ class Selector:
             return False
         if any(not gain(result.unseen, loss, evidence.folds).holds for _, result, _ in believed):
             return False
+        if float(np.ptp(own.strengths)) <= CONTRADICTION_SHARE:
+            return False
         self.inertia_ratios = tuple(1.0 + own.strengths - own.strengths[np.argmin(np.abs(own.strengths))])
-        return float(np.ptp(own.strengths)) > CONTRADICTION_SHARE
+        return True
 
     def _contenders(
         self, data: Data, standing: Standing, evidence: Evidence, proposals: Sequence[Proposal], tried: int
