@@ -375,7 +375,7 @@ def test_runs_of_one_inertia_and_a_single_run_contradict_nothing():
     assert selector("quadratic_drag").run(alone).inertia_ratios == ()
 
 
-def test_an_inertia_that_differs_by_less_than_counts_is_told_of_nobody(monkeypatch):
+def test_an_inertia_that_differs_by_less_than_counts_is_no_contradiction(monkeypatch):
     monkeypatch.setattr(select, "CONTRADICTION_SHARE", 0.5)
     selection = selector("quadratic_drag").run(of_two_payloads(1.34))
     assert selection.inertia_ratios == ()
