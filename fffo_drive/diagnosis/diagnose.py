@@ -285,7 +285,7 @@ def _finding(
         compensable=is_compensable(effect.name, effect.values(0)) and not effect.per_run,
         strength_percent=100.0 * float(np.sqrt(np.mean(torque**2) / max(np.mean(friction**2), 1e-300))),
         rivals=tuple(_rival(note, *one) for one in note.rivals),
-        picture=picture(data, selected.base, selected.fitted, number, None),
+        picture=picture(data, selected.fitted, number),
         gain=(note.gain.value, note.gain.sd),
         held_out_gain=unseen,
         regime_before=before,

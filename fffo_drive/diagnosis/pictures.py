@@ -51,18 +51,14 @@ class _Place(NamedTuple):
     unit: str
 
 
-def picture(data: Data, base: Fitted, fitted: Fitted, number: int, without: Fitted | None = None) -> Picture:
-    """The residual over the axis of an effect, without it and with it, and what the effect says.
-
-    Without: the residual of `without` (all others refitted) where it is given, else what stays when the effect's torque
-    is put back.
-    """
+def picture(data: Data, fitted: Fitted, number: int) -> Picture:
+    """The residual over the axis of an effect, without it (its torque put back) and with it, and its own torque."""
     effect = fitted.effects[number]
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     load = load_rows(data.rows, scenes, effect)
     place = _place(data, scenes, effect.name, dict(effect.shapes))
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
-    before = fitted.residual_nm + load if without is None else without.residual_nm
+    before = fitted.residual_nm + load
     edges = _edges(place.values[kept])
     curves: list[Curve] = []
     for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):

@@ -100,7 +100,7 @@ def test_what_two_axes_do_together_is_found_as_a_table():
     assert selection.fitted.energy < 0.75 * selection.base.energy
     assert all(note.p <= 0.01 for note in selection.accepted)
     number = selection.fitted.effects.index(tables[0])
-    shown = picture(selection.data, selection.base, selection.fitted, number).curves  # at two levels, far apart
+    shown = picture(selection.data, selection.fitted, number).curves  # at two levels, far apart
     assert [one.kind for one in shown] == ["points", "line"] * 2
     assert len({one.label for one in shown}) == 4
     assert all(" near " in one.label for one in shown)

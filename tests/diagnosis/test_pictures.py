@@ -80,7 +80,7 @@ def test_bins_cover_the_range_and_none_is_empty_of_meaning():
 def test_the_picture_of_a_wave_is_folded_onto_its_period_and_shows_what_the_effect_says():
     data = seen(moved_record(3))
     effect = Effect("cogging", {"order": 2.0}, {"cos_nm": np.array([0.01]), "sin_nm": np.array([0.0])})
-    shown = picture(data, model(np.zeros(data.rows.time_s.size)), model(np.zeros(data.rows.time_s.size), [effect]), 0)
+    shown = picture(data, model(np.zeros(data.rows.time_s.size), [effect]), 0)
     without, after, says = shown.curves
     assert "periods of 0.5 rev" in shown.x_label
     assert 0.0 <= says.x.min() < says.x.max() <= 1.0
