@@ -53,7 +53,8 @@ TRIED_A_KIND = 2  # ... and of those so many of one rung's kind
 REFITTED = 4  # ... and of those, laws that are refitted ...
 CURVES_REFITTED = 2  # ... and curves
 KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
-LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
+LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away ...
+LEAST_TORQUE = 0.0025  # ... and rms torque, over what the axis needs: the steps of a sensor leave as much
 
 
 class Standing(NamedTuple):
@@ -333,7 +334,7 @@ class Selector:
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
             own = gain(standing.unseen, result.unseen, evidence.folds)
-            share = share_gone(standing.fitted, result.fitted)
+            share = self._share(data, standing.fitted, result.fitted)
             if not own.holds or share < LEAST_SHARE:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
@@ -342,6 +343,12 @@ class Selector:
                 continue
             found.append((one, result, own))
         return found
+
+    def _share(self, data: Data, before: Fitted, after: Fitted) -> float:
+        """Share of the squared residual that is gone; nothing where the torque that is gone is too small to matter."""
+        fall = float(np.mean(before.residual_nm[data.used] ** 2 - after.residual_nm[data.used] ** 2))
+        least_nm = LEAST_TORQUE * self.reference.needed_nm if self.reference is not None else 0.0
+        return 0.0 if fall < least_nm**2 and "least_torque" not in self.ablate else share_gone(before, after)
 
     def _pruned(
         self, data: Data, standing: Standing, accepted: list[Accepted]
@@ -379,7 +386,7 @@ class Selector:
             number = laws.index(own)
         judged = replace(
             note, gain=gain(alone.unseen, beside.unseen, folds_used(data)),
-            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, number, note),
+            share=self._share(data, alone.fitted, beside.fitted), p=self._chance(data, beside, number, note),
         )  # fmt: skip
         return judged, without
 

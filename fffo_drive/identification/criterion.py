@@ -26,6 +26,7 @@ WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
 RIDGE = 1e-4  # of a column's squared norm: what the other folds hardly determine stays where all rows have it
+LEVERAGE_WINDOWS = 20.0  # no window of a column counts for more than one in so many
 SMALLEST_P = 1e-12  # nothing is known of a tail beyond
 LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
 
@@ -146,17 +147,18 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats) -> float:
     """Chance that noise alone gives an effect its windows' scores `with_it` (W, k), by those `beside` it (W, k).
 
     `beside` is what the residual with the effect fitted has of the same columns: the variance is that of the windows
-    (White, 1980). `leverage` (W,): how much of the columns lies in each window. Each window's scores count by the root
-    of it, so that no single one decides, and the degrees of freedom are the number of windows that the effect is in:
-    a rare one that is far above the noise wherever it is, is no chance. The T2 of the means takes rareness for noise.
+    (White, 1980). `leverage` (W,): how much of the columns lies in each window; the degrees of freedom are the number
+    of windows that it is spread over, and no window counts for more than one in LEVERAGE_WINDOWS. An effect that is
+    rare, but far above the noise wherever it is, is no chance: the T2 of the means takes rareness for noise.
     """
-    root = np.sqrt(leverage)
-    weight = np.divide(1.0, root, out=np.zeros_like(root), where=root > 0.0)[:, None]
-    size, scores = np.sum(weight * with_it, axis=0), weight * beside
-    rank = size.size
-    windows = float(root.sum() ** 2 / max(float(leverage.sum()), 1e-300))
+    rank = with_it.shape[1]
+    most = leverage.sum() / LEVERAGE_WINDOWS
+    weight = np.sqrt(np.minimum(1.0, most / np.maximum(leverage, 1e-300)))
+    counted = leverage * weight**2
+    windows = float(counted.sum() ** 2 / max(float(np.sum(counted**2)), 1e-300))
     if windows <= rank + 2:
         return 1.0
+    size, scores = weight @ with_it, weight[:, None] * beside
     scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", scores, scores), 1e-300))
     spread = (scores / scale).T @ (scores / scale)
     statistic = float(size / scale @ np.linalg.pinv(spread, rcond=1e-10) @ (size / scale))

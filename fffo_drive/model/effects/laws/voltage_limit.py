@@ -41,7 +41,7 @@ LAW = Law(
             1.5,
             1.0,
             "share of the excess that does not come; 1: a hard limit",
-            plausible=(0.0, 0.95),
+            plausible=(0.0, 1.2),
         ),
         Parameter(
             "stall_nm", "Nm", SHAPE, 1e-09, 10000000.0, 1.0, "limit of the torque at standstill", logarithmic=True
