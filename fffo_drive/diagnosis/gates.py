@@ -37,6 +37,16 @@ class Reference(NamedTuple):
     inertia_sd: float  # of its logarithm
     needed_nm: float  # rms torque: J a, friction, and what these rungs have found
 
+    @property
+    def inertia_is_determined(self) -> bool:
+        """Whether the data say how large it is."""
+        return self.inertia_sd < DETERMINED_SD
+
+    def and_then(self, later: Reference) -> Reference:
+        """The axis of later rungs: what they changed of the inertia, the data do not determine."""
+        change = abs(float(np.log(later.inertia_nm_s2_per_rev / self.inertia_nm_s2_per_rev)))
+        return later._replace(inertia_sd=max(later.inertia_sd, change))
+
     @classmethod
     def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> Reference:
         """From a fit of the first rungs."""
@@ -77,9 +87,10 @@ def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
 
 def misshapen(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
     """Why no machine is like a model: an effect of a shape that none has, or an axis that shrinks."""
-    shapes = () if "shapes" in ablate else fitted.effects
-    for effect in shapes:
+    for effect in () if "shapes" in ablate else fitted.effects:
         reason = _shape_objection(data, effect)
+        if not reason and law_of(effect.name).joint and reference is not None and not reference.inertia_is_determined:
+            reason = f"{effect.name} takes a share of an inertia that the data do not determine"
         if reason:
             return reason
     if "shrink" in ablate or all(law_of(effect.name).rung <= WAVE_RUNG for effect in fitted.effects):
@@ -92,7 +103,7 @@ def shrinking(data: Data, fitted: Fitted, reference: Reference | None) -> str:
     if reference is None:
         return ""
     ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
-    if reference.inertia_sd < DETERMINED_SD and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
+    if reference.inertia_is_determined and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
         return f"it buys its error with another axis: the inertia would be {ratio:.2g} times that without it"
     needed = needed_rms_nm(data, fitted) / reference.needed_nm
     if needed < NEEDED_SHARE:
@@ -102,6 +113,9 @@ def shrinking(data: Data, fitted: Fitted, reference: Reference | None) -> str:
 
 def _shape_objection(data: Data, effect: Effect) -> str:
     values = effect.values(0)
+    period_rev = values.get("period_rev", 0.0) or 1.0 / values.get("order", np.inf)
+    if period_rev > data.rows.turns:
+        return f"{effect.name} with a period of {period_rev:.3g} rev, of which the data show less than one, is none"
     measured = all(stretch.measured_a is not None for stretch in data.stretches)
     for parameter in law_of(effect.name).parameters:
         if parameter.plausible is None or parameter.name not in values:

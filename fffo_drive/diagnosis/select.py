@@ -153,7 +153,7 @@ class Selector:
                 data, standing, accepted = found
             if rung == WAVE_RUNG:
                 self.ladder = standing.fitted
-                self.reference = Reference.of(data, standing.fitted, standing.matrix)
+                self.reference = self.reference.and_then(Reference.of(data, standing.fitted, standing.matrix))
         plain = base_of(data)
         assert self.ladder is not None
         stands = {note.name for note in accepted}  # what stands beside an effect does not stand in its place

@@ -53,7 +53,7 @@ def test_a_drag_over_the_output_angle_is_found_as_one():
     assert best.name == "unknown:output_angle"
     assert best.effect.shapes["kind"] == BRAKE
     assert best.score.explained > 0.8 * evidence.energy
-    fitted = refitted(data, base, best, True)
+    fitted = refitted(data, base, best, 1.0, True)
     places_rev, values_nm = curve(fitted.effects[0])
     low, high = np.quantile(data.rows.position_rev, (0.1, 0.9))
     inside = (places_rev > low) & (places_rev < high)

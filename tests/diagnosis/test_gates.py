@@ -125,6 +125,40 @@ def test_an_inertia_that_the_data_do_not_determine_is_no_reference():
     assert objection(data, light, reference, NONE) == ""  # a constant torque swallows no command
 
 
+def test_a_share_of_an_inertia_that_the_data_do_not_determine_is_not_believed():
+    data, fitted, reference = axis()
+    spring = effect("elasticity", {"share": 0.3}, frequency_hz=40.0, damping=0.05)
+    model, _ = evaluate(data, fitted.physical, [*fitted.effects, spring])
+    assert objection(data, model, reference, NONE) == ""
+    unsure = reference._replace(inertia_sd=2.0 * DETERMINED_SD)
+    assert "an inertia that the data do not determine" in objection(data, model, unsure, NONE)
+
+
+def test_what_a_later_rung_changes_of_the_inertia_the_data_do_not_determine():
+    _, _, reference = axis()
+    same = reference.and_then(reference._replace(needed_nm=1.0))
+    assert same == reference._replace(needed_nm=1.0)
+    light = reference.and_then(reference._replace(inertia_nm_s2_per_rev=0.2 * reference.inertia_nm_s2_per_rev))
+    assert light.inertia_sd == pytest.approx(np.log(5.0))
+    assert not light.inertia_is_determined
+
+
+@pytest.mark.parametrize(
+    ("name", "strengths", "shape"),
+    [
+        ("cogging", ("cos_nm", "sin_nm"), "order"),
+        ("position_dependent_friction", ("cos_share", "sin_share"), "period_rev"),
+    ],
+)
+def test_a_wave_of_which_the_data_show_less_than_a_period_is_none(name, strengths, shape):
+    data, _, _ = axis()
+    for periods, words in ((0.9, "less than one"), (1.1, "")):
+        period_rev = data.rows.turns / periods
+        value = 1.0 / period_rev if shape == "order" else period_rev
+        told = judged(effect(name, {key: 0.01 for key in strengths}, **{shape: value}))
+        assert (words in told) if words else told == ""
+
+
 def test_an_axis_that_needs_less_torque_is_refused_also_where_its_inertia_is_not_told():
     data, fitted, reference = axis()
     physical = fitted.physical.copy()

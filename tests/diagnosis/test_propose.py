@@ -25,7 +25,7 @@ from fffo_drive.diagnosis.propose import (
     search_context,
 )
 from fffo_drive.diagnosis.scenes import strength_columns
-from fffo_drive.identification.criterion import hotelling_p
+from fffo_drive.identification.criterion import sandwich_p
 
 WAVE_NM = 0.004
 NONE = frozenset[str]()
@@ -113,14 +113,19 @@ def test_without_an_effect_no_chance_is_small_over_all_that_was_tried():
     assert min(one.score.p for one in found) * search.tried > 0.01
 
 
-def test_the_chance_is_that_of_the_windows_scores():
+def test_the_chance_is_that_of_the_windows_scores_by_what_is_left_beside_the_candidate():
     data, evidence, columns = columns_of("cogging", wavy=True, order=5.0)
     white = data.white(columns.values)
     found = score(evidence, white)
-    white = white - evidence.basis @ (evidence.basis.T @ white)
-    products = white * evidence.residual[:, None]
-    sums = np.stack([np.bincount(evidence.folds.window, one) for one in products.T], axis=1)
-    assert found.p == pytest.approx(hotelling_p(sums), rel=1e-3)
+    axes, _ = np.linalg.qr(white - evidence.basis @ (evidence.basis.T @ white))
+    left = evidence.residual - axes @ (axes.T @ evidence.residual)
+    window = evidence.folds.window
+
+    def in_windows(values):
+        return np.stack([np.bincount(window, values * axis) for axis in axes.T], axis=1)
+
+    leverage = np.bincount(window, np.sum(axes**2, axis=1))
+    assert found.p == pytest.approx(sandwich_p(in_windows(evidence.residual), in_windows(left), leverage), rel=1e-3)
 
 
 def test_many_candidates_scored_side_by_side_have_the_scores_that_each_has_alone():

@@ -61,7 +61,7 @@ def fitted(planted, name):
     search = Search(FACTS, only(name), frozenset({"curves", "datum"}))
     evidence = evidence_of(data, base, jacobian(data, base))
     (one,) = search.proposals(data, base, evidence, LAW_RUNG)
-    found = refitted(data, base, one, two_starts=True)
+    found = refitted(data, base, one, 1.0, two_starts=True)
     for _ in range(3):  # to its end: the levels of noise are those of the model that stands
         data, standing = renewed(data, found)
         found = standing.fitted

@@ -17,6 +17,7 @@ from fffo_drive.identification.criterion import (
     hotelling_p,
     huber,
     levels,
+    sandwich_p,
     unseen_loss,
 )
 
@@ -179,6 +180,39 @@ def test_under_an_effect_the_chance_is_tiny_and_times_what_was_tried():
     assert hotelling_p(scores + 10.0) == SMALLEST_P  # of a tail beyond nothing is known
     empty = np.concatenate([scores, np.zeros((500, 3))])  # windows in which nothing moves are no evidence
     assert hotelling_p(empty) == pytest.approx(alone)
+
+
+@pytest.mark.parametrize("rank", [1, 3])
+def test_without_an_effect_the_chance_by_the_sandwich_is_uniform(rank):
+    chances = []
+    for seed in range(400):
+        draw = np.random.default_rng([rank, seed])
+        scores = draw.normal(size=(60, rank)) @ draw.normal(size=(rank, rank))
+        chances.append(sandwich_p(scores, scores, np.ones(60)))
+    assert stats.kstest(chances, "uniform").pvalue > 0.01
+
+
+def test_a_rare_effect_far_above_the_noise_is_no_chance_by_the_sandwich():
+    """In six of a hundred windows, a hundred times the noise: the mean of the windows is hardly above their spread."""
+    draw = np.random.default_rng(10)
+    noise = draw.normal(size=(100, 1))
+    size = np.where(np.arange(100)[:, None] % 16 == 3, 100.0, 0.0)
+    assert hotelling_p(noise + size) > 1e-3
+    assert sandwich_p(noise + size, noise, np.ones(100)) < 1e-9
+    assert sandwich_p(noise + size, noise, np.where(size[:, 0] > 0.0, 1.0, 1e-9)) < 1e-4  # by six windows it is less
+
+
+def test_one_window_that_has_all_of_a_column_does_not_decide_by_itself():
+    """Its score counts for one in twenty of the leverage: without it the others, in which nothing is, remain."""
+    draw = np.random.default_rng(11)
+    noise = draw.normal(size=(100, 1))
+    leverage = np.full(100, 0.1 / 99)
+    leverage[0] = 0.9
+    alone = np.zeros((100, 1))
+    alone[0] = 30.0
+    full = sandwich_p(noise + alone, noise, np.ones(100))
+    assert full < 0.01 < sandwich_p(noise + alone, noise, leverage)
+    assert sandwich_p(noise, noise, np.eye(100)[0]) == 1.0  # a single window proves nothing
 
 
 def test_too_few_windows_prove_nothing():
