@@ -18,6 +18,7 @@ import numpy as np
 NORMAL_95 = 1.959964
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
 RESAMPLES = 4000
+CORES = 2.0  # that a diagnosis may have, by its target
 NOTHING = "(nothing)"
 FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12.0, 72.0, 0.15  # a turn; amplitude over Coulomb friction
 ORDER_TOLERANCE = 0.01  # of a wave's order, for its name to count
@@ -78,7 +79,7 @@ class Scored:
     false_beyond_shape: tuple[str, ...]  # of them, those that are no shape of a friction that is not the base's
     verdict: str
     removed: float | None  # share of the squared held-out error that the oracle removes; None: hardly shown there
-    seconds: float
+    seconds: float  # of two cores: half of the processor's time in a process of its own
     torque_percent: tuple[float, float]  # held-out, before and after
     silent: bool  # an effect is not among the findings, and nothing says that something is left
     peak_mb: float | None  # of the process; None in reports of earlier code
@@ -123,7 +124,7 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
         false_beyond_shape=tuple(name for name in false if name not in shapes),
         verdict=report["verdict"],
         removed=_removed(before["torque_rms_nm"], after["torque_rms_nm"], floor_rms_nm) if effects else None,
-        seconds=float(report["seconds"]),
+        seconds=float(report["process"]["cpu_s"]) / CORES if "process" in report else float(report["seconds"]),
         torque_percent=(before["torque_relative_percent"], after["torque_relative_percent"]),
         silent=matched < len(effects) and not told,
         peak_mb=report.get("process", {}).get("peak_mb"),
