@@ -37,13 +37,17 @@ def finding(name, alternatives=(), accepted=True):
     return {"name": name, "alternatives": list(alternatives), "accepted": accepted}
 
 
-def scored(effects, findings, before=2.0, after=1.1, floor=1.0, seed=7):
+def truth(effects=(), seed=7, surface="single_2sep"):
+    return {"seed": seed, "effects": list(effects), "plant": {"friction": {"kind": surface}}}
+
+
+def scored(effects, findings, before=2.0, after=1.1, floor=1.0, seed=7, surface="single_2sep"):
     report = {
         "verdict": "effects_found" if findings else "no_effect_found", "effects": findings, "seconds": 20.0,
         "before": {"held_out": {"torque_rms_nm": before, "torque_relative_percent": 10.0 * before}},
         "after": {"held_out": {"torque_rms_nm": after, "torque_relative_percent": 10.0 * after}},
     }  # fmt: skip
-    return score.score_drive({"seed": seed, "effects": effects}, report, floor)
+    return score.score_drive(truth(effects, seed, surface), report, floor)
 
 
 @pytest.mark.parametrize(
@@ -86,17 +90,30 @@ def test_a_wave_counts_with_its_order_alone_and_strong_waves_of_many_periods_are
 def test_a_missed_effect_is_silent_where_no_rest_is_told():
     missed = scored([effect()], [finding("quadratic_drag")])
     told = score.score_drive(
-        {"seed": 7, "effects": [effect()]},
+        truth([effect()]),
         {
-            "verdict": "nothing_carries_over", "effects": [], "seconds": 20.0, "unexplained_rest": {"rms_nm": 1.0},
+            "verdict": "nothing_carries_over", "effects": [], "seconds": 20.0, "process": {"cpu_s": 30.0},
+            "unexplained_rest": {"rms_nm": 1.0},
             "before": {"held_out": {"torque_rms_nm": 2.0, "torque_relative_percent": 20.0}},
             "after": {"held_out": None},
         },
         1.0,
     )  # fmt: skip
     assert [drive.silent for drive in (missed, told, scored([effect()], [finding("cogging")]))] == [True, False, False]
+    assert (missed.seconds, told.seconds) == (20.0, 15.0)  # half of the processor's time, where it was taken
     assert told.torque_percent == (20.0, 20.0)  # no model is offered: all is as it was
     assert score.summarise([missed, told]).silent[:2] == (1, 2)
+
+
+def test_a_shape_of_the_friction_is_true_of_a_plant_whose_friction_is_another_and_is_counted_apart():
+    shapes = [finding("stribeck_shape"), finding("unknown:velocity")]
+    one, five = (scored([], shapes, surface=kind) for kind in ("single_2sep", "five_surfaces"))
+    assert one.false_findings == five.false_findings == ("stribeck_shape", "unknown:velocity")
+    assert (one.false_beyond_shape, five.false_beyond_shape) == (one.false_findings, ())
+    other = scored([], [*shapes, finding("cogging")], surface="five_surfaces")
+    assert other.false_beyond_shape == ("cogging",)
+    summary = score.summarise([five, other])
+    assert (summary.false_drives[:2], summary.beyond_shape[:2]) == ((2, 2), (1, 2))
 
 
 def test_two_effects_are_matched_in_any_order_and_exact_names_first():
