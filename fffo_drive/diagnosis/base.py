@@ -157,7 +157,8 @@ def _friction(stretch: Stretch, physical: Floats) -> Floats:
 
 
 _PATHS: OrderedDict[tuple[int, FrictionConfig], tuple[Stretch, Floats]] = OrderedDict()
-PATHS_KEPT_BYTES = 100_000_000  # of friction that was computed last: fits begin where others ended
+PATHS_KEPT_BYTES = 100_000_000  # of the friction computed last: fits begin where others ended
+_KEEPING = Lock()
 
 
 def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
@@ -174,9 +175,6 @@ def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
         for _ in range(len(_PATHS) - max(1, PATHS_KEPT_BYTES // found.nbytes)):
             _PATHS.popitem(last=False)
     return found
-
-
-_KEEPING = Lock()
 
 
 def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:

@@ -40,17 +40,8 @@ from .startup import starting_data
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MECHANISMS = (
-    "ladder",
-    "drop",
-    "shapes",
-    "current",
-    "shrink",
-    "curves",
-    "datum",
-    "two_starts",
-    "least_torque",
-)  # that can be ablated
+# that can be ablated
+MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
 KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
 ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own

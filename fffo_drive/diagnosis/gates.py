@@ -73,9 +73,9 @@ def needed_rms_nm(data: Data, fitted: Fitted) -> float:
 def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
     """Why the last effect of a model is not believed; empty where nothing speaks against it."""
     effect = fitted.effects[-1]
-    changed = misshapen(data, fitted, reference, ablate)
-    if changed:
-        return changed
+    reason = misshapen(data, fitted, reference, ablate)
+    if reason:
+        return reason
     if law_of(effect.name).shown_by_current and "current" not in ablate:
         shown = shown_share(data, fitted, effect)
         if shown is None and law_of(effect.name).needs_current:
@@ -115,7 +115,7 @@ def _shape_objection(data: Data, effect: Effect) -> str:
     values = effect.values(0)
     period_rev = values.get("period_rev", 0.0) or 1.0 / values.get("order", np.inf)
     if period_rev > data.rows.turns:
-        return f"{effect.name} with a period of {period_rev:.3g} rev, of which the data show less than one, is none"
+        return f"the data show less than one period ({period_rev:.3g} rev) of this {effect.name}"
     measured = all(stretch.measured_a is not None for stretch in data.stretches)
     for parameter in law_of(effect.name).parameters:
         if parameter.plausible is None or parameter.name not in values:
