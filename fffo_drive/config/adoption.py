@@ -84,7 +84,7 @@ def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
     regime = any(
         _torque_rms_nm((effect.get("after") or {}).get("held_out_regime"))
         < _torque_rms_nm((effect.get("before") or {}).get("held_out_regime"))
-        for effect in report.get("effects", [])
+        for effect in [*report.get("effects", []), *report.get("friction_form", [])]
         if effect.get("accepted")
     )
     if new < old and (highest < old or new < lowest):

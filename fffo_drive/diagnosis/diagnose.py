@@ -31,7 +31,7 @@ from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .propose import WAVE_RUNG
 from .rest import rest_of
-from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
+from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector, base_of, settled
@@ -41,7 +41,7 @@ Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 # that can be ablated
-MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
+MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque", "rest")
 KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
 ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
@@ -121,8 +121,13 @@ def diagnose(
         tell(0.1, "search")
         selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
         selected = selector.run(data)
-        tell(0.75, "proof")
-        found = assemble(fit, held_out, facts, selected, settings, look, tell)
+        tell(0.75, "what is left")
+        repeats, rest = left_of(selected)
+        while rest is not None and (fewer := selector.without_doubtful(selected, rest.share)) is not None:
+            selected = fewer
+            repeats, rest = left_of(selected)
+        tell(0.85, "proof")
+        found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
     tell(1.0, "done")
     return replace(found, seconds=time.monotonic() - begin)
 
@@ -135,9 +140,15 @@ def runs_look(records: Sequence[Record]) -> RunsLook | None:
         return None
 
 
+def left_of(selected: Selection) -> tuple[Ceiling, Rest | None]:
+    """What a selection leaves: by what repeats, and by a black box."""
+    repeats = ceiling(selected.data, selected.base, selected.fitted)
+    return repeats, rest_of(selected.data, selected.fitted, repeats)
+
+
 def assemble(
-    fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection,
-    settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
+    fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection, repeats: Ceiling,
+    rest: Rest | None, settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
 ) -> Diagnosis:  # fmt: skip
     """Everything that is said about a selection."""
     data, base, fitted = selected.data, selected.base, selected.fitted
@@ -147,13 +158,10 @@ def assemble(
     sd = standard_deviations(data, fitted, selected.matrix)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
-    # what the first rungs of the ladder found stands first, then what takes away most
+    # what the first rungs of the ladder found stands first, then what takes away most, then the friction's own form
     findings = ranked(
-        findings, key=lambda f: (0.0 if f.accepted else 4.0) - f.explained_fraction - 2.0 * _first(f.name)
+        findings, key=lambda f: (float(f.is_form) if f.accepted else 4.0) - f.explained_fraction - 2.0 * _first(f.name)
     )
-    repeats = ceiling(data, base, fitted)
-    tell(0.85, "what is left")
-    rest = rest_of(data, fitted, repeats)
     tell(0.95, "where it lives")
     lives = channels(data, (base, base_matrix), (fitted, selected.matrix), settings.false_alarm_rate)
     accepted = [f for f in findings if f.accepted]
@@ -203,18 +211,23 @@ def verdict_of(
 ) -> tuple[VerdictWord, str]:
     """The verdict and its sentence; what is left is never silent."""
     left = f" Not explained: {rest.sentence}." if rest is not None else ""
+    forms = ", ".join(f.name for f in accepted if f.is_form)
+    form = f" The friction is not of the form of one surface: {forms}." if forms else ""
     if worse:
         return "nothing_carries_over", f"Nothing that carries over was found: on the held-out runs {worse}.{left}"
     if remarks:
         return "unexplained", f"{remarks[0]}{left}"
-    if accepted:
-        shown = [f for f in accepted if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or accepted
+    effects = [f for f in accepted if not f.is_form]
+    if effects:
+        shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
             dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in shown)
         )
-        return "effects_found", f"The model lacks: {names}.{left}"
+        return "effects_found", f"The model lacks: {names}.{form}{left}"
     if rest is not None:
-        return "unexplained", f"Something is left that no effect of the library explains: {rest.sentence}."
+        return "unexplained", f"Something is left that no effect of the library explains: {rest.sentence}.{form}"
+    if form:
+        return "no_effect_found", f"No effect found.{form}"
     return "no_effect_found", "No effect found: nothing is left that these data could tell."
 
 

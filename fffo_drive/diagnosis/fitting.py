@@ -101,10 +101,10 @@ class Slot(NamedTuple):
 
 
 def share_gone(before: Fitted, after: Fitted) -> float:
-    """Share of the squared white residual that is gone, outliers pulled in; what serves the bulk of the rows at the
-    cost of the outliers takes nothing away. At most 1."""
+    """Share of the loss that is gone: of the squared white residual, outliers counted as `huber` does; what serves the
+    bulk of the rows at the cost of the outliers takes nothing away. At most 1."""
     plain = float(after.white @ after.white) / max(float(before.white @ before.white), 1e-300)
-    return 0.0 if plain > 1.0 + LARGEST_GROWTH else 1.0 - after.energy / max(before.energy, 1e-300)
+    return 0.0 if plain > 1.0 + LARGEST_GROWTH else 1.0 - after.loss / max(before.loss, 1e-300)
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..identification.criterion import clipped
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
 from .curves import Axis as FreeAxis
@@ -233,7 +234,10 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
     share = min(1.0, max(0.0, (whole - left) / repeatable)) if repeatable > LEAST_REPEATABLE * whole else None
     seconds = first.size * data.rows.filter.row_period_s
     note = f"{seconds:.0f} s of motion whose reference came again in the same run"
-    repeats = max(0.0, left - 0.5 * float(np.mean((s[first] - s[second]) ** 2))) / max(left, 1e-300)
+    # in levels of noise, or the rows just after each reversal say it all
+    u, v = (clipped((s * data.weight)[part]) for part in (first, second))
+    whole_white = float(np.mean(u**2) + np.mean(v**2))
+    repeats = max(0.0, whole_white - float(np.mean((u - v) ** 2))) / max(whole_white, 1e-300)
     return Ceiling(repeatable / max(whole, 1e-300), repeats, noise**0.5, share, note)
 
 

@@ -99,10 +99,10 @@ class Proof:
         """Errors of a model over the scored rows."""
         return error_figures(self.data, model, self.needed_nm, self.inertia, scored)
 
-    def gain_of(self, number: int | None = None) -> Gain:
-        """What all effects, or one given the others, explain of the held-out rows."""
-        others = () if number is None else tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
-        without = self.base if number is None else evaluate(self.data, self.fitted.physical, others)[0]
+    def gain_of(self, number: int) -> Gain:
+        """What one effect explains of the held-out rows, given the others."""
+        others = tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
+        without = evaluate(self.data, self.fitted.physical, others)[0]
         used = self.data.used
         scored = self.scored[used]
         folds = Folds(*(part[used][scored] for part in self.data.rows.folds))
@@ -112,8 +112,7 @@ class Proof:
         """In what the model does worse on held-out runs than the base; empty where it does not."""
         if not self.fitted.effects:
             return ""
-        torque = self.gain_of()
-        if not torque.value > 0.0:
+        if not self.after.torque_rms_nm.value < self.before.torque_rms_nm.value:
             return "the error in torque is no smaller"
         speeds = [velocity_squares(self.data, model, self.inertia, self.scored) for model in (self.ladder, self.fitted)]
         change = speeds[1] - speeds[0]

@@ -15,7 +15,7 @@ from scipy import ndimage
 from ..identification.criterion import FOLDS, gain, huber
 from ..model.effects import slots
 from .fitting import Data, Fitted, consistent_scenes
-from .results import Ceiling, Rest
+from .results import Ceiling, Rest, share_above
 from .scenes import Scene
 
 Floats = npt.NDArray[np.float64]
@@ -48,8 +48,9 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     rms = float(np.sqrt(np.mean(left**2)))
     white = fitted.white
     predicted, strongest = _trees(features[used], white, _groups(data), names)
-    weight = data.weight[used]
-    trees_nm = float(np.sqrt(np.mean((left - predicted / weight) ** 2)))
+    # in levels of noise, or the rows just after each reversal say it all
+    before, after = (float(np.sum(np.clip(one, -PULLED, PULLED) ** 2)) for one in (white, white - predicted))
+    trees_nm = rms * float(np.sqrt(after / before))
     own = gain(huber(white), huber(white - predicted), type(data.rows.folds)(*(p[used] for p in data.rows.folds)))
     floor = trees_nm if own.holds else rms
     repeats = ceiling.left_repeatable_fraction
@@ -58,7 +59,7 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     if rms <= TOLD_RATIO * floor:
         return None
     axes = tuple(WORDS[name] for name in strongest)
-    share = 1.0 - (floor / rms) ** 2
+    share = share_above(floor, rms)
     clock = f" (a period of {period_s:.3g} s)" if "clock" in strongest else ""
     where = " and ".join(word.replace("_", " ") for word in axes) or "the command, by its repeats"
     sentence = (

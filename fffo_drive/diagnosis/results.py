@@ -14,6 +14,7 @@ import numpy.typing as npt
 from .. import __version__, formats
 from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
+from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
 
 Floats = npt.NDArray[np.float64]
@@ -109,6 +110,11 @@ class Finding:
     regime_after: ErrorFigures | None = None
 
     @property
+    def is_form(self) -> bool:
+        """Whether it is the form of the friction itself, and no effect beside it."""
+        return law_of(self.name).form
+
+    @property
     def curve(self) -> CurveModel | None:
         """What is in no list, as a curve or a table; None for a law with a name."""
         if not self.name.startswith(UNKNOWN):
@@ -161,6 +167,16 @@ class Rest(NamedTuple):
     axes: tuple[str, ...]
     sentence: str
 
+    @property
+    def share(self) -> float:
+        """Share of the squared residual that could be explained."""
+        return share_above(self.floor_nm, self.rms_nm)
+
+
+def share_above(floor_nm: float, rms_nm: float) -> float:
+    """Share of a squared rms that is above its floor."""
+    return 1.0 - (floor_nm / rms_nm) ** 2
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -210,7 +226,8 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "tool": f"fffo-drive {__version__}",
         "verdict": diagnosis.verdict,
         "headline": diagnosis.headline,
-        "effects": [_effect(finding) for finding in diagnosis.findings],
+        "effects": [_effect(f) for f in diagnosis.findings if not (f.accepted and f.is_form)],
+        "friction_form": [_effect(f) for f in diagnosis.findings if f.accepted and f.is_form],
         "before": {"held_out": figures_json(diagnosis.before), "fit": figures_json(diagnosis.fit_before)},
         "after": {"held_out": figures_json(diagnosis.after), "fit": figures_json(diagnosis.fit_after)},
         "unexplained_rest": None if diagnosis.unexplained_rest is None else diagnosis.unexplained_rest._asdict(),

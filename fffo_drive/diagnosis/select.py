@@ -53,7 +53,9 @@ TRIED_A_KIND = 2  # ... and of those so many of one rung's kind
 REFITTED = 4  # ... and of those, laws that are refitted ...
 CURVES_REFITTED = 2  # ... and curves
 KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
+LAW_OF_CURVE = 0.75  # of a curve's gain: a law that gains more comes before it
 LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away ...
+CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve without a name has to take away
 LEAST_TORQUE = 0.0025  # ... and rms torque, over what the axis needs: the steps of a sensor leave as much
 
 
@@ -142,6 +144,7 @@ class Selector:
 
     def run(self, data: Data) -> Selection:
         """Up the ladder, then all that are left in free competition. `data` as they start."""
+        whole = data
         data, standing, accepted = self._ladder(data)
         self.reference = Reference.of(data, standing.fitted, standing.matrix)
         for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
@@ -150,7 +153,8 @@ class Selector:
                 found = self._round(data, standing, accepted, rung)
                 if found is None:
                     break
-                data, standing, accepted = found
+                accepted = found[2]
+                data, standing = self._freed(whole, *found[:2])
             if rung == WAVE_RUNG:
                 self.ladder = standing.fitted
                 self.reference = self.reference.and_then(Reference.of(data, standing.fitted, standing.matrix))
@@ -161,6 +165,25 @@ class Selector:
         return Selection(
             data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios,
+        )  # fmt: skip
+
+    def without_doubtful(self, found: Selection, rest_share: float) -> Selection | None:
+        """The selection without its weakest curve, where that takes away little beside what is left and could be
+        explained (`rest_share` of the squared residual): it may be a part of that. None where there is none."""
+        curves = [k for k, one in enumerate(found.accepted) if one.name.startswith(UNKNOWN)]
+        weakest = min(curves, key=lambda k: found.accepted[k].share, default=None)
+        if weakest is None or found.accepted[weakest].share >= CURVE_OF_REST * rest_share or "rest" in self.ablate:
+            return None
+        one = found.accepted[weakest]
+        reason = f"it takes away {100.0 * one.share:.0f} %, little beside what nothing here explains"
+        self.refused[one.name] = Refused(one.name, reason, one.share, one.p)
+        effects = [e for k, e in enumerate(found.fitted.effects) if k != weakest]
+        accepted = [note for note in found.accepted if note is not one]
+        begin = fit(found.data, found.fitted.physical, effects, LADDER_ITERATIONS)
+        data, standing, accepted = self._pruned(*settled(found.data, begin), accepted)
+        return found._replace(
+            data=data, base=base_of(data), fitted=standing.fitted, matrix=standing.matrix, accepted=tuple(accepted),
+            refused=tuple(self.refused.values()),
         )  # fmt: skip
 
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
@@ -196,6 +219,19 @@ class Selector:
         ]
         data, standing = settled(data, whole.fitted)
         return self._pruned(data, standing, accepted)
+
+    def _freed(self, whole: Data, data: Data, standing: Standing) -> tuple[Data, Standing]:
+        """The friction of the whole base, where the ladder did without and an effect has made room for it since."""
+        if data.free == whole.free or self.facts.units == "linear":
+            return data, standing
+        freed = data._replace(free=whole.free, start=whole.start)
+        static, coulomb = (NAMES.index(name) for name in ("static_nm", "coulomb_nm"))
+        physical = standing.fitted.physical.copy()
+        physical[static] *= whole.start[static] / whole.start[coulomb]
+        found = stand(freed, fit(freed, physical, standing.fitted.effects, LADDER_ITERATIONS))
+        if not gain(standing.unseen, found.unseen, folds_used(data)).holds:
+            return data, standing
+        return settled(freed, found.fitted)
 
     def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing]) -> int:
         """The smallest sets of which one is not worse than the best; of these the first that is not worse than they.
@@ -246,9 +282,7 @@ class Selector:
             self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
         laws, free = self._contenders(data, standing, evidence, proposals, tried)
         believed = self._believed(data, standing, evidence, laws, tried)
-        # a curve is of use only where it says more of unseen rows than any law: the others need no fit
-        best_law = max(believed, key=lambda item: item[2].value)[1].unseen if believed else standing.unseen
-        free = [item for item in free if gain(best_law, item[1], evidence.folds).holds][:CURVES_REFITTED]
+        free = _beyond_laws(standing, believed, free, evidence.folds)[:CURVES_REFITTED]
         believed += self._believed(data, standing, evidence, free, tried)
         if rung == LAW_RUNG and self._contradicted(data, standing, evidence, believed):
             return None
@@ -256,7 +290,13 @@ class Selector:
             return None
         best = max(believed, key=lambda item: item[2].value)
         family = [item for item in believed if not _worse(best[1], item[1], evidence.folds)]
-        chosen = min(family, key=lambda item: (item[0].rung, numbers_of(item[1].fitted), -item[2].value))
+        # every axis has a friction of some form; an effect beside it has to be told from that
+        chosen = min(
+            family,
+            key=lambda item: (
+                not law_of(item[0].name).form, item[0].rung, numbers_of(item[1].fitted), -item[2].value
+            ),
+        )  # fmt: skip
         note = Accepted(
             chosen[0].name, chosen[2], min(1.0, chosen[0].score.p * tried), 0.0,
             tuple(dict.fromkeys(item[0].name for item in family if item[0].name != chosen[0].name)),
@@ -398,6 +438,21 @@ class Selector:
         others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
         found = score(evidence_of(data, standing.fitted, others), standing.matrix[:, own], load)
         return min(1.0, found.p * note.tried) if found.rank else note.p
+
+
+def _beyond_laws(
+    standing: Standing, believed: Sequence[tuple[Proposal, Standing, Gain]], free: list[Contender], folds: Folds
+) -> list[Contender]:
+    """Curves that say more of unseen rows than any law: the others need no fit. Where a law says most of what a curve
+    does, the law comes first: the curve may have taken in another effect as well."""
+    if not believed:
+        return free
+    _, law, most = max(believed, key=lambda item: item[2].value)
+    return [
+        one for one in free
+        if gain(law.unseen, one.unseen, folds).holds
+        and LAW_OF_CURVE * gain(standing.unseen, one.unseen, folds).value > most.value
+    ]  # fmt: skip
 
 
 def _worse(best: Standing, other: Standing, folds: Folds) -> bool:

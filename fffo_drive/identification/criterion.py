@@ -26,7 +26,7 @@ WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
 RIDGE = 1e-4  # of a column's squared norm: what the other folds hardly determine stays where all rows have it
-LEVERAGE_WINDOWS = 20.0  # no window of a column counts for more than one in so many
+LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in so many
 SMALLEST_P = 1e-12  # nothing is known of a tail beyond
 LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
 
@@ -48,8 +48,12 @@ class Gain(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether it is more than chance."""
-        return self.value > SDS * self.sd
+        """Whether it is more than chance, and not that of a few blocks: none counts for more than one in so many."""
+        if not np.isfinite(self.sd):
+            return False
+        most = float(np.abs(self.blocks).sum()) / LEVERAGE_WINDOWS
+        pulled = np.clip(self.blocks, -most, most)
+        return float(pulled.sum()) > SDS * _sd_of_sum(pulled)
 
 
 def folds_of(bounds: Sequence[tuple[int, int]], row_period_s: float) -> Folds:
@@ -124,7 +128,12 @@ def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bo
     count = sums.size
     if count < 2:
         return Gain(float(sums.sum()), float("inf"), sums)
-    return Gain(float(sums.sum()), float(np.sqrt(count * sums.var(ddof=1))), sums)
+    return Gain(float(sums.sum()), _sd_of_sum(sums), sums)
+
+
+def _sd_of_sum(values: Floats) -> float:
+    """Standard deviation of the sum of independent values."""
+    return float(np.sqrt(values.size * values.var(ddof=1)))
 
 
 def hotelling_p(scores: Floats, tried: int = 1) -> float:

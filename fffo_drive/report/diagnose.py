@@ -80,7 +80,9 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     words = words_of(diagnosis)
     accepted = [finding for finding in diagnosis.findings if finding.accepted]
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
-    tables = [_found(accepted)] if accepted else []
+    effects, forms = ([f for f in accepted if f.is_form is form] for form in (False, True))
+    tables = [_found("found", "What the model lacks", effects)] if effects else []
+    tables += [_found("form", "The friction's own form", forms)] if forms else []
     tables += [_before_after(diagnosis, accepted, words)]
     parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
@@ -207,7 +209,7 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-def _found(accepted: Sequence[Finding]) -> Table:
+def _found(name: str, title: str, accepted: Sequence[Finding]) -> Table:
     columns = [
         Column(label="takes away", unit="%"),
         Column(label="fitted runs", unit="nats", group="gain"),
@@ -239,7 +241,7 @@ def _found(accepted: Sequence[Finding]) -> Table:
         "given all others, on rows that the fit did not see (blocks of the fit runs in turn), and on the held-out "
         "runs; 95 % intervals. The probability of a false alarm is over the whole search."
     )
-    return Table(name="found", title="What the model lacks", note=note, corner="Effect", columns=columns, rows=rows)
+    return Table(name=name, title=title, note=note, corner="Effect", columns=columns, rows=rows)
 
 
 def _gain(found: tuple[float, float] | None) -> Cell:

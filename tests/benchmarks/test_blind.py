@@ -37,17 +37,18 @@ def finding(name, alternatives=(), accepted=True):
     return {"name": name, "alternatives": list(alternatives), "accepted": accepted}
 
 
-def truth(effects=(), seed=7, surface="single_2sep"):
-    return {"seed": seed, "effects": list(effects), "plant": {"friction": {"kind": surface}}}
+def truth(effects=(), seed=7):
+    return {"seed": seed, "effects": list(effects)}
 
 
-def scored(effects, findings, before=2.0, after=1.1, floor=1.0, seed=7, surface="single_2sep"):
+def scored(effects, findings, before=2.0, after=1.1, floor=1.0, seed=7, forms=()):
     report = {
         "verdict": "effects_found" if findings else "no_effect_found", "effects": findings, "seconds": 20.0,
+        "friction_form": list(forms),
         "before": {"held_out": {"torque_rms_nm": before, "torque_relative_percent": 10.0 * before}},
         "after": {"held_out": {"torque_rms_nm": after, "torque_relative_percent": 10.0 * after}},
     }  # fmt: skip
-    return score.score_drive(truth(effects, seed, surface), report, floor)
+    return score.score_drive(truth(effects, seed), report, floor)
 
 
 @pytest.mark.parametrize(
@@ -105,15 +106,13 @@ def test_a_missed_effect_is_silent_where_no_rest_is_told():
     assert score.summarise([missed, told]).silent[:2] == (1, 2)
 
 
-def test_a_shape_of_the_friction_is_true_of_a_plant_whose_friction_is_another_and_is_counted_apart():
-    shapes = [finding("stribeck_shape"), finding("unknown:velocity")]
-    one, five = (scored([], shapes, surface=kind) for kind in ("single_2sep", "five_surfaces"))
-    assert one.false_findings == five.false_findings == ("stribeck_shape", "unknown:velocity")
-    assert (one.false_beyond_shape, five.false_beyond_shape) == (one.false_findings, ())
-    other = scored([], [*shapes, finding("cogging")], surface="five_surfaces")
-    assert other.false_beyond_shape == ("cogging",)
-    summary = score.summarise([five, other])
-    assert (summary.false_drives[:2], summary.beyond_shape[:2]) == ((2, 2), (1, 2))
+def test_a_form_of_the_friction_is_no_finding_and_is_counted_apart():
+    formed = scored([], [], forms=[finding("second_surface")])
+    assert (formed.false_findings, formed.forms) == ((), ("second_surface",))
+    missed = scored([effect("dwell_stiction")], [], forms=[finding("dwell_stiction")])
+    assert not missed.guesses[0].in_family  # nor does it say what is there
+    summary = score.summarise([formed, scored([], [finding("cogging")])])
+    assert (summary.false_drives[:2], summary.forms[:2]) == ((1, 2), (1, 2))
 
 
 def test_two_effects_are_matched_in_any_order_and_exact_names_first():

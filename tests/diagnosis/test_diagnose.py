@@ -112,9 +112,9 @@ def test_the_report_is_json_with_all_its_keys():
     for page in (found(), found(unseen=turned), found(nothing, nothing)):
         content = json.loads(json.dumps(report(page)))
         assert set(content) == {
-            "format", "tool", "verdict", "headline", "effects", "before", "after", "unexplained_rest", "runs_look",
-            "first_p", "ceiling", "units", "false_alarm_rate", "runs", "channels", "tried", "cautions", "settings",
-            "seconds",
+            "format", "tool", "verdict", "headline", "effects", "friction_form", "before", "after", "unexplained_rest",
+            "runs_look", "first_p", "ceiling", "units", "false_alarm_rate", "runs", "channels", "tried", "cautions",
+            "settings", "seconds",
         }  # fmt: skip
         assert content["runs"] == {"fit": ["run-1", "run-2"], "held_out": ["run-31"]}
     content = report(found())
@@ -174,6 +174,23 @@ OF_INERTIA = "The runs contradict each other: the inertia is not the same in all
         ((), "", REST, (), "unexplained", REST.sentence),
         (("cogging",), "", None, (), "effects_found", "The model lacks: cogging."),
         (("cogging", "torque_offset"), "", None, (), "effects_found", "cogging, torque_offset"),
+        (
+            ("second_surface",),
+            "",
+            None,
+            (),
+            "no_effect_found",
+            "No effect found. The friction is not of the form of one",
+        ),
+        (("second_surface",), "", REST, (), "unexplained", "one surface: second_surface."),
+        (
+            ("cogging", "second_surface"),
+            "",
+            None,
+            (),
+            "effects_found",
+            "lacks: cogging. The friction is not of the form",
+        ),
         (("cogging",), "", REST, (), "effects_found", f"Not explained: {REST.sentence}"),
         (("cogging",), "", None, (OF_INERTIA,), "unexplained", OF_INERTIA),
         ((), "", REST, (OF_INERTIA,), "unexplained", REST.sentence),

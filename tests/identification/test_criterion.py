@@ -11,6 +11,7 @@ from fffo_drive.identification.criterion import (
     RIDGE,
     SDS,
     SMALLEST_P,
+    Gain,
     clipped,
     folds_of,
     gain,
@@ -134,11 +135,23 @@ def test_rows_that_do_not_count_gain_nothing_and_one_block_proves_nothing():
     assert not alone.holds
 
 
-def test_a_gain_holds_beyond_two_deviations():
-    found = gain(np.ones(8), np.zeros(8), folds_of([(0, 8)], 0.2))
-    assert SDS == 2.0
-    assert found._replace(value=2.1, sd=1.0).holds
-    assert not found._replace(value=1.9, sd=1.0).holds
+def test_a_gain_holds_beyond_two_deviations_of_its_blocks():
+    draw = np.random.default_rng(3).normal(size=200)
+    draw = (draw - draw.mean()) / draw.std(ddof=1)
+    sd_of_mean = 1.0 / np.sqrt(200.0)
+    for sds, holds in ((SDS + 0.2, True), (SDS - 0.2, False)):
+        blocks = draw + sds * sd_of_mean
+        assert Gain(float(blocks.sum()), float(np.sqrt(200.0)), blocks).holds is holds
+
+
+def test_a_gain_is_not_that_of_one_block_nor_lost_by_one():
+    """A block that stands out counts for no more than one in twenty: it neither makes a gain nor hides that of all."""
+    alone, even = np.zeros(50), np.full(50, 1.0)
+    alone[7] = 1e4
+    even[7] = 1e2
+    for blocks, holds in ((alone, False), (even, True), (-even, False)):
+        sd = float(np.sqrt(blocks.size * blocks.var(ddof=1)))
+        assert Gain(float(blocks.sum()), sd, blocks).holds is holds
 
 
 def test_the_loss_is_square_within_the_limit_and_straight_beyond():

@@ -220,6 +220,22 @@ def test_a_presliding_part_is_gone_in_sliding():
     assert np.abs(load[sliding]).max() < 1e-5
 
 
+def test_a_second_surface_builds_up_over_its_travel_and_follows_the_speed_over_its_memory():
+    values = {"level_nm": 0.002, "rise_nm": 0.02, "travel_rev": 0.06, "speed_rps": 0.4, "memory_rev": 0.1}
+    slow, fast = 0.2, 1.0
+    speed = np.concatenate([np.full(2000, slow), np.full(2000, fast), np.full(2000, -fast)])
+    rows = np.zeros((speed.size, s.N_MOTION))
+    rows[:, s.VELOCITY_RPS] = speed
+    load, _ = along("second_surface", values, rows)
+    travel = np.cumsum(np.abs(speed)) * STEP_S
+    built = 1.0 - np.exp(-travel / 0.06)
+    m_slow, m_fast = (math.exp(-w / 0.4) for w in (slow, fast))
+    assert np.allclose(load[:2000], built[:2000] * (0.002 + 0.02 * m_slow), rtol=1e-9)
+    m = m_fast + (m_slow - m_fast) * np.exp(-(travel[2000:] - travel[1999]) / 0.1)
+    assert np.allclose(load[2000:4000], built[2000:4000] * (0.002 + 0.02 * m[:2000]), rtol=1e-9)
+    assert load[-1] == pytest.approx(-(0.002 + 0.02 * m_fast), rel=1e-3)
+
+
 def test_two_masses_share_their_motion_at_low_frequency_and_part_at_resonance():
     values = {"share": 0.3, "frequency_hz": 40.0, "damping": 0.05}
 

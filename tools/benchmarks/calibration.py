@@ -16,7 +16,7 @@ from blind_drives.run import record_of
 from blind_drives.score import wilson
 from blind_drives.simulate import simulate
 from common import RESULTS, Report, finish, main, parser, shown
-from engine import Call, diagnosed, in_parallel, write_answer
+from engine import Call, accepted_of, diagnosed, in_parallel, write_answer
 
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.identification.dataset import Record
@@ -80,8 +80,7 @@ def quiet(seed: int, answer: Path) -> None:
         return
     records, facts, plant = drive_of(seed)
     said = diagnosed(records, [], facts)
-    accepted = sum(finding["accepted"] for finding in said["effects"])
-    write_answer(answer, {"first_p": said["first_p"], "accepted": accepted, "z": _base_z(said, plant)})
+    write_answer(answer, {"first_p": said["first_p"], "accepted": len(accepted_of(said)), "z": _base_z(said, plant)})
 
 
 def planted(seed: int, answer: Path) -> None:
@@ -91,7 +90,7 @@ def planted(seed: int, answer: Path) -> None:
     effect = planted_effect(seed)
     records, facts, plant = drive_of(seed, (effect,))
     said = diagnosed(records, [], facts)
-    found = next((f for f in said["effects"] if f["accepted"] and f["name"] == effect.name), None)
+    found = next((f for f in accepted_of(said) if f["name"] == effect.name), None)
     asked = PLANTED[seed % len(PLANTED)]
     size = None if found is None else size_z(found, asked.said_as, effect.parameters[asked.key])
     write_answer(answer, {"effect": effect.name, "size_z": size, "z": _base_z(said, plant)})

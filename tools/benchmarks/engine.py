@@ -100,10 +100,15 @@ def in_parallel(
                 progress(number / len(waiting))
 
 
+def accepted_of(said: dict[str, Any]) -> list[dict[str, Any]]:
+    """Accepted effects of a report, and after them the forms that it gives the friction itself."""
+    return [*(one for one in said["effects"] if one["accepted"]), *said.get("friction_form", [])]
+
+
 def first_names(said: dict[str, Any], most: int = 4) -> str:
     """The first accepted findings of a report, with an order where they have one, for a table."""
     named = []
-    for finding in [one for one in said["effects"] if one["accepted"]][:most]:
+    for finding in accepted_of(said)[:most]:
         order = finding["parameters"].get("order")
         named.append(f"`{finding['name']}`" + (f" {order:.4g}" if isinstance(order, float) else ""))
     return ", ".join(named) or said["verdict"].replace("_", " ")

@@ -15,7 +15,7 @@ from blind_drives.run import diagnose_folder, records_of
 from blind_drives.score import wilson
 from common import ROOT, Report, finish, main, parser, shown
 from drive_folders import DriveFolder, drive_folders
-from engine import Call, first_names, in_parallel, rest_is_told, write_answer
+from engine import Call, accepted_of, first_names, in_parallel, rest_is_told, write_answer
 from rows import CUTOFF_HZ, Floats, rms
 
 from fffo_drive.identification.coordinates import PARAMETERS
@@ -132,7 +132,7 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
         beaten = best_nm < after["interval_95"]["torque_rms_nm"][0]
         untold += beaten and not rest_is_told(ours)
         if drive.truth is not None and not drive.truth["effects"]:
-            false_ours.append(sum(finding["accepted"] for finding in ours["effects"]))
+            false_ours.append(len(accepted_of(ours)))
             for name, peer in others["peers"].items():
                 if peer.get("more") is not None:
                     false_terms[name].append(peer["more"])

@@ -129,6 +129,7 @@ class Law:
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
     level: bool = False  # it changes the level of the friction
+    form: bool = False  # it gives the friction another form than that of one surface: told apart from effects
     acts_on: Literal["motion", "torque", "command"] = "motion"  # what its torque is made of along a known motion: the
     # motion and its friction; also the torque that the model wants; or the command itself, at the rate of the record
     joint: bool = False  # its torque is made from the motion: fed back as a torque it would run away

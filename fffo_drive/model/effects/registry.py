@@ -21,6 +21,7 @@ NAMES = (
     "stribeck_shape",
     "presliding_shape",
     "frictional_lag",
+    "second_surface",
     "dwell_stiction",
     "load_dependent_friction",
     "position_dependent_friction",

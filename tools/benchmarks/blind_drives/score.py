@@ -1,8 +1,9 @@
 """What a diagnosis said against what was true: names, families, axes, false findings, and the error that was removed.
 
-Only accepted findings count, and of these as many of the first as the drive has effects: a diagnosis cannot gain by
-listing more. A drive's effect is *named* when one of these findings has its name, and *in the family* when its name
-stands among the finding's alternatives too. An effect of no library is right as `unknown:` on one of its axes.
+Only accepted effects count, and of these as many of the first as the drive has effects: a diagnosis cannot gain by
+listing more. A form of the friction itself is counted apart: it is true of a plant with several surfaces. A drive's
+effect is *named* when one of these findings has its name, and *in the family* when its name stands among the finding's
+alternatives too. An effect of no library is right as `unknown:` on one of its axes.
 """
 
 from __future__ import annotations
@@ -22,11 +23,6 @@ CORES = 2.0  # that a diagnosis may have, by its target
 NOTHING = "(nothing)"
 FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12.0, 72.0, 0.15  # a turn; amplitude over Coulomb friction
 ORDER_TOLERANCE = 0.01  # of a wave's order, for its name to count
-# what says that the friction's own shape is another than 2SEP: true of a plant with another friction, effects or none
-FRICTION_SHAPES = {
-    "stribeck_shape", "presliding_shape", "frictional_lag",
-    "unknown:velocity", "unknown:travel_since_reversal", "unknown:memory",
-}  # fmt: skip
 
 
 class Share(NamedTuple):
@@ -76,7 +72,7 @@ class Scored:
     seed: int
     guesses: tuple[Guess, ...]
     false_findings: tuple[str, ...]  # accepted findings that match no true effect
-    false_beyond_shape: tuple[str, ...]  # of them, those that are no shape of a friction that is not the base's
+    forms: tuple[str, ...]  # that the friction itself is said to have
     verdict: str
     removed: float | None  # share of the squared held-out error that the oracle removes; None: hardly shown there
     seconds: float  # of two cores: half of the processor's time in a process of its own
@@ -116,12 +112,11 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
     matched = len(effects) - sum(1 for guess in guesses if guess is not None and not guess.in_family)
     false = [f["name"] for f in (left + accepted[len(counted) :])] if effects else [f["name"] for f in accepted]
     assert matched + len(false) == len(accepted)
-    shapes = FRICTION_SHAPES if truth["plant"]["friction"]["kind"] != "single_2sep" else set()
     return Scored(
         seed=int(truth["seed"]),
         guesses=tuple(guess for guess in guesses if guess is not None),
         false_findings=tuple(false),
-        false_beyond_shape=tuple(name for name in false if name not in shapes),
+        forms=tuple(form["name"] for form in report.get("friction_form", [])),
         verdict=report["verdict"],
         removed=_removed(before["torque_rms_nm"], after["torque_rms_nm"], floor_rms_nm) if effects else None,
         seconds=float(report["process"]["cpu_s"]) / CORES if "process" in report else float(report["seconds"]),
@@ -193,7 +188,7 @@ class Summary:
     unknown: Share  # of effects outside it: right axis
     removed: Removed
     false_drives: Share  # effect-free drives with a finding
-    beyond_shape: Share  # of them, those with one that is no shape of their friction
+    forms: Share  # of them, those whose friction is said to be not of the form of one surface
     extra_drives: Share  # drives with effects on which something stands beside the truth
     unexplained_free: Share  # effect-free drives of which something is said to be left
     worse_drives: Share  # drives with effects whose held-out torque error is larger after than before
@@ -216,7 +211,7 @@ def summarise(scored: Sequence[Scored]) -> Summary:
         unknown=wilson(sum(g.in_family for g in odd), len(odd)),
         removed=removed_share(scored),
         false_drives=wilson(sum(bool(one.false_findings) for one in free), len(free)),
-        beyond_shape=wilson(sum(bool(one.false_beyond_shape) for one in free), len(free)),
+        forms=wilson(sum(bool(one.forms) for one in free), len(free)),
         extra_drives=wilson(sum(_extra(one) for one in effected), len(effected)),
         unexplained_free=wilson(sum(one.verdict == "unexplained" for one in free), len(free)),
         worse_drives=wilson(sum(one.torque_percent[1] > one.torque_percent[0] for one in effected), len(effected)),

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from common import Report
+from engine import accepted_of
 
 from .score import Scored, Share, Summary, confusion, summarise
 
@@ -56,7 +57,7 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     report.bounded(f"{label}: held-out squared error removed, of what an oracle removes", str(summary.removed))
     report.facts[f"{KINDS[kind]}: removed"] = summary.removed.mean
     count("effect-free drives with a finding", summary.false_drives, MOST_FALSE)
-    count("effect-free drives with a finding that is no shape of their own friction", summary.beyond_shape)
+    count("effect-free drives whose friction is said to be not that of one surface", summary.forms)
     count("effect-free drives called unexplained", summary.unexplained_free)
     count("drives with an effect that is not named, and nothing said of a rest", summary.silent, 0)
     count("drives with effects where something stands beside the truth", summary.extra_drives)
@@ -87,7 +88,7 @@ def drives_report(name: str, purpose: str, reports: Mapping[str, Mapping[str, An
     report = Report(name, purpose)
     rows = []
     for drive, found in reports.items():
-        accepted = [effect for effect in found["effects"] if effect["accepted"]]
+        accepted = accepted_of(found)
         before, after = found["before"]["held_out"], found["after"]["held_out"]
         rows.append([
             drive,

@@ -40,6 +40,7 @@ LAW = Law(
     search=_search,
     meaning="friction follows changes of speed over two travels",
     compensable=True,
+    form=True,
     regime="sliding at changing low speed",
     lookalikes=("delay", "current_lag", "presliding_shape", "stribeck_shape"),
     experiment=(

@@ -49,6 +49,7 @@ LAW = Law(
     search=_search,
     meaning="friction builds up after a reversal in two stages",
     compensable=True,
+    form=True,
     regime="presliding",
     lookalikes=("frictional_lag", "backlash", "elasticity", "stribeck_shape"),
     experiment=(

@@ -34,6 +34,7 @@ LAW = Law(
     search=_search,
     meaning="friction falls with speed over more than one speed",
     compensable=True,
+    form=True,
     regime="slow sliding",
     lookalikes=("presliding_shape", "frictional_lag", "dwell_stiction"),
     experiment="constant speeds at eight levels and more, very slow ones among them, held until friction has settled",
