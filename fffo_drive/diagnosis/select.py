@@ -500,7 +500,7 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
     """
     nothing = replace(one.effect, strengths={name: np.zeros_like(v) for name, v in one.effect.strengths.items()})
     found = fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
-    if not two_starts or one.name.startswith(UNKNOWN) or share_gone(fitted, found) > KEPT * promised:
+    if not two_starts or one.name.startswith(UNKNOWN) or 1.0 - found.energy / fitted.energy > KEPT * promised:
         return found
     again = fit(data, data.start, [*fitted.effects, one.effect], ITERATIONS)
     return again if again.loss < found.loss else found

@@ -8,12 +8,15 @@ import pytest
 from diagnosis.planted import FACTS, INERTIA, KT, effect, left, nothing, only, planted, runs, started
 
 from fffo_drive.diagnosis import gates, select
+from fffo_drive.diagnosis.base import BASE, NAMES, RIGID
 from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import fit, share_gone
 from fffo_drive.diagnosis.gates import Reference
 from fffo_drive.diagnosis.propose import LAW_RUNG, WAVE_RUNG, Proposal, Score
 from fffo_drive.diagnosis.select import (
+    LAW_OF_CURVE,
     Accepted,
+    Contender,
     Selector,
     Standing,
     base_of,
@@ -247,6 +250,22 @@ def test_in_a_family_the_lower_rung_wins_and_then_fewer_numbers(round_of):
     assert round_of(("torque_offset", 3, 1, 0.2), ("quadratic_drag", 3, 1, 0.20001))[0] == "quadratic_drag"
 
 
+def test_in_a_family_the_form_of_the_friction_wins_even_over_a_lower_rung(round_of):
+    name, family, _ = round_of(("cogging", 2, 2, 0.2), ("stribeck_shape", 3, 1, 0.2))
+    assert (name, family) == ("stribeck_shape", ("cogging",))
+
+
+def test_a_law_that_says_most_of_what_a_curve_does_comes_first():
+    """0.2 nats a row of a law: a curve with 0.25 waits, one with 0.5 does not, and one that is no better is no use."""
+    data, standing, _ = at_the_start()
+    laws = believed(data, standing, ("quadratic_drag", 3, 1, 0.2))
+    curves = [Contender(None, standing.unseen - loss) for loss in (0.25, 0.5, 0.19)]
+    folds = folds_used(data)
+    assert select._beyond_laws(standing, laws, curves, folds) == [curves[1]]
+    assert select._beyond_laws(standing, [], curves, folds) == curves
+    assert LAW_OF_CURVE * 0.25 < 0.2
+
+
 def test_what_unseen_rows_tell_apart_is_no_family(round_of):
     name, family, _ = round_of(("quadratic_drag", 3, 1, 0.3), ("cogging", 2, 2, 0.1))
     assert name == "quadratic_drag"
@@ -348,6 +367,48 @@ def test_what_serves_the_bulk_at_the_cost_of_outliers_takes_nothing_away():
     far = np.zeros(base.residual_nm.size)
     far[data.used[::50]] = 0.03
     assert share_gone(base, left(data, quiet, far)) == 0.0
+
+
+def test_what_gains_among_the_outliers_takes_away_what_the_loss_falls_by():
+    """Rare rows far out count straight, not square: taking them away at a small cost of the bulk is a gain."""
+    data, standing, _ = at_the_start()
+    far = np.zeros(standing.fitted.residual_nm.size)
+    far[data.used[::10]] = 0.02
+    before = left(data, standing.fitted, far)
+    after = left(data, standing.fitted, 0.2 * standing.fitted.residual_nm)
+    assert after.energy > before.energy - 9.0 * 0.1 * data.used.size
+    assert share_gone(before, after) == pytest.approx(1.0 - after.loss / before.loss)
+    assert share_gone(before, after) > 0.3
+
+
+# What is taken back
+
+
+@pytest.mark.parametrize(("share", "stands"), [(0.05, False), (0.2, True)])
+def test_a_curve_that_takes_little_beside_what_nothing_explains_is_refused(share, stands):
+    search = selector("torque_offset", ablate=frozenset())
+    selection = search.run(data_with("wave"))
+    assert names(selection)[0] == "unknown:motor_angle"
+    own = selection._replace(accepted=tuple(replace(one, share=share) for one in selection.accepted))
+    fewer = search.without_doubtful(own, 0.6)
+    assert (fewer is None) == stands
+    assert search.without_doubtful(own, 0.0) is None
+    if fewer is not None:
+        assert len(fewer.accepted) == len(selection.accepted) - 1
+        assert "little beside what nothing here explains" in next(
+            one.reason for one in fewer.refused if one.name.startswith("unknown:")
+        )
+
+
+def test_the_friction_of_the_whole_base_comes_back_where_unseen_rows_ask_for_it():
+    whole = data_with()
+    rigid = select.rigid_of(whole)
+    standing = stand(rigid, fit(rigid, rigid.start, ()))
+    freed, better = selector()._freed(whole, rigid, standing)
+    assert (rigid.free, freed.free) == (RIGID, BASE)
+    assert better.fitted.physical[NAMES.index("static_nm")] == pytest.approx(0.04, rel=0.1)
+    linear = FACTS.model_copy(update={"units": "linear"})
+    assert selector(facts=linear)._freed(whole, rigid, standing)[0] is rigid
 
 
 # Runs that contradict each other
