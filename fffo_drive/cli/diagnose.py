@@ -155,7 +155,8 @@ def _print(found: Diagnosis) -> None:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
         numbers = curve_words(finding, words) or ", ".join(
-            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") for n in finding.parameters
+            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") + (f" ({n.per_run})" if n.per_run else "")
+            for n in finding.parameters
         )
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability

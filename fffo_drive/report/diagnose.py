@@ -47,6 +47,12 @@ LISTING_WIDTH = 110
 DASH = Cell(text="–")
 NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
+GAINS = (
+    "Takes away: share of the squared residual of the fit runs that all other effects leave, outliers counted "
+    "straight. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
+    "turn), and on the held-out runs; 95 % intervals. The probability of a false alarm is over the whole search."
+)
+FORM = "What makes the friction another than that of one 2SEP surface. It is in the model, and no effect beside it."
 MODEL_ROWS = {
     "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
     "coulomb_nm": ("Fc, Coulomb level", "Nm"),
@@ -81,8 +87,8 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     accepted = [finding for finding in diagnosis.findings if finding.accepted]
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     effects, forms = ([f for f in accepted if f.is_form is form] for form in (False, True))
-    tables = [_found("found", "What the model lacks", effects)] if effects else []
-    tables += [_found("form", "The friction's own form", forms)] if forms else []
+    tables = [_found("found", "What the model lacks", GAINS, effects)] if effects else []
+    tables += [_found("form", "The friction's own form", FORM, forms)] if forms else []
     tables += [_before_after(diagnosis, accepted, words)]
     parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
@@ -209,7 +215,7 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-def _found(name: str, title: str, accepted: Sequence[Finding]) -> Table:
+def _found(name: str, title: str, note: str, accepted: Sequence[Finding]) -> Table:
     columns = [
         Column(label="takes away", unit="%"),
         Column(label="fitted runs", unit="nats", group="gain"),
@@ -236,11 +242,6 @@ def _found(name: str, title: str, accepted: Sequence[Finding]) -> Table:
         )
         for finding in accepted
     ]
-    note = (
-        "Takes away: share of the squared residual of the fit runs that all other effects leave. Gain: log-likelihood "
-        "given all others, on rows that the fit did not see (blocks of the fit runs in turn), and on the held-out "
-        "runs; 95 % intervals. The probability of a false alarm is over the whole search."
-    )
     return Table(name=name, title=title, note=note, corner="Effect", columns=columns, rows=rows)
 
 
