@@ -154,6 +154,8 @@ def assemble(
     data, base, fitted = selected.data, selected.base, selected.fitted
     proof = Proof(held_out, data.rows.filter, base, selected.ladder, fitted) if held_out else None
     worse = proof.worse() if proof is not None else ""
+    if worse:  # the base stays, and what it leaves is left
+        rest = rest_of(data, base, ceiling(data, base, base))
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]

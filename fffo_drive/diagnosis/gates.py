@@ -56,13 +56,25 @@ class Reference(NamedTuple):
 
 
 def needed_rows(data: Data, fitted: Fitted) -> Floats:
-    """Torque that the axis needs by a model: J a, friction, and effects that do not act on the command. (m,)"""
+    """Torque that the axis needs by a model: J a, friction, and effects that do not act on the command. (m,)
+
+    What acts on the command and is shown by the measured current is asked for as well: it is no axis that shrinks.
+    """
     models = models_along(data.stretches, fitted.physical)
     inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
     friction = np.concatenate([data.rows.laws.rows(model.friction_nm) for model in models])
-    load = [effect for effect in fitted.effects if law_of(effect.name).acts_on != "command"]
+    shown = _is_measured(data)
+    laws = {effect.name: law_of(effect.name) for effect in fitted.effects}
+    load = [
+        effect for effect in fitted.effects
+        if laws[effect.name].acts_on != "command" or (laws[effect.name].shown_by_current and shown)
+    ]  # fmt: skip
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     return np.asarray(inertia * data.rows.acceleration_rps2 + friction + torque_of(data, scenes, load))
+
+
+def _is_measured(data: Data) -> bool:
+    return all(stretch.measured_a is not None for stretch in data.stretches)
 
 
 def needed_rms_nm(data: Data, fitted: Fitted) -> float:
@@ -116,7 +128,7 @@ def _shape_objection(data: Data, effect: Effect) -> str:
     period_rev = values.get("period_rev", 0.0) or 1.0 / values.get("order", np.inf)
     if period_rev > data.rows.turns:
         return f"the data show less than one period ({period_rev:.3g} rev) of this {effect.name}"
-    measured = all(stretch.measured_a is not None for stretch in data.stretches)
+    measured = _is_measured(data)
     for parameter in law_of(effect.name).parameters:
         if parameter.plausible is None or parameter.name not in values:
             continue
@@ -138,7 +150,7 @@ def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:
     1 for what acts on the command, 0 or less for others. The delay of the measurement is free on both sides: a delay
     alone takes in much of a lag.
     """
-    if any(stretch.measured_a is None for stretch in data.stretches):
+    if not _is_measured(data):
         return None
     acts_s = float(fitted.physical[NAMES.index("delay_s")])
     kept = data.rows.kept

@@ -71,6 +71,15 @@ def test_a_strength_may_be_a_little_beyond_for_its_noise():
     assert judged(effect("current_lag", {"share": 1.2}, tau_s=0.002)) != ""
 
 
+def test_what_the_measured_current_shows_to_be_missing_is_still_needed():
+    """A dead zone of a third of the command is no axis that shrinks, where the current shows it."""
+    data, fitted, _ = axis(LAG_S)
+    unmeasured = data._replace(stretches=[stretch._replace(measured_a=None) for stretch in data.stretches])
+    zone = fitted._replace(effects=(*fitted.effects, effect("dead_zone", {"lost_nm": 0.02}, width_a=0.02 / KT)))
+    assert needed_rms_nm(unmeasured, zone) == pytest.approx(needed_rms_nm(data, fitted))
+    assert needed_rms_nm(data, zone) > 1.2 * needed_rms_nm(data, fitted)
+
+
 def test_a_lag_within_what_a_current_loop_can_be_is_not_refused_where_no_current_was_measured():
     assert judged(effect("current_lag", {"share": 1.0}, tau_s=0.002)) == ""
 

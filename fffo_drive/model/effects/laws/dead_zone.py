@@ -51,4 +51,5 @@ LAW = Law(
     picture="current",
     feedforward=_inverse,
     acts_on="command",
+    shown_by_current=True,
 )
