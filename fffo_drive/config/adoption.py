@@ -35,6 +35,7 @@ HISTORY_SUFFIX = ".adoptions.yaml"
 DISABLED = "drive disabled"
 SAME_AXIS = "same axis"
 HELD_OUT = "held-out error"
+STABILITY = "stability"  # name of a gate
 NOTHING_CARRIES_OVER = "nothing_carries_over"  # verdict of a diagnosis
 # factor by which a refit may move a parameter of the model in service; beyond it the runs are of another axis
 OTHER_AXIS = {"inertia_kg_m2": 2.0, "friction.coulomb_nm": 4.0}
@@ -160,7 +161,7 @@ def stability_gate(axis: AxisFile, model: ModelFile) -> Gate:
         f"slope over the angle {margin.slope_nm_per_rev:.3g} Nm/rev; with it {margin.condition_14_nm_per_rev:.3g} "
         f"Nm/rev left of (14), {margin.phase_deg:.1f} deg, gain margin {margin.gain:.2f}"
     )
-    return Gate("stability", not problems, "; ".join([text, *problems]))
+    return Gate(STABILITY, not problems, "; ".join([text, *problems]))
 
 
 def same_axis_gate(in_service: ModelFile, model: ModelFile) -> Gate:
