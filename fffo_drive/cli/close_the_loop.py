@@ -58,7 +58,7 @@ from .exits import EXIT_NOTHING_CARRIES_OVER, DriveFaultError
 from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1
-SECOND_SURFACE = "second_surface"  # what is left of the model's own surface follows over a shorter travel: a larger B
+SECOND_SURFACE = "second_surface"
 GAIN_ROOM = 1.02  # of what condition (14) asks for
 RECIPE = {"kind": "recipe", "repeats": 1}
 IDENTIFY = {"kind": "identify", "lowest_hz": 0.05}
@@ -123,18 +123,19 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, options: argparse.Names
     )
     say(f"diagnose ({before.rate_hz} Hz; {before.health.text})")
     model_path = out / "diagnosis" / "model.yaml"
-    as_given = circle.path.read_text(encoding="utf-8")
-    for without in ((), (SECOND_SURFACE,)):
-        if without:
-            say(f"its friction follows too fast for condition (14) at these gains: diagnose without {SECOND_SURFACE}")
-            circle.path.write_text(as_given, encoding="utf-8")
-        _diagnose(facts_path, [run.path for run in fit], [before.path], model_path.parent, options.json, without)
+
+    def adopt_without(*names: str) -> tuple[ModelFile | None, dict[str, Any] | None, bool, list[Gate]]:
+        _diagnose(facts_path, [run.path for run in fit], [before.path], model_path.parent, options.json, names)
         report = read_report(model_path, None)
         model = read_model(model_path) if model_path.exists() else None
-        adopted, found = _adopt(circle.path, model_path, model, report)
-        unstable = any(gate.name == STABILITY and not gate.passed for gate in found)
-        if model is None or not unstable or SECOND_SURFACE not in {effect.name for effect in model.effects}:
-            break
+        return model, report, *_adopt(circle.path, model_path, model, report)
+
+    as_given = circle.path.read_text(encoding="utf-8")
+    model, report, adopted, found = adopt_without()
+    if model is not None and _second_surface_is_unstable(model, found):
+        say("the loop is not stable with the friction of two surfaces: diagnose again with one")
+        circle.path.write_text(as_given, encoding="utf-8")
+        model, report, adopted, found = adopt_without(SECOND_SURFACE)
     after, trouble = None, ""
     if adopted:
         say("adopted; run again")
@@ -296,6 +297,12 @@ def _adopt(
         return False, found
     put_in_service(axis_path, model_path, found)
     return True, found
+
+
+def _second_surface_is_unstable(model: ModelFile, found: Sequence[Gate]) -> bool:
+    """Whether the stability gate refuses a model of two surfaces: its first has a large B, which asks for a large L."""
+    refused = any(gate.name == STABILITY and not gate.passed for gate in found)
+    return refused and any(effect.name == SECOND_SURFACE for effect in model.effects)
 
 
 def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | None:

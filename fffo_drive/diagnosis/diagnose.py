@@ -214,7 +214,7 @@ def verdict_of(
     """The verdict and its sentence; what is left is never silent."""
     left = f" Not explained: {rest.sentence}." if rest is not None else ""
     forms = ", ".join(f.name for f in accepted if f.is_form)
-    form = f" The friction is not of the form of one surface: {forms}." if forms else ""
+    form = f" The friction is not that of a single surface: {forms}." if forms else ""
     if worse:
         return "nothing_carries_over", f"Nothing that carries over was found: on the held-out runs {worse}.{left}"
     if remarks:

@@ -49,10 +49,10 @@ NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
 GAINS = (
     "Takes away: share of the squared residual of the fit runs that all other effects leave, outliers counted "
-    "straight. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
+    "linearly. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
     "turn), and on the held-out runs; 95 % intervals. The probability of a false alarm is over the whole search."
 )
-FORM = "What makes the friction another than that of one 2SEP surface. It is in the model, and no effect beside it."
+FORM = "How the friction differs from that of a single 2SEP surface. It is part of the model, and no effect beside it."
 MODEL_ROWS = {
     "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
     "coulomb_nm": ("Fc, Coulomb level", "Nm"),

@@ -42,7 +42,7 @@ def test_a_second_surface_is_the_form_of_the_friction_and_has_the_constants_it_w
     assert numbers["memory_rev"] == pytest.approx(MEMORY_REV, rel=0.25)
     assert numbers["level_nm"] + numbers["rise_nm"] == pytest.approx(RISE_NM, rel=0.15)
     assert found.verdict == "no_effect_found"
-    assert "not of the form of one surface: second_surface" in found.headline
+    assert "not that of a single surface: second_surface" in found.headline
     assert found.after.torque_rms_nm.value < NOISE_NM < found.before.torque_rms_nm.value
     assert [effect.name for effect in found.model_after.effects] == ["second_surface"]
     json.dumps(said, default=float)
