@@ -11,7 +11,7 @@ from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
 from .curves import Curve, coarse_tables, curves
 from .fitting import Data, Fitted, consistent_scenes
-from .propose import Evidence, beyond, evidence_of, score
+from .propose import Evidence, beside, evidence_of, score
 from .results import Channel
 
 Floats = npt.NDArray[np.float64]
@@ -43,6 +43,6 @@ def channels(
 
 def _explained(evidence: Evidence, data: Data, curve: Curve) -> tuple[float, float]:
     """Share of the squared residual, and its chance."""
-    white = data.white(curve.columns)
-    found = score(evidence, white) if curve.beside is None else beyond(evidence, white, data.white(curve.beside))
+    known = evidence if curve.beside is None else beside(evidence, data.white(curve.beside))
+    found = score(known, data.white(curve.columns))
     return found.explained / max(evidence.energy, 1e-300), found.p

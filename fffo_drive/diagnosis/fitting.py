@@ -297,6 +297,8 @@ def fit(
         accepted = None
         for _ in range(4):
             step = _solve(hessian, gradient, damping)
+            if 0.5 * float(gradient @ step) < CONVERGED * best.loss * best.white.size:
+                break
             physical = stepped(best.physical, step[:count], data.free) if free_base else best.physical
             moved_effects: Sequence[Effect] = best.effects
             for slot, size in zip(numbers, step[count:], strict=True):

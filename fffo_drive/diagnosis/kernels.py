@@ -37,6 +37,31 @@ def filter_rows(values: Floats, taps: Floats, step: int, output: Any) -> None:
 
 
 @njit
+def wave_rows(
+    position_rev: Floats, velocity_rps: Floats, factor: Floats, order: float, lag_rev: float, response: Floats,
+    points_per_hz: float, output: Any,
+) -> None:  # fmt: skip
+    """Cosine and sine of a wave of so many periods a turn, times `factor`, as a filter leaves them. `output` (m, 2).
+
+    `response` of the filter at frequencies `1 / points_per_hz` apart, linear between them. What follows its level over
+    a travel of `lag_rev` times |factor| arrives smaller and later.
+    """
+    last = response.size - 1
+    for k in range(position_rev.size):
+        place = abs(order * velocity_rps[k]) * points_per_hz
+        first = min(int(place), last - 1)
+        share = min(1.0, place - first)
+        late = 2.0 * np.pi * order * lag_rev * abs(factor[k])
+        height = (response[first] + share * (response[first + 1] - response[first])) * factor[k]
+        angle = 2.0 * np.pi * order * position_rev[k]
+        if late > 0.0:
+            height /= np.sqrt(1.0 + late * late)
+            angle -= np.arctan(late) * np.sign(velocity_rps[k])
+        output[k, 0] = height * np.cos(angle)
+        output[k, 1] = height * np.sin(angle)
+
+
+@njit
 def play_path(position_rev: Floats, half_width_rev: float, output: Any) -> None:
     """Position behind a play of +-`half_width_rev`: what noise does at rest is no motion. Shapes (n,)."""
     held = position_rev[0]

@@ -159,11 +159,11 @@ def quick_score(evidence: Evidence, white: Floats) -> Score:
     return scores(evidence, white, [white.shape[1]])[0]
 
 
-def beyond(evidence: Evidence, white: Floats, beside: Floats) -> Score:
-    """What white columns explain beyond others (q, j) that are fitted anyway."""
-    more = orthonormal(beside - evidence.basis @ (evidence.basis.T @ beside))
+def beside(evidence: Evidence, white: Floats) -> Evidence:
+    """The evidence once white columns (q, j) are fitted anyway."""
+    more = orthonormal(white - evidence.basis @ (evidence.basis.T @ white))
     left = evidence.residual - more @ (more.T @ evidence.residual)
-    return score(evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1)), white)
+    return evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1))
 
 
 class Search:
@@ -281,7 +281,7 @@ def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[Pair, float]:
     """The axes of a coarse table, and what it explains beyond its two curves."""
     assert curve.beside is not None
     assert curve.pair is not None
-    return curve.pair, beyond(evidence, data.white(curve.columns), data.white(curve.beside)).explained
+    return curve.pair, quick_score(beside(evidence, data.white(curve.beside)), data.white(curve.columns)).explained
 
 
 TABLES = 3  # pairs of axes that get a fine table

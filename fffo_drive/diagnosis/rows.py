@@ -76,7 +76,12 @@ class Filter(NamedTuple):
 
     def gain(self, frequency_hz: Floats) -> Floats:
         """What is left of a sine, by its frequency."""
-        return np.interp(np.abs(frequency_hz), np.linspace(0.0, 0.5 / self.period_s, RESPONSE_POINTS), self.response)
+        return np.interp(np.abs(frequency_hz) * self.points_per_hz, np.arange(self.response.size), self.response)
+
+    @property
+    def points_per_hz(self) -> float:
+        """Of `response`."""
+        return (self.response.size - 1) * 2.0 * self.period_s
 
 
 def _filter(taps: Floats, step: int, cutoff_hz: float, period_s: float, law_period_s: float) -> Filter:

@@ -20,7 +20,7 @@ from ..model.effects import slots
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import Along, axis_config
-from .kernels import contact_levels
+from .kernels import contact_levels, wave_rows
 from .rows import Rows, Stretch, second_difference
 
 Floats = npt.NDArray[np.float64]
@@ -204,14 +204,13 @@ def wave_columns(
     factors = {} if factors is None else factors
     if wave not in factors:
         factors[wave] = wave_factor(rows, scenes, wave)
-    height = rows.filter.gain(order * rows.velocity_rps) * factors[wave]
-    angle = 2.0 * np.pi * order * rows.position_rev
-    if wave == "friction":
-        lag_rev = np.abs(factors[wave]) / scenes[0].axis.friction.attraction_nm_per_rev
-        late = 2.0 * np.pi * order * lag_rev
-        height = height / np.sqrt(1.0 + late * late)
-        angle = angle - np.arctan(late) * np.sign(rows.velocity_rps)
-    return np.stack([height * np.cos(angle), height * np.sin(angle)], axis=1)
+    lag_rev = 1.0 / scenes[0].axis.friction.attraction_nm_per_rev if wave == "friction" else 0.0
+    found = np.empty((rows.time_s.size, 2))
+    wave_rows(
+        rows.position_rev, rows.velocity_rps, factors[wave], order, lag_rev, rows.filter.response,
+        rows.filter.points_per_hz, found,
+    )  # fmt: skip
+    return found
 
 
 def wave_factor(rows: Rows, scenes: Sequence[Scene], wave: str) -> Floats:

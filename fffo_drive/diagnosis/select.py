@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import Folds, Gain, clipped, gain, unseen_loss
+from ..identification.criterion import Folds, Gain, clipped, gain, huber, robust_residual, unseen_loss
 from ..identification.facts import DriveFacts
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
@@ -31,8 +31,10 @@ from .fitting import (
     evaluate,
     fit,
     jacobian,
+    on_command,
     share_gone,
     slots_of,
+    torque_of,
     unseen,
     with_levels,
 )
@@ -158,6 +160,7 @@ class Selector:
             if rung == WAVE_RUNG:
                 self.ladder = standing.fitted
                 self.reference = self.reference.and_then(Reference.of(data, standing.fitted, standing.matrix))
+        data, standing, accepted = self._pruned(data, standing, accepted, refit=True)
         plain = base_of(data)
         assert self.ladder is not None
         stands = {note.name for note in accepted}  # what stands beside an effect does not stand in its place
@@ -180,7 +183,7 @@ class Selector:
         effects = [e for k, e in enumerate(found.fitted.effects) if k != weakest]
         accepted = [note for note in found.accepted if note is not one]
         begin = fit(found.data, found.fitted.physical, effects, LADDER_ITERATIONS)
-        data, standing, accepted = self._pruned(*settled(found.data, begin), accepted)
+        data, standing, accepted = self._pruned(*settled(found.data, begin), accepted, refit=True)
         return found._replace(
             data=data, base=base_of(data), fitted=standing.fitted, matrix=standing.matrix, accepted=tuple(accepted),
             refused=tuple(self.refused.values()),
@@ -391,44 +394,52 @@ class Selector:
         return 0.0 if fall < least_nm**2 and "least_torque" not in self.ablate else share_gone(before, after)
 
     def _pruned(
-        self, data: Data, standing: Standing, accepted: list[Accepted]
+        self, data: Data, standing: Standing, accepted: list[Accepted], refit: bool = False
     ) -> tuple[Data, Standing, list[Accepted]]:
-        """Drop what explains too little now that the others are there, the weakest first; gains are those of today."""
+        """Drop what explains too little now that the others are there, the weakest first; gains are those of today.
+
+        Without `refit` only what is in doubt is judged by a refit of the others, all else by one step of them; but
+        what acts on the command has the residual in it, and a step does not show what it can take in.
+        """
+        refit = refit or any(on_command(effect) for effect in standing.fitted.effects)
         while accepted:
-            judged = [self._judged(data, standing, number, note) for number, note in enumerate(accepted)]
-            idle = [k for k, (note, _) in enumerate(judged) if self._is_idle(note)]
-            if len(accepted) == 1 and judged[0][0].share >= LEAST_SHARE:
+            judged = [self._judged(data, standing, number, note, refit) for number, note in enumerate(accepted)]
+            if len(accepted) == 1 and judged[0].share >= LEAST_SHARE:
                 # it was judged when it was accepted, at the noise of then: nothing has come since
-                return data, standing, [replace(judged[0][0], p=accepted[0].p or judged[0][0].p)]
-            if not idle or "drop" in self.ablate:
-                return data, standing, [note for note, _ in judged]
-            weakest = min(idle, key=lambda k: judged[k][0].gain.value)
+                return data, standing, [replace(judged[0], p=accepted[0].p or judged[0].p)]
+            weakest = None
+            for k in ranked(range(len(judged)), key=lambda k: judged[k].gain.value):
+                if self._is_idle(judged[k]) and "drop" not in self.ablate:
+                    judged[k] = self._judged(data, standing, k, accepted[k], True)
+                    if self._is_idle(judged[k]):
+                        weakest = k
+                        break
+            if weakest is None:
+                return data, standing, judged
             del accepted[weakest]
-            data, standing = renewed(data, judged[weakest][1].fitted)
+            left = [e for k, e in enumerate(standing.fitted.effects) if k != weakest]
+            data, standing = renewed(data, fit(data, standing.fitted.physical, left))
         return data, standing, accepted
 
     def _is_idle(self, note: Accepted) -> bool:
         return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
 
-    def _judged(self, data: Data, standing: Standing, number: int, note: Accepted) -> tuple[Accepted, Standing]:
-        """One effect given all others: its gain, share and chance; and what stands without it.
+    def _judged(self, data: Data, standing: Standing, number: int, note: Accepted, refit: bool) -> Accepted:
+        """One effect given all others: its gain, share and chance.
 
         What the first rungs have found is judged beside the laws: a free curve holds a constant too.
         """
         effects = standing.fitted.effects
-        own = effects[number]
-        without = stand(data, fit(data, standing.fitted.physical, [e for e in effects if e is not own]))
-        beside, alone = standing, without
-        laws = [e for e in effects if not e.name.startswith(UNKNOWN)]
-        if len(laws) < len(effects) and law_of(own.name).rung <= WAVE_RUNG:
-            beside = stand(data, fit(data, standing.fitted.physical, laws))
-            alone = stand(data, fit(data, standing.fitted.physical, [e for e in laws if e is not own]))
-            number = laws.index(own)
-        judged = replace(
+        aside = [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
+        if law_of(effects[number].name).rung > WAVE_RUNG:
+            aside = []
+        beside = without(data, standing, aside, refit)
+        alone = without(data, standing, [*aside, number], refit)
+        place = number - sum(k < number for k in aside)
+        return replace(
             note, gain=gain(alone.unseen, beside.unseen, folds_used(data)),
-            share=self._share(data, alone.fitted, beside.fitted), p=self._chance(data, beside, number, note),
+            share=self._share(data, alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
         )  # fmt: skip
-        return judged, without
 
     def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
         """Of one effect, given all the others that stand; as it was where they leave hardly anything of its columns."""
@@ -471,6 +482,26 @@ def stand(data: Data, fitted: Fitted) -> Standing:
     """A fit with its sensitivities and unseen losses."""
     matrix = jacobian(data, fitted)
     return Standing(fitted, matrix, unseen(data, fitted, matrix))
+
+
+def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool) -> Standing:
+    """What stands without some of the effects: all else refitted, or moved by one robust step of least squares."""
+    if not numbers:
+        return standing
+    fitted = standing.fitted
+    effects = [e for k, e in enumerate(fitted.effects) if k not in numbers]
+    if refit:
+        return stand(data, fit(data, fitted.physical, effects))
+    gone = [fitted.effects[k] for k in numbers]
+    load = torque_of(data, consistent_scenes(data, fitted.physical, fitted.effects), gone)
+    own = np.concatenate([np.r_[columns_of(data, standing, k)] for k in numbers])
+    others = np.delete(standing.matrix, own, axis=1)
+    target = fitted.white + data.white(load)
+    left = robust_residual(target, others)
+    residual_nm = fitted.residual_nm.copy()
+    residual_nm[data.used] = left / data.weight[data.used]
+    moved = Fitted(fitted.physical, tuple(effects), float(huber(left).mean()), residual_nm, left)
+    return Standing(moved, others, unseen_loss(target, others, folds_used(data)))
 
 
 def folds_used(data: Data) -> Folds:

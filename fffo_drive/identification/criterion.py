@@ -27,6 +27,7 @@ SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
 RIDGE = 1e-4  # of a column's squared norm: what the other folds hardly determine stays where all rows have it
 LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in so many
+ROBUST_STEPS = 4  # of reweighted least squares
 SMALLEST_P = 1e-12  # nothing is known of a tail beyond
 LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
 
@@ -117,6 +118,18 @@ def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | f
         if p.any():
             left[p] = target[p] - scaled[p] @ np.linalg.solve(whole - square, right - product)
     return huber(left)
+
+
+def robust_residual(target: Floats, columns: Floats) -> Floats:
+    """What `columns` (m, p) leave of `target` (m,), both white, by the loss of `huber`."""
+    left = target
+    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    for _ in range(ROBUST_STEPS):
+        weighted = scaled * np.minimum(1.0, HUBER / np.maximum(np.abs(left), HUBER))[:, None]
+        square = weighted.T @ scaled + RIDGE * np.eye(norms.size)
+        left = target - scaled @ np.linalg.solve(square, weighted.T @ target)
+    return left
 
 
 def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bool_] | None = None) -> Gain:

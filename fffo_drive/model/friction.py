@@ -29,6 +29,7 @@ OMEGA_LITERAL = 2  # sgn(w) |sgn(w) Fc - F|, the text of (2): unstable once sgn(
 
 # Below this share of Vs the Stribeck exponential is at its limit; a power of zero or an overflow is never computed.
 STRIBECK_FLOOR = 1e-9
+PRESLIDING_OVER = 40.0  # travel since the reversal, in 1/K: exp(-40) of Omega is below the last digit of F
 
 
 class FrictionConfig(NamedTuple):
@@ -96,9 +97,10 @@ def torque_after(
     travel_rev: float, distance_rev: float,
 ) -> float:  # fmt: skip
     """F+ of a surface over a distance, without observation: towards `steady_nm`, `travel_rev` after a reversal."""
-    decay = math.exp(-lag_per_rev * distance_rev)  # E
-    torque_nm = torque_nm * decay
-    torque_nm += steady_nm * -math.expm1(-lag_per_rev * distance_rev)
+    share = -math.expm1(-lag_per_rev * distance_rev)  # 1 - E
+    torque_nm = torque_nm + (steady_nm - torque_nm) * share
+    if stiffness_per_rev * travel_rev > PRESLIDING_OVER:
+        return torque_nm
     # (exp(-K d) - exp(-b d)) / (b - K), written so that b -> K has its limit and nothing overflows
     slower_per_rev = min(lag_per_rev, stiffness_per_rev)
     gap_per_rev = abs(lag_per_rev - stiffness_per_rev)
@@ -133,7 +135,8 @@ def friction_step(
         state.torque_nm, direction * steady_nm, lag_per_rev, omega_nm, config.stiffness_per_rev, travel_rev,
         distance_rev,
     )  # fmt: skip
-    torque_nm += observation_nm_per_s * period_s * _mean_decay(lag_per_rev * distance_rev)
+    if observation_nm_per_s != 0.0:
+        torque_nm += observation_nm_per_s * period_s * _mean_decay(lag_per_rev * distance_rev)
     return FrictionState(torque_nm, travel_rev + distance_rev, omega_nm, direction)
 
 

@@ -14,7 +14,7 @@ from fffo_drive.diagnosis.propose import (
     TABLES,
     WAVE_RUNG,
     Search,
-    beyond,
+    beside,
     evidence_of,
     machine_orders,
     orthonormal,
@@ -243,7 +243,7 @@ def test_a_table_counts_by_what_its_axes_do_not_say_one_by_one():
     second = np.sin(data.rows.time_s)
     evidence = evidence_of(data, left(data, base, 2e-3 * first + 2e-3 * second), matrix)
     table = data.white(np.stack([first, second, first * second], axis=1))
-    assert score(evidence, table).explained > 10.0 * beyond(evidence, table, table[:, :2]).explained
+    assert score(evidence, table).explained > 10.0 * score(beside(evidence, table[:, :2]), table).explained
 
 
 def test_gravity_is_none_of_a_linear_axis():

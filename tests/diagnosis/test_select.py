@@ -26,6 +26,7 @@ from fffo_drive.diagnosis.select import (
     settled,
     stand,
     starting_effect,
+    without,
 )
 from fffo_drive.identification.criterion import SMALLEST_P, Gain, gain
 
@@ -160,9 +161,10 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     note = Accepted("cogging", Gain(1.0, 0.1, np.zeros(1)), 0.5, 0.1, (), (), 1000)
     standing = stand(data, fitted)
     assert selector()._chance(data, standing, 0, note) == pytest.approx(1000 * SMALLEST_P)
-    judged, without = selector()._judged(data, standing, 0, note)
-    assert judged.p == pytest.approx(1000 * SMALLEST_P)
-    assert without.fitted.effects == ()
+    for refit in (False, True):
+        judged = selector()._judged(data, standing, 0, note, refit)
+        assert judged.p == pytest.approx(1000 * SMALLEST_P)
+    assert without(data, standing, [0], True).fitted.effects == ()
     assert selector()._is_idle(replace(judged, p=0.5))  # by now it may be chance
     (kept,) = selector()._pruned(data, standing, [note])[2]  # alone it was judged when it was accepted
     assert kept.p == note.p

@@ -52,7 +52,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_")),
     (object_map, ("FIELD_",)),
     (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS")),
-    (friction, ("OMEGA_", "STRIBECK_FLOOR")),
+    (friction, ("OMEGA_", "STRIBECK_FLOOR", "PRESLIDING_OVER")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
     (tick, ("FLAG_",)),

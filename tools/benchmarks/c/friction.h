@@ -49,16 +49,18 @@ static void friction_step(const struct friction_config *c, struct friction_state
     double distance_rev = speed_rps * period_s;
     double steady_nm = steady_friction_nm(c, speed_rps);
     double lag_per_rev = c->attraction_nm_per_rev / steady_nm;
-    double decay = exp(-lag_per_rev * distance_rev);
     double stiffness_per_rev = c->stiffness_per_rev;
 
-    double torque_nm = state->torque_nm * decay;
-    torque_nm += state->direction * steady_nm * -expm1(-lag_per_rev * distance_rev);
-    double slower_per_rev = smaller(lag_per_rev, stiffness_per_rev);
-    double gap_per_rev = fabs(lag_per_rev - stiffness_per_rev);
-    double overlap_rev = distance_rev * exp(-slower_per_rev * distance_rev) * mean_decay(gap_per_rev * distance_rev);
-    torque_nm += state->omega_nm * stiffness_per_rev * exp(-stiffness_per_rev * state->travel_rev) * overlap_rev;
-    torque_nm += observation_nm_per_s * period_s * mean_decay(lag_per_rev * distance_rev);
+    double torque_nm = state->torque_nm;
+    torque_nm += (state->direction * steady_nm - torque_nm) * -expm1(-lag_per_rev * distance_rev);
+    if (stiffness_per_rev * state->travel_rev <= PRESLIDING_OVER) {
+        double slower_per_rev = smaller(lag_per_rev, stiffness_per_rev);
+        double gap_per_rev = fabs(lag_per_rev - stiffness_per_rev);
+        double overlap_rev = distance_rev * exp(-slower_per_rev * distance_rev) * mean_decay(gap_per_rev * distance_rev);
+        torque_nm += state->omega_nm * stiffness_per_rev * exp(-stiffness_per_rev * state->travel_rev) * overlap_rev;
+    }
+    if (observation_nm_per_s != 0.0)
+        torque_nm += observation_nm_per_s * period_s * mean_decay(lag_per_rev * distance_rev);
     state->torque_nm = torque_nm;
     state->travel_rev += distance_rev;
 }
