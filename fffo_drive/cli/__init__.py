@@ -19,6 +19,7 @@ COMMANDS = {
     "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
     "evaluate": ("evaluate", "compare controllers over seeds, on recordings or on a bus"),
     "replay": ("replay", "put a recorded run through the law again, bit for bit"),
+    "import": ("import_logs", "take in logs of other programs: recognise their columns, write recordings"),
     "identify": ("identify", "fit a model to logs of an axis, with uncertainties and residuals"),
     "diagnose": ("diagnose", "find what the model of an axis lacks, name it, and show the error before and after"),
     "adopt": ("adopt", "put a diagnosed model in service on an axis, when all of its gates pass"),

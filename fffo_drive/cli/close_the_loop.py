@@ -27,7 +27,6 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from .. import formats
 from ..config.adoption import (
     STABILITY,
     Gate,
@@ -55,6 +54,7 @@ from .adopt import print_gates, refusal
 from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
 from .drives import Plan, make_plan
 from .exits import EXIT_NOTHING_CARRIES_OVER, DriveFaultError
+from .recorded_facts import facts_of_axis
 from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1
@@ -231,14 +231,7 @@ def _other_reference(plan: Plan) -> dict[str, Any]:
 
 def _write_facts(plan: Plan, out: Path, simulated: bool) -> Path:
     """What the axis file declares about the drive. The simulated drive's angle is the same in every run."""
-    section = plan.axis.drive
-    on_bus = isinstance(section, CanopenDriveSection)
-    facts: dict[str, Any] = {
-        "format": formats.FACTS.word,
-        "torque_constant_nm_per_a": plan.model.torque_constant_nm_per_a,
-        "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else 15,
-        "absolute_angle": simulated or not on_bus,
-    }
+    facts = facts_of_axis(plan.axis, plan.model, True if simulated else None)
     path = out / "facts.yaml"
     path.write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
     return path

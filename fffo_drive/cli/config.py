@@ -1,7 +1,7 @@
 """Check files and print what they may hold.
 
 fffo-drive config check AXIS...     every error at once; margins, the sum for the bus; two axes on one bus
-fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model, scenario
+fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model, scenario, facts
 fffo-drive config signals           the table of recorded signals
 fffo-drive config effects           the table of effects that the simulated drive can be given
 """
@@ -19,6 +19,7 @@ from ..config.checks import bus_sum, law_margins, shared_buses
 from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
+from ..identification.facts import DriveFacts
 from ..model.parameters import ModelFile
 from ..signals import SIGNALS
 from .drives import Plan, make_plan, open_drive
@@ -28,6 +29,7 @@ SCHEMAS: dict[str, Any] = {
     "simulated": SimulatedDriveRecord,
     "model": ModelFile,
     "scenario": ScenarioFile,
+    "facts": DriveFacts,
 }
 
 

@@ -29,7 +29,6 @@ import numpy as np
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.dataset import load_records
-from ..identification.facts import read_facts
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
 from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
@@ -38,6 +37,7 @@ from ..report.document import SourceFile, provenance, source_file
 from ..report.page import JSON_NAME, refuse_other_report
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
+from .recorded_facts import facts_for
 
 MODEL_NAME = "model.yaml"
 CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
@@ -50,7 +50,7 @@ CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its val
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("--drive", required=True, metavar="FILE", help="declared facts about the drive (YAML)")
+    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings carry them")
     parser.add_argument("--fit", required=True, nargs="+", metavar="RUN", help="runs on which effects are chosen")
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs for the proof alone")
     parser.add_argument("--model", metavar="MODEL", help="base model to start from (default: identified from the runs)")
@@ -68,7 +68,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from ..diagnosis.diagnose import DiagnosisSettings, diagnose  # compiles the library
 
-    facts = read_facts(options.drive)
+    facts = facts_for(options.drive, [*options.fit, *options.held_out])
     out = Path(options.out)
     _require(options, out)
     settings = DiagnosisSettings(without=frozenset(options.without))
@@ -84,7 +84,7 @@ def execute(options: argparse.Namespace) -> int:
         found = diagnose(fit, held_out, facts, model, settings, lambda share, text: bar(share) if bar else None)
     name = options.name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
-    files = _files([options.drive, *options.fit, *options.held_out, *([options.model] if options.model else [])])
+    files = _files([*filter(None, (options.drive, options.model)), *options.fit, *options.held_out])
     model_path = out / MODEL_NAME
     if found.model_after is not None:
         write_model(model_path, found.model_after.model_copy(update={"name": name}))

@@ -1,7 +1,8 @@
 """Fit a model to logs of one axis: parameters with honest uncertainties, residuals, frequency response.
 
 LOG is a recording (MCAP) or a table (CSV, TXT, TSV, plain or gzip, or MAT); several are fitted together. --drive is a
-YAML file of declared facts (torque constant, resolver, poles and slots, columns of foreign logs). A constant torque,
+YAML file of declared facts (torque constant, resolver, poles and slots, columns of foreign logs; `fffo-drive config
+schema facts`); recordings of ours and of `fffo-drive import` carry them. A constant torque,
 friction that differs by direction, gravity and waves of the angle are fitted beside the model where the logs show them.
 Writes DIR/model.yaml, which a controller can run, and the page DIR/report.html with DIR/report.json; --svg also draws
 every figure of the page.
@@ -16,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from ..identification.dataset import load_records
-from ..identification.facts import read_facts
 from ..identification.fit import FitSettings, fit_records
 from ..identification.residuals import run_residuals
 from ..identification.results import model_file, report
@@ -24,6 +24,7 @@ from ..model.parameters import write_model
 from ..report.identify import IdentifySource, identify_report
 from ..report.page import refuse_other_report, write_report
 from .progress import progress_bar
+from .recorded_facts import facts_for
 
 FIGURES = "figures"
 
@@ -31,7 +32,7 @@ FIGURES = "figures"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("logs", metavar="LOG", nargs="+", help="recordings or tables of one axis")
-    parser.add_argument("--drive", required=True, metavar="FILE", help="declared facts about the drive (YAML)")
+    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings carry them")
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="directory for model.yaml, report.html and report.json"
     )
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    facts = read_facts(options.drive)
+    facts = facts_for(options.drive, options.logs)
     out = Path(options.out)
     refuse_other_report(out, "identify")
     records = load_records(options.logs, facts)
@@ -59,7 +60,7 @@ def execute(options: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
         name = options.name or out.resolve().name
         write_model(out / "model.yaml", model_file(fit, records, name))
-        source = IdentifySource(name, facts, Path(options.drive), out / "model.yaml")
+        source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
         page = identify_report(source, fit, records, runs, result)
         paths = write_report(page, out)
     if options.svg:

@@ -107,7 +107,7 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     }
     warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
     fresh = None
-    if isinstance(log, Run):
+    if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
         warnings += [f"{path}: {filled}"] if filled else []
     return _record(path, columns, fresh, facts, warnings)

@@ -23,8 +23,8 @@ class ColumnFact(Record):
 
     column: Annotated[str, Field(description="its name in the file")]
     unit: Annotated[str | None, Field(description="its unit there; default: the signal's own")] = None
-    scale: float = 1.0
-    offset: float = 0.0
+    scale: Annotated[float, Field(description="times which it is the signal in `unit`")] = 1.0
+    offset: Annotated[float, Field(description="added after the scale")] = 0.0
 
 
 class DriveFacts(Record):
@@ -33,18 +33,24 @@ class DriveFacts(Record):
     format: Annotated[str, formats.FACTS.key] = formats.FACTS.word
 
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6, description="declared, never fitted")]
-    rated_current_a: Annotated[float | None, Field(gt=0, le=1e4)] = None
+    rated_current_a: Annotated[
+        float | None, Field(gt=0, le=1e4, description="what it cannot accelerate is refused as an inertia")
+    ] = None
     gear_ratio: Annotated[float | None, Field(gt=0, le=1e5, description="motor speed over output speed")] = None
-    resolver_bits: Annotated[int | None, Field(ge=8, le=32)] = None
-    position_lsb_rev: Annotated[float | None, Field(gt=0, description="instead of resolver_bits")] = None
+    resolver_bits: Annotated[
+        int | None, Field(ge=8, le=32, description="2^bits counts a turn; default: from the data")
+    ] = None
+    position_lsb_rev: Annotated[float | None, Field(gt=0, description="one count, in place of resolver_bits")] = None
     sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="needed where a log has no time")] = None
     pole_pairs: Annotated[Count | None, Field(description="electrical turns a revolution")] = None
-    slots: Count | None = None
+    slots: Annotated[Count | None, Field(description="of the stator: cogging has its multiples")] = None
     nominal_delay_s: Annotated[
         float | None, Field(ge=0, le=0.1, description="command to torque, as it should be; more is a finding")
     ] = None
     absolute_angle: Annotated[bool, Field(description="the angle's zero is the same in every run")] = False
-    units: Literal["rotary", "linear"] = "rotary"
+    units: Annotated[
+        Literal["rotary", "linear"], Field(description="linear: m, m/s, N and kg in place of rev, rps, Nm and kg m2")
+    ] = "rotary"
     columns: Annotated[
         dict[str, str | ColumnFact] | None, Field(description="signal: column of the file; default: by name")
     ] = None

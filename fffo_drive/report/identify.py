@@ -52,7 +52,7 @@ class IdentifySource(NamedTuple):
 
     name: str
     facts: DriveFacts
-    facts_file: Path
+    facts_file: Path | None  # None: the recordings carry them
     model_file: Path
 
 
@@ -396,7 +396,8 @@ def _provenance(source: IdentifySource, records: Sequence[Record], results: dict
     files = [
         SourceFile(name=record.path.name, bytes=record.path.stat().st_size, sha256=record.digest) for record in records
     ]
-    files += [source_file(path.name, path.read_bytes(), text=True) for path in (source.facts_file, source.model_file)]
+    given = [path for path in (source.facts_file, source.model_file) if path is not None]
+    files += [source_file(path.name, path.read_bytes(), text=True) for path in given]
     fit = results["fit"]
     facts = {
         "fit": f"{fit['residual']}: {fit['residuals']} residuals, rms {significant(fit['residual_rms_lsb'])} counts, "

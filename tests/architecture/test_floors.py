@@ -15,6 +15,7 @@ FLOORS = {
     "control": 1, "can": 1, "recording": 1,
     "drive": 2,
     "runtime": 3, "identification": 3,
+    "importing": 3.5,
     "evaluation": 4, "diagnosis": 4, "commissioning": 4, "system": 4,
     "config": 5, "report": 5,
     "daemon": 5.5, "live": 5.5,

@@ -1,0 +1,67 @@
+"""The facts of an axis: from a file, or from the recordings themselves, which carry them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .. import formats
+from ..config.axis import AxisFile, CanopenDriveSection
+from ..documents import DocumentError, check, parse
+from ..identification.dataset import RECORDINGS
+from ..identification.facts import DriveFacts, read_facts
+from ..importing.convert import FACTS_NAME
+from ..model.parameters import ModelFile
+from ..recording.reader import Run, read_run
+from .replay import recorded_files
+
+SIMULATED_RESOLVER_BITS = 15
+
+
+def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
+    """The facts in `file`, else those that all recordings carry.
+
+    Raises DocumentError for a log that carries none, and for recordings of different axes.
+    """
+    if file is not None:
+        return read_facts(file)
+    found: DriveFacts | None = None
+    for log in logs:
+        if not str(log).endswith(RECORDINGS):
+            raise DocumentError(
+                f"{log}: a table carries no facts about its drive: give them with --drive FILE, or take the log in "
+                "with `fffo-drive import`"
+            )
+        own = facts_in(read_run(log))
+        if found is not None and own != found:
+            raise DocumentError(f"{log}: its facts are not those of {logs[0]}: logs of one axis belong together")
+        found = own
+    assert found is not None
+    return found
+
+
+def facts_in(run: Run) -> DriveFacts:
+    """What a recording says of its drive: the facts of an import, or the axis file and the model of a run."""
+    attached = run.attachments.get(FACTS_NAME)
+    if attached is not None:
+        name = f"{run.path}, {FACTS_NAME}"
+        data, lines = parse(attached.data.decode("utf-8", "replace"), name)
+        return check(data, DriveFacts, name, lines)
+    try:
+        axis, model = recorded_files(run)
+    except DocumentError as error:
+        raise DocumentError(f"{run.path}: carries no facts about its drive: give them with --drive FILE") from error
+    return DriveFacts.model_validate(facts_of_axis(axis, model))
+
+
+def facts_of_axis(axis: AxisFile, model: ModelFile, absolute_angle: bool | None = None) -> dict[str, Any]:
+    """What an axis file declares about the drive. In process the angle is the same in every run."""
+    section = axis.drive
+    on_bus = isinstance(section, CanopenDriveSection)
+    return {
+        "format": formats.FACTS.word,
+        "torque_constant_nm_per_a": model.torque_constant_nm_per_a,
+        "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else SIMULATED_RESOLVER_BITS,
+        "absolute_angle": not on_bus if absolute_angle is None else absolute_angle,
+    }

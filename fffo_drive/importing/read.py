@@ -1,0 +1,59 @@
+"""A file of any kind as a source, by its first bytes and its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..recording.errors import RecordingError
+from .source import Source
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+PARQUET_MAGIC = b"PAR1"
+FEATHER_MAGIC = b"ARROW1"
+ZIP_MAGIC = b"PK\x03\x04"
+NPY_MAGIC = b"\x93NUMPY"
+MATLAB_MAGIC = b"MATLAB"
+OTHERS = {b"\x1f\x8b": "", b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a workbook of Excel (XLS)"}
+
+
+def read_source(path: Path | str) -> Source:
+    """Read one file. Raises RecordingError for what cannot be used, OSError for what cannot be opened."""
+    path = Path(path)
+    with path.open("rb") as file:
+        begin = file.read(16)
+    if not begin:
+        raise RecordingError(f"{path}: the file is empty")
+    try:
+        return _read(path, begin)
+    except ImportError as error:
+        raise RecordingError(
+            f"{path}: to read it, install what imports need: pip install 'fffo-drive[import]' ({error})"
+        ) from error
+    except MemoryError as error:
+        raise RecordingError(f"{path}: too large for the memory of this machine") from error
+
+
+def _read(path: Path, begin: bytes) -> Source:
+    from . import binary
+
+    suffix = path.suffix.lower()
+    if begin.startswith(MCAP_MAGIC):
+        from .foreign_mcap import read_foreign_mcap
+
+        return read_foreign_mcap(path)
+    if begin.startswith((MATLAB_MAGIC, binary.HDF5_MAGIC)) or suffix == ".mat":
+        return binary.read_mat(path)
+    if begin.startswith((PARQUET_MAGIC, FEATHER_MAGIC)) or suffix in (".parquet", ".pq", ".feather"):
+        return binary.read_parquet(path)
+    if begin.startswith(NPY_MAGIC) or suffix in (".npz", ".npy"):
+        return binary.read_npz(path)
+    if begin.startswith(ZIP_MAGIC):
+        raise RecordingError(f"{path}: a ZIP archive or a workbook of Excel: unpack it, or save the sheet as CSV")
+    for magic, kind in OTHERS.items():
+        if kind and begin.startswith(magic):
+            raise RecordingError(f"{path}: {kind}, no log")
+    if suffix == ".json" or begin.lstrip()[:1] in (b"{", b"["):
+        return binary.read_json(path)
+    from .text import read_text
+
+    return read_text(path)

@@ -1,0 +1,522 @@
+"""Which column is which signal, in which unit and with which sign: by names, units and what the data say of each other.
+
+Nothing is decided in silence: each guess has its evidence, and what neither names nor data decide is an assumption
+that says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ..recording.errors import RecordingError
+from .evidence import (
+    driven_by,
+    is_time,
+    relation,
+    smooth_derivative,
+    smoothed,
+    stored_without_sign,
+    unwrapped,
+    wrap_of,
+)
+from .names import ENABLE, INPUTS, POSITION, VELOCITY, Meaning, meaning_of
+from .source import Floats, Source
+from .units import COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE
+
+TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"
+COMMAND_A, CURRENT_A = "current_command_a", "current_a"
+SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
+PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
+LIKE = 0.9  # correlation of a velocity with the derivative of the position
+SAME = 0.999  # ... of a reference with what follows it
+EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
+SLOPE_TOLERANCE = 0.05
+COUNTS_TOLERANCE = 0.02
+SPEED_UNITS = {"rps": 1.0, "rpm": 60.0, "rad/s": 2.0 * math.pi, "deg/s": 360.0}  # of one turn a second
+ANGLE_UNITS = {"rev": 1.0, "rad": 2.0 * math.pi, "deg": 360.0}  # of one turn
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What the user says beforehand."""
+
+    rate_hz: float | None = None
+    counts_per_turn: float | None = None
+    linear: bool = False
+    roles: Mapping[str, str] = field(default_factory=dict)  # signal -> column, "" for none
+    units: Mapping[str, str] = field(default_factory=dict)  # column -> unit
+
+
+class Guess(NamedTuple):
+    """One column as a signal of ours: value = raw * factor, once wraps are undone."""
+
+    signal: str
+    column: str
+    unit: str  # "-": none that is known
+    factor: float
+    wrap: float | None
+    unsigned: float | None  # the range of a signed number that is stored without its sign
+    evidence: str
+    sure: bool  # False: an assumption
+
+
+class Recognition(NamedTuple):
+    """All guesses of one log."""
+
+    guesses: tuple[Guess, ...]
+    period_s: float | None  # where there is no time
+    linear: bool
+    torque_unit: str  # of the command: A, Nm, N, V, or the column's own
+    enable: str | None  # column that says when the axis is under torque
+    left: tuple[str, ...]  # columns that are not used
+    remarks: tuple[str, ...]
+
+    def of(self, signal: str) -> Guess | None:
+        """The guess for a signal."""
+        return next((guess for guess in self.guesses if guess.signal == signal), None)
+
+
+class _Column(NamedTuple):
+    name: str
+    values: Floats
+    unit: str | None
+    meaning: Meaning
+
+
+def recognise(source: Source, hints: Hints | None = None) -> Recognition:
+    """Guess all signals of a source. Raises RecordingError where no time, no motion or no input can be told."""
+    return _Recogniser(source, hints or Hints()).run()
+
+
+class _Recogniser:
+    def __init__(self, source: Source, hints: Hints) -> None:
+        self.source, self.hints = source, hints
+        self.guesses: dict[str, Guess] = {}
+        self.remarks: list[str] = []
+        unknown = [name for name in (*hints.roles.values(), *hints.units) if name and name not in source.columns]
+        if unknown:
+            raise RecordingError(
+                f"{source.path}: no column {unknown[0]!r}; there are "
+                + ", ".join(repr(name) for name in source.columns)
+            )
+        self.columns = {}
+        for name, values in source.columns.items():
+            unit = hints.units.get(name, source.units.get(name))
+            self.columns[name] = _Column(name, values, unit, meaning_of(name, unit))
+        self.linear = hints.linear or any(
+            c.unit and UNITS[c.unit].measures in (LENGTH, PACE, FORCE) for c in self.columns.values()
+        )
+
+    def run(self) -> Recognition:
+        period_s = self._time()
+        enable = next((c.name for c in self._free() if c.meaning.quantity == ENABLE and _is_flag(c.values)), None)
+        if enable:
+            self.columns.pop(enable)
+        for name in [c.name for c in self._free() if _nothing(c.values) and not c.meaning.asked]:
+            self.columns.pop(name)
+        position = self._pick(POSITION_REV, POSITION, asked=False)
+        velocity = self._pick(VELOCITY_RPS, VELOCITY, asked=False)
+        if position is None and velocity is None:
+            position, velocity = self._pair_by_data()
+        if position is None and velocity is None:
+            position = self._pick(POSITION_REV, POSITION, asked=True)
+        if position is None and velocity is None:
+            self._refuse("neither a position nor a velocity", "--position COLUMN or --velocity COLUMN")
+        self._motion_units(position, velocity)
+        self._references()
+        torque_unit = self._inputs()
+        used = {guess.column for guess in self.guesses.values()} | {enable}
+        left = tuple(name for name in self.source.columns if name not in used)
+        return Recognition(
+            tuple(self.guesses.values()), period_s, self.linear, torque_unit, enable, left, tuple(self.remarks)
+        )
+
+    # what all steps share
+
+    def _free(self) -> list[_Column]:
+        used = {guess.column for guess in self.guesses.values()}
+        return [c for c in self.columns.values() if c.name not in used]
+
+    def _refuse(self, what: str, how: str) -> None:
+        listed = ", ".join(repr(name) for name in self.source.columns)
+        raise RecordingError(f"{self.source.path}: {what} can be told among the columns {listed}: say it with {how}")
+
+    def _told(self, signal: str) -> _Column | None:
+        name = self.hints.roles.get(signal)
+        return self.columns.get(name) if name else None
+
+    def _pick(self, signal: str, quantity: str, asked: bool) -> _Column | None:
+        """The column of a quantity by name: measured before unsaid, the first of several."""
+        if signal in self.hints.roles:
+            return self._told(signal)
+        found = [
+            c for c in self._free()
+            if c.meaning.quantity == quantity and c.meaning.asked == asked and not c.meaning.aside
+        ]  # fmt: skip
+        found.sort(key=lambda c: not c.meaning.measured)
+        others = [c.name for c in found[1:]]
+        if others:
+            self.remarks.append(f"{found[0].name!r} is taken as {signal}; {', '.join(map(repr, others))} would do too")
+        return found[0] if found else None
+
+    # time
+
+    def _time(self) -> float | None:
+        if self.hints.rate_hz is not None:
+            return 1.0 / self.hints.rate_hz
+        columns = list(self.columns.values())
+        told = self._told(TIME_S)
+        named = [c for c in columns if c.meaning.quantity == TIME and _rises(c.values)]
+        first = columns[:1] if columns and columns[0].meaning.quantity is None and is_time(columns[0].values) else []
+        anywhere = [c for c in columns if c.meaning.quantity is None and is_time(c.values)]
+        found = next(iter([told] if told else [*named, *first, *anywhere]), None)
+        if found is None:
+            if self.source.period_s is not None:
+                self.remarks.append(f"no column of time: {1.0 / self.source.period_s:.6g} Hz, as the file declares")
+                return self.source.period_s
+            self._refuse("no time", "--time COLUMN or --rate HZ")
+        assert found is not None
+        step = float(np.median(np.abs(np.diff(found.values[np.isfinite(found.values)]))))
+        unit, sure = found.unit, True
+        evidence = f"unit {unit}, " if unit else ""
+        if unit is None or UNITS[unit].measures != TIME:
+            whole = bool(np.array_equal(found.values, np.round(found.values)))
+            order = ("ms", "us", "ns", "s") if whole else ("s", "ms", "us", "ns")
+            able = [u for u in order if PLAUSIBLE_HZ[0] <= 1.0 / max(step * UNITS[u].factor, 1e-300) <= PLAUSIBLE_HZ[1]]
+            unit = able[0] if able else "s"
+            sure = len(able) == 1 or (unit == "s" and not whole)
+            others = [f"in {u} it would be {1.0 / (step * UNITS[u].factor):.4g} Hz" for u in able[1:]]
+            evidence = "; ".join([f"in {unit} the rate is plausible", *others]) + "; "
+        factor = UNITS[unit].factor
+        wrap = wrap_of(found.values)
+        self.guesses[TIME_S] = Guess(
+            TIME_S, found.name, unit, factor, wrap, None,
+            f"{evidence}{1.0 / (step * factor):.6g} Hz" + (f", begins anew at {wrap:g}" if wrap else ""), sure,
+        )  # fmt: skip
+        return None
+
+    def _time_s(self) -> Floats:
+        """Stamps for derivatives: an even grid where they do not rise."""
+        guess = self.guesses.get(TIME_S)
+        rows = self.source.rows
+        if guess is None:
+            period_s = 1.0 / self.hints.rate_hz if self.hints.rate_hz else self.source.period_s or 1.0
+            return np.asarray(np.arange(rows) * period_s, dtype=np.float64)
+        raw = self.source.columns[guess.column]
+        time_s = (unwrapped(raw, guess.wrap) if guess.wrap else raw) * guess.factor
+        steps = np.diff(time_s)
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
+        time_s = _bridged(time_s)
+        return np.asarray(np.maximum.accumulate(time_s) + np.arange(rows) * usual * 1e-9)
+
+    # position and velocity
+
+    def _running(self, column: _Column) -> Floats:
+        """A position without wraps, missing samples bridged."""
+        wrap = wrap_of(column.values)
+        return _bridged(column.values if wrap is None else unwrapped(column.values, wrap))
+
+    def _pair_by_data(self) -> tuple[_Column | None, _Column | None]:
+        """Of columns without a name, the pair of which one is the derivative of the other."""
+        time_s = self._time_s()
+        free = [c for c in self._free() if c.meaning.quantity is None and not c.meaning.aside]
+        best: tuple[float, _Column, _Column] | None = None
+        for one in free:
+            rate, _ = smooth_derivative(self._running(one), time_s)
+            for other in free:
+                if other is not one:
+                    alike = abs(relation(smoothed(_bridged(other.values)), rate).correlation)
+                    if alike > LIKE and (best is None or alike > best[0]):
+                        best = (alike, one, other)
+        return (None, None) if best is None else best[1:]
+
+    def _motion_units(self, position: _Column | None, velocity: _Column | None) -> None:
+        """Units, wraps and signs of position and velocity, each from what is known of the other."""
+        slope = alike = None
+        if position is not None and velocity is not None:
+            rate, _ = smooth_derivative(self._running(position), self._time_s())
+            slope, alike = relation(smoothed(_bridged(velocity.values)), rate)
+            if abs(alike) < 0.5:
+                self.remarks.append(
+                    f"{velocity.name!r} is not the derivative of {position.name!r} (r = {alike:.2f}): it is left out"
+                )
+                velocity = slope = alike = None
+        if position is not None:
+            self._position(position, velocity, slope)
+        if velocity is not None:
+            self._velocity(velocity, position, slope, alike)
+
+    def _position(self, column: _Column, velocity: _Column | None, slope: float | None) -> None:
+        wrap = wrap_of(column.values)
+        unit, evidence, sure = column.unit, [], True
+        counts = self.hints.counts_per_turn
+        measures = UNITS[unit].measures if unit else None
+        if self.linear:
+            unit = unit if unit and measures == LENGTH else "m"
+            factor, sure = UNITS[unit].factor, measures == LENGTH
+            evidence.append(f"unit {unit}" if sure else "m, as nothing says otherwise")
+        elif measures == COUNT or (unit is None and counts is not None):
+            unit = "counts"
+            counts, text = self._counts(wrap, velocity, slope, counts)
+            factor, sure = 1.0 / counts, text != ""
+            evidence.append(text or "a turn at a wrap, as nothing says otherwise")
+        elif unit is not None and measures != SHARE:
+            factor = UNITS[unit].factor
+            evidence.append(f"unit {unit}")
+        else:
+            unit, text, sure = self._angle_unit(wrap, velocity, slope)
+            factor = UNITS[unit].factor
+            evidence.append(text)
+        if wrap is not None:
+            evidence.append(f"begins anew at {wrap:.6g}: undone")
+        self.guesses[POSITION_REV] = Guess(
+            POSITION_REV, column.name, unit, factor, wrap, None, ", ".join(evidence), sure
+        )
+
+    def _counts(
+        self, wrap: float | None, velocity: _Column | None, slope: float | None, told: float | None
+    ) -> tuple[float, str]:
+        """Counts of a turn: as told, by a velocity whose unit is known, or one wrap."""
+        if told is not None:
+            return told, f"{told:g} counts a turn, as given"
+        if velocity is not None and velocity.unit in SPEED_UNITS and slope:
+            found = SPEED_UNITS[velocity.unit] / abs(slope)
+            whole = _likely_counts(found)
+            return whole, f"{whole:g} counts a turn, by {velocity.name!r} in {velocity.unit}"
+        if wrap is not None:
+            return wrap, ""
+        raise RecordingError(
+            f"{self.source.path}: the position is in counts, and nothing says how many make a turn: --counts-per-turn N"
+        )
+
+    def _angle_unit(self, wrap: float | None, velocity: _Column | None, slope: float | None) -> tuple[str, str, bool]:
+        """The unit of an angle that the file does not say: by its wrap, by the velocity, or rad by assumption."""
+        for unit, turn in ANGLE_UNITS.items():
+            if wrap is not None and any(abs(wrap / (k * turn) - 1.0) < 1e-6 for k in (1, 2)):
+                return unit, f"{unit}, as it begins anew at {wrap:.6g}", True
+        if wrap is not None and wrap >= 256.0:
+            raise RecordingError(
+                f"{self.source.path}: the position looks like counts (it begins anew at {wrap:g}): "
+                "--counts-per-turn N, and --unit COLUMN=counts"
+            )
+        if velocity is not None and velocity.unit in SPEED_UNITS and slope:
+            turn = SPEED_UNITS[velocity.unit] / abs(slope)  # of the position's own unit
+            found = next((u for u, size in ANGLE_UNITS.items() if abs(turn / size - 1.0) < SLOPE_TOLERANCE), None)
+            if found is None:
+                raise RecordingError(
+                    f"{self.source.path}: a turn is {turn:.5g} of the position's unit by {velocity.name!r} in "
+                    f"{velocity.unit}: say --counts-per-turn {_likely_counts(turn):g}, or the unit of one of them"
+                )
+            return found, f"{found}, by {velocity.name!r} in {velocity.unit}", True
+        if slope:
+            pairs = [
+                (a, b) for a, turn in ANGLE_UNITS.items() for b, speed in SPEED_UNITS.items()
+                if abs(abs(slope) * turn / speed - 1.0) < SLOPE_TOLERANCE
+            ]  # fmt: skip
+            if len(pairs) == 1:
+                return pairs[0][0], f"{pairs[0][0]}, as the velocity is {slope:.4g} times its derivative", True
+            if (hint := self._full_turn()) and any(pair[0] == "rad" for pair in pairs):
+                return "rad", f"rad, as {hint}", True
+        return "rad", "rad, as nothing says otherwise", False
+
+    def _full_turn(self) -> str | None:
+        """A reference that stands at whole multiples of 2 pi: a speed in rad/s that somebody meant in turns."""
+        for c in self.columns.values():
+            if c.meaning.asked and c.meaning.quantity == VELOCITY:
+                level = float(np.nanmedian(np.abs(c.values)))
+                turns = level / (2.0 * math.pi)
+                if turns > 0.05 and abs(turns * 2.0 - round(turns * 2.0)) < 1e-4 and round(turns * 2.0) > 0:
+                    return f"{c.name!r} stands at {level:.6g}, {turns:.3g} times 2 pi"
+        return None
+
+    def _velocity(self, column: _Column, position: _Column | None, slope: float | None, alike: float | None) -> None:
+        unit, sure, evidence = column.unit, True, ""
+        own = POSITION_REV if position is not None else ""
+        if self.linear:
+            known = unit is not None and UNITS[unit].measures == PACE
+            unit = unit if known and unit else "m/s"
+            evidence, sure = f"unit {unit}", known or slope is not None
+        elif unit is not None and UNITS[unit].measures not in (COUNT, SHARE):
+            evidence = f"unit {unit}"
+        elif slope and own:
+            turns = abs(slope) / self.guesses[own].factor  # of its unit, at a turn a second
+            able = {u: size for u, size in SPEED_UNITS.items() if abs(turns / size - 1.0) < SLOPE_TOLERANCE}
+            unit = next(iter(able), "")
+            if not unit:
+                return self._odd_velocity(column, slope)
+            evidence, sure = f"{unit}, by the derivative of the position", self.guesses[own].sure
+        else:
+            unit, evidence, sure = "rad/s", "rad/s, as nothing says otherwise", False
+        factor = UNITS[unit].factor
+        if slope and own:
+            ratio = slope * factor / self.guesses[own].factor
+            if abs(abs(ratio) - 1.0) > 3.0 * SLOPE_TOLERANCE:
+                self.remarks.append(
+                    f"{column.name!r} in {unit} is {ratio:.4g} times the derivative of {self.guesses[own].column!r}: "
+                    "it is left out"
+                )
+                return None
+            evidence += f"; r = {alike:.3f} with the derivative of the position"
+            if slope < 0.0:
+                factor, evidence = -factor, evidence + ", with the sign turned"
+        self.guesses[VELOCITY_RPS] = Guess(VELOCITY_RPS, column.name, unit, factor, None, None, evidence, sure)
+        return None
+
+    def _odd_velocity(self, column: _Column, slope: float) -> None:
+        """A velocity in a unit of its own: scaled by the position."""
+        factor = self.guesses[POSITION_REV].factor / slope
+        self.guesses[VELOCITY_RPS] = Guess(
+            VELOCITY_RPS, column.name, "-", factor, None, None, "scaled by the derivative of the position", True
+        )
+
+    # references
+
+    def _references(self) -> None:
+        velocity = self.guesses.get(VELOCITY_RPS)
+        reference = self._pick(REFERENCE_RPS, VELOCITY, asked=True)
+        if reference is not None:
+            if reference.unit is not None and UNITS[reference.unit].measures not in (COUNT, SHARE):
+                factor, unit, sure = UNITS[reference.unit].factor, reference.unit, True
+            elif velocity is not None:
+                factor, unit, sure = velocity.factor, velocity.unit, velocity.sure
+            else:
+                position = self.guesses[POSITION_REV]
+                factor, unit, sure = position.factor, f"{position.unit}/s", position.sure
+            self.guesses[REFERENCE_RPS] = Guess(
+                REFERENCE_RPS, reference.name, unit, factor, None, None, "by its name", sure
+            )
+        followed = self.guesses.get(POSITION_REV)
+        if followed is None:
+            return
+        asked = self._pick(SETPOINT_REV, POSITION, asked=True) or self._follows(followed)
+        if asked is not None and asked.name != followed.column:
+            evidence = "by its name" if asked.meaning.asked else f"{followed.column!r} follows it"
+            self.guesses[SETPOINT_REV] = Guess(
+                SETPOINT_REV, asked.name, followed.unit, followed.factor, wrap_of(asked.values), None, evidence, True
+            )
+
+    def _follows(self, position: Guess) -> _Column | None:
+        """A column without a name that the position follows."""
+        own = self._running(self.columns[position.column])
+        for c in self._free():
+            if c.meaning.quantity is None and SETPOINT_REV not in self.hints.roles:
+                other = _bridged(c.values)
+                found = relation(other - other.mean(), own - own.mean())
+                if found.correlation > SAME and abs(found.slope - 1.0) < SLOPE_TOLERANCE:
+                    return c
+        return None
+
+    # what drives the axis
+
+    def _inputs(self) -> str:
+        velocity, acceleration = self._motion()
+        found: dict[str, _Column] = {}
+        for signal, asked in ((COMMAND_A, True), (CURRENT_A, False)):
+            for quantity in INPUTS:
+                if signal not in found and (column := self._pick(signal, quantity, asked)) is not None:
+                    found[signal] = column
+        measured = found.get(CURRENT_A)
+        if (
+            COMMAND_A not in found
+            and measured
+            and measured.meaning.quantity == VOLTAGE
+            and not measured.meaning.measured
+        ):
+            found = {COMMAND_A: measured}  # what an amplifier is given
+        kinds = {signal: _quantity(c) for signal, c in found.items()}
+        if len(set(kinds.values())) == 2:  # a current beside a torque: one unit for both
+            worse = max(found, key=lambda s: (INPUTS.index(kinds[s]), s == CURRENT_A))
+            self.remarks.append(f"{found[worse].name!r} is left out: the other input is a {kinds[COMMAND_A]}")
+            del found[worse]
+        if not found:
+            unnamed = [c for c in self._free() if c.meaning.quantity is None and not _is_flag(c.values)]
+            shares = {c.name: driven_by(c.values, velocity, acceleration).share for c in unnamed}
+            name = max(shares, key=lambda n: shares[n], default=None)
+            if name is None or shares[name] < EXPLAINED:
+                self._refuse("no current or torque", "--command COLUMN")
+            assert name is not None
+            found[COMMAND_A] = self.columns[name]
+        if COMMAND_A not in found:
+            self.remarks.append(f"no command: {found[CURRENT_A].name!r}, which is measured, stands in for it")
+        unit = self._input_unit(next(iter(found.values())))
+        for signal, column in found.items():
+            self.guesses[signal] = self._input(signal, column, velocity, acceleration)
+        return unit
+
+    def _motion(self) -> tuple[Floats, Floats]:
+        """Velocity and acceleration (n,) in our units."""
+        time_s = self._time_s()
+        guess = self.guesses.get(POSITION_REV)
+        if guess is not None:
+            return smooth_derivative(self._running(self.columns[guess.column]) * guess.factor, time_s)
+        own = self.guesses[VELOCITY_RPS]
+        velocity = _bridged(self.source.columns[own.column]) * own.factor
+        return velocity, smooth_derivative(velocity, time_s)[0]
+
+    def _input_unit(self, column: _Column) -> str:
+        if column.unit is None:
+            return {TORQUE: "N" if self.linear else "Nm", VOLTAGE: "V"}.get(column.meaning.quantity or "", "A")
+        measures = UNITS[column.unit].measures
+        return {TORQUE: "Nm", FORCE: "N", VOLTAGE: "V", SHARE: column.unit}.get(measures, "A")
+
+    def _input(self, signal: str, column: _Column, velocity: Floats, acceleration: Floats) -> Guess:
+        unit = column.unit
+        factor = UNITS[unit].factor if unit and UNITS[unit].measures != SHARE else 1.0
+        whole = stored_without_sign(column.values)
+        values = (
+            column.values
+            if whole is None
+            else np.where(column.values >= whole / 2, column.values - whole, column.values)
+        )
+        driven = driven_by(values, velocity, acceleration)
+        evidence = f"{100.0 * max(driven.share, 0.0):.0f} % of it is inertia and friction"
+        if unit is None:
+            evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
+        if whole is not None:
+            evidence += f"; stored without its sign (0 to {whole:g}): put back"
+        if driven.against and driven.share > EXPLAINED:
+            factor, evidence = -factor, evidence + "; it accelerates the other way: the sign is turned"
+        return Guess(signal, column.name, unit or "-", factor, None, whole, evidence, unit is not None)
+
+
+def _quantity(column: _Column) -> str:
+    return column.meaning.quantity or ""
+
+
+def _rises(values: Floats) -> bool:
+    steps = np.diff(values[np.isfinite(values)])
+    return bool((steps > 0.0).any()) and float(np.mean(steps >= 0.0)) > 0.9
+
+
+def _is_flag(values: Floats) -> bool:
+    return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
+
+
+def _nothing(values: Floats) -> bool:
+    """All missing, or one number throughout."""
+    given = values[np.isfinite(values)]
+    return given.size < 2 or float(np.ptp(given)) == 0.0
+
+
+def _bridged(values: Floats) -> Floats:
+    """Missing samples by straight lines, for derivatives."""
+    given = np.isfinite(values)
+    if given.all():
+        return values
+    places = np.arange(values.size)
+    return np.interp(places, places[given], values[given])
+
+
+def _likely_counts(found: float) -> float:
+    """Counts of a turn: a power of two or a round number nearby, else the next whole number."""
+    power = 2.0 ** round(math.log2(found)) if found > 1.0 else found
+    if abs(found / power - 1.0) < COUNTS_TOLERANCE:
+        return power
+    digits = 10.0 ** max(0, math.floor(math.log10(max(found, 1.0))) - 1)
+    rounded = round(found / digits) * digits
+    return rounded if abs(found / rounded - 1.0) < COUNTS_TOLERANCE else float(round(found))

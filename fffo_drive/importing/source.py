@@ -1,0 +1,71 @@
+"""A log as it lies in somebody else's file: columns by name, the units that the file gives, nothing converted yet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..recording.errors import RecordingError
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_ROWS = 2
+
+
+@dataclass(frozen=True)
+class Source:
+    """Columns (n,) float64, NaN where the file has nothing."""
+
+    path: Path
+    columns: dict[str, Floats]
+    units: dict[str, str] = field(default_factory=dict)  # as the file writes them
+    period_s: float | None = None  # where the file declares it
+    scalars: dict[str, float] = field(default_factory=dict)  # single numbers that came with the data
+    remarks: tuple[str, ...] = ()  # what was left out, and why
+
+    @property
+    def rows(self) -> int:
+        """Number of samples."""
+        return next(iter(self.columns.values())).size
+
+
+def source_of_arrays(
+    path: Path, arrays: Mapping[str, Any], remarks: tuple[str, ...] = (), period_s: float | None = None
+) -> Source:
+    """A source of named arrays: vectors, matrices (a column each), single numbers; text is left out and named.
+
+    Vectors of another length than most are left out and named. Raises RecordingError where no vector is left.
+    """
+    vectors: dict[str, Floats] = {}
+    scalars: dict[str, float] = {}
+    left: list[str] = []
+    for name, value in arrays.items():
+        array = np.asarray(value)
+        if array.dtype.kind == "M":  # a date: seconds since the first
+            array = (array - array.min()) / np.timedelta64(1, "s")
+        elif array.dtype.kind == "m":
+            array = array / np.timedelta64(1, "s")
+        if array.dtype.kind not in "biuf":
+            left.append(f"{name!r} holds no numbers")
+        elif array.size == 1:
+            scalars[name] = float(array.reshape(()))
+        elif array.ndim == 2 and min(array.shape) > 1:
+            array = array if array.shape[0] >= array.shape[1] else array.T
+            vectors |= {f"{name}_{k + 1}": column.astype(np.float64) for k, column in enumerate(array.T)}
+        elif max(array.shape, default=0) == array.size:
+            vectors[name] = array.ravel().astype(np.float64)
+        else:
+            left.append(f"{name!r} has shape {array.shape}")
+    sizes = [column.size for column in vectors.values() if column.size >= LEAST_ROWS]
+    if not sizes:
+        raise RecordingError(f"{path}: no column of numbers in it" + (": " + "; ".join(left) if left else ""))
+    usual = max(set(sizes), key=lambda size: (sizes.count(size), size))
+    left += [f"{name!r} has {v.size} samples, the others {usual}" for name, v in vectors.items() if v.size != usual]
+    kept = {name: np.ascontiguousarray(column) for name, column in vectors.items() if column.size == usual}
+    told = (*remarks, *(f"left out: {text}" for text in left))
+    return Source(path, kept, period_s=period_s, scalars=scalars, remarks=told)

@@ -1,0 +1,350 @@
+"""Text of numbers: any delimiter, decimal comma, metadata and unit lines, with or without names; TwinCAT Scope too.
+
+The layout is told from the lines themselves: of all pairs of delimiter and decimal sign the one that reads the most
+numbers. pyarrow's parser does the work.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import itertools
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..recording.errors import RecordingError
+from ..recording.unpack import Allowance, inflated
+from .source import Floats, Source
+from .units import split_name, time_scale, unit_of
+
+GZIP = b"\x1f\x8b"
+GZIP_WINDOW_BITS = 31
+SAMPLE_LINES = 400  # that the layout is told from
+DELIMITERS = ("\t", ";", ",", "|", " ")  # " ": any run of blanks
+MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"}
+WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0}
+MOST_UNREADABLE = 0.05  # of the rows or of a column's cells, that may be missing as unreadable
+COMMENTS = "#%"
+TICKS_PER_MS = 10_000  # of a Windows FILETIME
+FILETIMES = 1e15  # no count of milliseconds is so large
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
+_PERIOD = re.compile(
+    r"(?:sampl\w*[ _-]*(?:period|time|interval)|cycle[ _-]*time|\bts)\W+?(?P<value>\d+(?:[.,]\d+)?)\W*"
+    r"(?P<unit>[mµuμn]?s)\b",
+    re.IGNORECASE,
+)
+_RATE = re.compile(
+    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|\bfs)\W+?(?P<value>\d+(?:[.,]\d+)?)\W*(?P<unit>k?hz)\b", re.IGNORECASE
+)
+
+
+class Layout(NamedTuple):
+    """How a text is laid out."""
+
+    delimiter: str
+    decimal: str
+    cells: int
+    first: int  # line (from 0) where the numbers begin
+
+
+def read_text(path: Path) -> Source:
+    """Read a file of text. Raises RecordingError naming line and column."""
+    text = _text_of(path)
+    lines = text.split("\n", SAMPLE_LINES * 4)[: SAMPLE_LINES * 4]
+    layout = _layout(lines, path)
+    head = [line.rstrip("\r") for line in lines[: layout.first]]
+    scope = _scope_channels(head, layout)
+    names, units = scope or _names(head, layout)
+    body = text
+    for _ in range(layout.first):
+        body = body[body.index("\n") + 1 :]
+    columns, remarks = _numbers(path, body, layout, names)
+    if scope:
+        columns, more = _on_one_time(columns, names)
+        units["time"] = "ms"
+        remarks += more
+    declared = None if scope else _declared_period_s(head)
+    return Source(path, columns, units, declared, remarks=tuple(remarks))
+
+
+def _text_of(path: Path) -> str:
+    data = path.read_bytes()
+    if data.startswith(GZIP):
+        try:
+            data = inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
+        except (EOFError, zlib.error) as error:
+            raise RecordingError(f"{path}: the compressed file is not whole") from error
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = data.decode("utf-16", "replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("latin-1")
+    if "\0" in text[:4096]:
+        raise RecordingError(f"{path}: not a text of numbers, and of no other kind that can be read")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if '"' in line:
+        parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    else:
+        parts = line.split() if delimiter == " " else line.split(delimiter)
+    return [part.strip() for part in parts]
+
+
+def _value(cell: str, decimal: str) -> float | None:
+    """A cell as a number, NaN where nothing is in it; None where it is something else."""
+    word = cell.lower()
+    if word in MISSING:
+        return float("nan")
+    if word in WORDS:
+        return WORDS[word]
+    plain = cell.replace(decimal, ".") if decimal != "." else cell
+    if _NUMBER.fullmatch(plain):
+        return float(plain.lower().replace("d", "e"))
+    return _seconds(plain)
+
+
+def _seconds(text: str) -> float | None:
+    """A time of day, or a date, in seconds."""
+    clock = _CLOCK.fullmatch(text)
+    if clock:
+        return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3])
+    if len(text) >= len("2020-01-01") and text[:4].isdigit():
+        try:
+            stamp = datetime.datetime.fromisoformat(text.replace("/", "-"))
+        except ValueError:
+            return None
+        return stamp.replace(tzinfo=stamp.tzinfo or datetime.UTC).timestamp()
+    return None
+
+
+def _layout(lines: Sequence[str], path: Path) -> Layout:
+    """Of all pairs of delimiter and decimal sign, the one that reads the most numbers in lines of one length."""
+    best: tuple[int, Layout] | None = None
+    for decimal in (".", ","):
+        for delimiter in DELIMITERS:
+            if delimiter == decimal:
+                continue
+            found = _read_as(lines, delimiter, decimal)
+            if found is not None and (best is None or found[0] > best[0]):
+                best = found
+    if best is None:
+        raise RecordingError(f"{path}: no lines of numbers in it")
+    return best[1]
+
+
+def _read_as(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, Layout] | None:
+    """How many numbers lines hold that have the usual number of cells, and the layout."""
+    numbers: list[int] = []
+    sizes: list[int] = []
+    for line in lines:
+        cells = _cells(line, delimiter) if line.strip() else []
+        values = [_value(cell, decimal) for cell in cells]
+        whole = bool(cells) and all(v is not None for v in values) and any(v == v for v in values)
+        numbers.append(sum(v == v for v in values) if whole else 0)
+        sizes.append(len(cells) if whole else 0)
+    counted = [size for size in sizes if size]
+    if not counted:
+        return None
+    usual = max(set(counted), key=counted.count)
+    own = [k for k, size in enumerate(sizes) if size == usual]
+    # a line of metadata may hold numbers alone: the table begins where two such lines follow one another
+    first = next((k for k, after in itertools.pairwise(own) if not any(lines[k + 1 : after])), own[0])
+    return sum(numbers[k] for k in own if k >= first), Layout(delimiter, decimal, usual, first)
+
+
+def _names(head: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str]]:
+    """Names of the columns and units by name, from the last lines above the numbers."""
+    rows: list[list[str]] = []
+    for line in reversed(head):
+        plain = line.strip().lstrip(COMMENTS).strip() if line.strip()[:1] in tuple(COMMENTS) else line
+        if not plain.strip():
+            continue
+        cells = _cells(plain, layout.delimiter)
+        if len(cells) != layout.cells or len(rows) == 2:
+            break
+        rows.append(cells)
+    units: list[str | None] = [None] * layout.cells
+    written = rows[0] if rows else [""] * layout.cells
+    if rows and _are_units(rows[0]):
+        units = [unit_of(cell) for cell in rows[0]]
+        written = rows[1] if len(rows) > 1 else [""] * layout.cells
+    names: list[str] = []
+    for k, cell in enumerate(written):
+        name, unit = split_name(cell)
+        units[k] = units[k] or unit
+        if not name:
+            name = "time" if units[k] is not None and time_scale(units[k]) is not None else f"column {k + 1}"
+        count = sum(other == name or other.startswith(f"{name} (") for other in names)
+        names.append(name if not count else f"{name} ({count + 1})")
+    return names, {name: unit for name, unit in zip(names, units, strict=True) if unit}
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Whether a line holds units: each cell is one, or empty, and half of them are."""
+    known = [unit_of(cell) is not None for cell in cells]
+    return 2 * sum(known) >= len(cells) and all(
+        one or cell in ("", "-", "[]", "()") for one, cell in zip(known, cells, strict=True)
+    )
+
+
+def _declared_period_s(head: Sequence[str]) -> float | None:
+    for line in head:
+        plain = line.replace(";", " ").replace("\t", " ")
+        if found := _PERIOD.search(plain):
+            return float(found["value"].replace(",", ".")) * (time_scale(found["unit"]) or 1.0)
+        if found := _RATE.search(plain):
+            return 1.0 / (float(found["value"].replace(",", ".")) * (1e3 if found["unit"].lower() == "khz" else 1.0))
+    return None
+
+
+def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tuple[dict[str, Floats], list[str]]:
+    """All columns below the head, and what was left out."""
+    import pyarrow
+    from pyarrow import csv as parser
+
+    if layout.delimiter == " ":
+        body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+    labels = [f"c{k}" for k in range(layout.cells)]
+    short = 0
+
+    def skipped(row: Any) -> str:
+        nonlocal short
+        short += 1
+        return "skip"
+
+    try:
+        table = parser.read_csv(
+            io.BytesIO(body.encode()),
+            read_options=parser.ReadOptions(column_names=labels, use_threads=False),
+            parse_options=parser.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=skipped),
+            convert_options=parser.ConvertOptions(
+                column_types=dict.fromkeys(labels, pyarrow.string()), strings_can_be_null=False
+            ),
+        )
+    except pyarrow.ArrowInvalid as error:
+        raise RecordingError(f"{path}: {error}") from error
+    rows = table.num_rows
+    if rows < 2 or short > max(2.0, MOST_UNREADABLE * rows):
+        raise RecordingError(
+            f"{path}, line {_first_short(body, layout) + 1}: {short} of {rows + short} lines do not have "
+            f"{layout.cells} cells"
+        )
+    remarks = (
+        [f"{short} lines without {layout.cells} cells are left out, the first is line {_first_short(body, layout) + 1}"]
+        if short
+        else []
+    )
+    found: dict[str, Floats] = {}
+    for name, label in zip(names, labels, strict=True):
+        values, unreadable = _column(table.column(label).combine_chunks(), layout.decimal)
+        if unreadable.size:
+            place = f"line {_line_of(body, layout, int(unreadable[0])) + 1}, column {name!r}"
+            cell = table.column(label)[int(unreadable[0])].as_py()
+            if unreadable.size > MOST_UNREADABLE * rows:
+                if unreadable.size == rows:
+                    remarks.append(f"left out: column {name!r} holds text")
+                    continue
+                raise RecordingError(
+                    f"{path}, {place}: {cell!r} is not a number, and {unreadable.size - 1} more like it"
+                )
+            remarks.append(
+                f"{unreadable.size} cells are no numbers and count as missing, the first is {cell!r} in {place}"
+            )
+        if np.isnan(values).all():
+            continue
+        found[name] = values
+    if not found:
+        raise RecordingError(f"{path}: no column of numbers in it")
+    return found, remarks
+
+
+def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Numbers (n,) of cells of text, and the rows that hold something else."""
+    import pyarrow
+    from pyarrow import compute
+
+    plain = compute.utf8_trim_whitespace(cells)
+    if decimal != ".":
+        plain = compute.replace_substring(plain, decimal, ".")
+    try:
+        # what most logs hold; pyarrow refuses the whole column for one cell that is something else
+        return np.asarray(compute.cast(plain, pyarrow.float64()).to_numpy(zero_copy_only=False)), np.zeros(0, np.int64)
+    except pyarrow.ArrowInvalid:
+        pass
+    simple = compute.match_substring_regex(plain, r"^-?[0-9]*\.?[0-9]+([eE][-+]?[0-9]+)?$")
+    values = compute.cast(compute.if_else(simple, plain, pyarrow.scalar(None, pyarrow.string())), pyarrow.float64())
+    found = np.array(values.to_numpy(zero_copy_only=False), dtype=np.float64)
+    wrong = []
+    for row in np.flatnonzero(~np.asarray(simple.to_numpy(zero_copy_only=False), dtype=bool)):
+        value = _value(plain[int(row)].as_py(), ".")
+        if value is None:
+            wrong.append(int(row))
+        found[row] = np.nan if value is None else value
+    return found, np.array(wrong, dtype=np.int64)
+
+
+def _body_lines(body: str, layout: Layout) -> Iterator[tuple[int, int]]:
+    """Line number (from 0) and number of cells of each line of the body that is not empty."""
+    for number, line in enumerate(body.split("\n")):
+        if line.strip():
+            yield layout.first + number, len(_cells(line, layout.delimiter))
+
+
+def _first_short(body: str, layout: Layout) -> int:
+    return next((number for number, cells in _body_lines(body, layout) if cells != layout.cells), layout.first)
+
+
+def _line_of(body: str, layout: Layout, row: int) -> int:
+    whole = (number for number, cells in _body_lines(body, layout) if cells == layout.cells)
+    return next((number for k, number in enumerate(whole) if k == row), layout.first)
+
+
+# TwinCAT Scope: a block of channel headers, each a pair of columns, then time and value of each channel
+
+
+def _scope_channels(head: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str]] | None:
+    """Names of time and value of each channel, where the file is an export of TwinCAT Scope."""
+    rows = [_cells(line, layout.delimiter) for line in head]
+    sampled = [cells for cells in rows if cells and cells[0].startswith("SampleTime")]
+    named = [cells for cells in rows if cells and cells[0] == "Name" and len(cells) >= 2]
+    if not sampled or not named:
+        return None
+    channels = [cell for cell in named[-1][1::2] if cell]
+    if 2 * len(channels) != layout.cells:
+        return None
+    unit_row = next((cells for cells in rows if cells and cells[0] == "Unit"), [])
+    units = dict(zip(channels, unit_row[1::2], strict=False))
+    names = [name for channel in channels for name in (f"time of {channel}", channel)]
+    return names, {channel: found for channel, unit in units.items() if (found := unit_of(unit))}
+
+
+def _on_one_time(columns: dict[str, Floats], names: Sequence[str]) -> tuple[dict[str, Floats], list[str]]:
+    """All channels on the time of the one with the most samples; milliseconds, or FILETIME."""
+    channels = [name for name in names[1::2] if name in columns]
+    stamps = {channel: columns[f"time of {channel}"] for channel in channels}
+    fullest = max(channels, key=lambda channel: int(np.isfinite(stamps[channel]).sum()))
+    used = np.isfinite(stamps[fullest])
+    time = stamps[fullest][used]
+    found, remarks = {}, []
+    for channel in channels:
+        own = np.isfinite(stamps[channel]) & np.isfinite(columns[channel])
+        if np.array_equal(stamps[channel][used], time):
+            found[channel] = columns[channel][used]
+        else:
+            found[channel] = np.interp(time, stamps[channel][own], columns[channel][own])
+            remarks.append(f"{channel!r} has a time of its own: interpolated to that of {fullest!r}")
+    milliseconds = (time - time[0]) / TICKS_PER_MS if time[0] > FILETIMES else time
+    return {"time": milliseconds, **found}, remarks

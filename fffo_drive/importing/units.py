@@ -1,0 +1,118 @@
+"""Units as logs write them: spellings, what they measure, and the factor to our own."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+from ..units import S_PER_MIN, TWO_PI
+
+TIME, ANGLE, SPEED, CURRENT, TORQUE, VOLTAGE, LENGTH, PACE, FORCE, SHARE, COUNT = (
+    "time", "angle", "speed", "current", "torque", "voltage", "length", "linear speed", "force", "share", "count"
+)  # fmt: skip
+
+
+class Unit(NamedTuple):
+    """A unit: what it measures, and how many of ours (s, rev, rps, A, Nm, V, m, m/s, N, 1) it is."""
+
+    measures: str
+    factor: float
+
+
+_DEG = 1.0 / 360.0
+UNITS = {
+    "s": Unit(TIME, 1.0), "ms": Unit(TIME, 1e-3), "us": Unit(TIME, 1e-6), "ns": Unit(TIME, 1e-9),
+    "min": Unit(TIME, S_PER_MIN),
+    "rev": Unit(ANGLE, 1.0), "rad": Unit(ANGLE, 1.0 / TWO_PI), "deg": Unit(ANGLE, _DEG),
+    "mrad": Unit(ANGLE, 1e-3 / TWO_PI),
+    "rps": Unit(SPEED, 1.0), "rpm": Unit(SPEED, 1.0 / S_PER_MIN), "rad/s": Unit(SPEED, 1.0 / TWO_PI),
+    "deg/s": Unit(SPEED, _DEG),
+    "A": Unit(CURRENT, 1.0), "mA": Unit(CURRENT, 1e-3),
+    "Nm": Unit(TORQUE, 1.0), "mNm": Unit(TORQUE, 1e-3), "kNm": Unit(TORQUE, 1e3),
+    "V": Unit(VOLTAGE, 1.0), "mV": Unit(VOLTAGE, 1e-3),
+    "m": Unit(LENGTH, 1.0), "mm": Unit(LENGTH, 1e-3), "um": Unit(LENGTH, 1e-6),
+    "m/s": Unit(PACE, 1.0), "mm/s": Unit(PACE, 1e-3), "mm/min": Unit(PACE, 1e-3 / S_PER_MIN),
+    "N": Unit(FORCE, 1.0), "kN": Unit(FORCE, 1e3),
+    "%": Unit(SHARE, 1e-2), "permille": Unit(SHARE, 1e-3),
+    "counts": Unit(COUNT, 1.0),
+}  # fmt: skip
+_SPELLINGS = {
+    "s": "sec secs second seconds sek sekunden",
+    "ms": "msec milliseconds millisecond millis",
+    "us": "usec microseconds microsecond micros µs μs",
+    "ns": "nsec nanoseconds nanosecond nanos",
+    "min": "minutes minute",
+    "rev": "revs turn turns revolution revolutions umdr u r",
+    "rad": "radian radians rads",
+    "deg": "degree degrees grad °",
+    "rps": "rev/s turns/s turn/s r/s u/s 1/s s-1 revs/s rev/sec",
+    "rpm": "1/min min-1 u/min rev/min r/min umdr/min u/min- rpm. min^-1",
+    "rad/s": "rad/sec rads rad.s-1 rad*s-1 rad/s^1 rad_s radps rad/second",
+    "deg/s": "°/s deg/sec grad/s degps deg_s degrees/s",
+    "A": "amp amps ampere amperes arms a_rms apk",
+    "mA": "milliamp milliampere ma_rms",
+    "Nm": "n*m n.m n·m newtonmeter newtonmetre n-m",
+    "mNm": "mn*m mn.m mn·m",
+    "V": "volt volts",
+    "m": "meter metre meters metres",
+    "um": "µm μm micron",
+    "m/s": "m/sec mps",
+    "mm/s": "mm/sec",
+    "%": "percent pct prozent %rated",
+    "permille": "‰ 0.1% promille per_mille 1/1000",
+    "counts": "count cnt cnts inc incs increments ticks tick qc pulses pulse digits lsb",
+}
+# spelled alike but for their case: torque and milli, not mega
+_EXACT = {"mNm": "mNm", "mA": "mA", "mV": "mV", "MS": "ms", "S": "s", "kNm": "kNm"}
+_ALIASES = {
+    **{name.lower(): name for name in UNITS},
+    **{word: name for name, words in _SPELLINGS.items() for word in words.split()},
+}
+_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
+_SLASHED = re.compile(r"^(?P<name>[^/]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
+_SUFFIX = re.compile(r"^(?P<name>.*[a-zA-Z0-9])_(?P<unit>rad_s|deg_s|rad_per_s|deg_per_s|[a-zA-Z]+)$")
+# a suffix like _a or _m may be an index as well: these may not
+_SAFE_SUFFIXES = {
+    "s", "ms", "us", "ns", "sec", "rev", "rad", "deg", "rps", "rpm", "rad_s", "deg_s", "ma", "nm", "mnm", "amps",
+    "counts", "inc", "ticks", "mm", "radps", "degps", "a", "mps",
+}  # fmt: skip
+
+
+def unit_of(text: str) -> str | None:
+    """The unit that a text names, by its own name in UNITS; None where it names none."""
+    word = text.strip().strip("[](){}").strip()
+    if word in _EXACT:
+        return _EXACT[word]
+    return _ALIASES.get(word.lower().replace("per", "/").replace("_", "/") if "per" in word.lower() else word.lower())
+
+
+def split_name(text: str) -> tuple[str, str | None]:
+    """A heading as name and unit: "Velocity [rpm]", "speed_rpm", "Zeit / ms"."""
+    plain = text.strip().strip("\"'").strip()
+    for pattern in (_BRACKETS, _SLASHED):
+        found = pattern.match(plain)
+        if found and (unit := unit_of(found["unit"])):
+            return found["name"].strip() or plain, unit
+    found = _SUFFIX.match(plain)
+    if found and found["unit"].lower() in _SAFE_SUFFIXES:
+        unit = unit_of({"rad_s": "rad/s", "deg_s": "deg/s"}.get(found["unit"].lower(), found["unit"]))
+        if found["unit"].lower() == "nm":
+            unit = "Nm"
+        if unit:
+            return plain, unit
+    return plain, None
+
+
+def time_scale(unit: str | None) -> float | None:
+    """Seconds of a unit of time; None for any other."""
+    name = None if unit is None else unit_of(unit)
+    return UNITS[name].factor if name is not None and UNITS[name].measures == TIME else None
+
+
+def factor_between(unit: str, counts_per_turn: float | None) -> float:
+    """How many of ours (rev, rps, s, A, ...) one of `unit` is; counts by the counts of a turn, else NaN."""
+    known = UNITS[unit]
+    if known.measures == COUNT:
+        return 1.0 / counts_per_turn if counts_per_turn else math.nan
+    return known.factor

@@ -1,0 +1,297 @@
+"""`fffo-drive import`: the published logs as they lie, foreign MCAP, questions, maps; and files that are no logs."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+import yaml
+from importing.axis_log import Dialect, as_text, raw_columns, truth
+from shared_data import shared_files
+
+from fffo_drive.cli import main
+from fffo_drive.cli.exits import EXIT_BAD_INPUT
+from fffo_drive.identification.dataset import load_record
+from fffo_drive.identification.facts import read_facts
+from fffo_drive.importing.read import read_source
+from fffo_drive.importing.recognise import recognise
+
+INPUTS = ("current_a", "current_command_a")
+
+
+def run_import(*words):
+    return main(["import", *map(str, words)])
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()))
+    return path
+
+
+# What a user does
+
+
+def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
+    assert run_import(log, "--out", tmp_path / "out", "--torque-constant", "0.13") == 0
+    said = capsys.readouterr().out
+    assert "'Actual position' [rev]: unit rev" in said
+    assert "next: fffo-drive identify" in said
+    facts = read_facts(tmp_path / "out" / "facts.yaml")
+    assert facts.torque_constant_nm_per_a == 0.13
+    record = load_record(tmp_path / "out" / "log.mcap", facts)
+    assert record.period_s == pytest.approx(2e-3)
+    np.testing.assert_allclose(record.position_rev, truth().position_rev, atol=1e-6)
+
+
+def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect(units="none", position="rad", speed="rad/s")))
+    assert run_import(path, "--out", tmp_path / "out") == EXIT_BAD_INPUT
+    streams = capsys.readouterr()
+    assert " ? position_rev" in streams.out
+    assert "--yes" in streams.err
+    assert not (tmp_path / "out").exists()
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
+    # what was recognised is a map for the next log
+    said = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
+    said["units"]["Actual position"] = "deg"
+    said["units"]["Actual velocity"] = "deg/s"
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(said))
+    assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "other.yaml") == 0
+    record = load_record(tmp_path / "again" / "log.mcap", read_facts(tmp_path / "again" / "facts.yaml"))
+    np.testing.assert_allclose(record.position_rev * 360.0, truth().position_rev * 2.0 * np.pi, atol=1e-5)
+
+
+def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
+    assert run_import(log, "--out", tmp_path / "out", "--current", "", "--command", "Actual current", "--json") == 0
+    found = json.loads(capsys.readouterr().out)["logs"][0]["signals"]
+    assert found["current_command_a"]["column"] == "Actual current"
+    assert "current_a" not in found
+    for words, text in (
+        (["--position", "Actual positon"], "no column 'Actual positon'"),
+        (["--unit", "Actual position=turnz"], "unit 'turnz'"),
+        (["--unit", "Actual position"], "COLUMN=UNIT"),
+        (["--rate", "-1"], "--rate -1"),
+    ):
+        assert run_import(log, "--out", tmp_path / "other", *words) == EXIT_BAD_INPUT
+        assert text in capsys.readouterr().err
+    assert run_import(log, "--out", tmp_path / "out") == EXIT_BAD_INPUT
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
+    (tmp_path / "log.csv").write_text(as_text(truth(), Dialect(reversed_current=True)))
+    assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
+    assert "the sign is turned" in capsys.readouterr().out
+
+
+# MCAP of others
+
+
+def test_joint_states_of_ros_2_are_read_by_the_names_of_their_joints(tmp_path):
+    from mcap_ros2.writer import Writer
+
+    log = truth()
+    schema_text = (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+        "================\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        "================\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", schema_text)
+        for k, t in enumerate(log.time_s):
+            stamp = {"sec": 10 + int(t), "nanosec": round((t - int(t)) * 1e9)}
+            message = {
+                "header": {"stamp": stamp, "frame_id": ""}, "name": ["elbow"],
+                "position": [2.0 * np.pi * log.position_rev[k]], "velocity": [2.0 * np.pi * log.velocity_rps[k]],
+                "effort": [log.current_a[k]],
+            }  # fmt: skip
+            writer.write_message("/joint_states", schema, message, log_time=round(t * 1e9), publish_time=0)
+        writer.finish()
+    source = read_source(path)
+    assert set(source.columns) == {"time_s", "elbow.position", "elbow.velocity", "elbow.effort"}
+    np.testing.assert_allclose(source.columns["time_s"], log.time_s, atol=2e-6)
+    found = recognise(source)
+    assert found.of("current_a").column == "elbow.effort"
+    assert not found.of("position_rev").sure
+
+
+def test_json_messages_of_two_topics_come_on_one_time(tmp_path):
+    from mcap.writer import Writer
+
+    log = truth()
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("x", "jsonschema", b"{}")
+        channels = [writer.register_channel(topic, "json", schema) for topic in ("/motion", "/drive")]
+        for k, t in enumerate(log.time_s):
+            stamp = round(t * 1e9)
+            motion = {"position_rev": log.position_rev[k], "velocity_rps": log.velocity_rps[k]}
+            writer.add_message(channels[0], stamp, json.dumps(motion).encode(), stamp)
+            if k % 2 == 0:
+                writer.add_message(channels[1], stamp, json.dumps({"current_a": log.current_a[k]}).encode(), stamp)
+        writer.finish()
+    source = read_source(path)
+    np.testing.assert_allclose(source.columns["drive.current_a"][::2], log.current_a[::2])
+    assert any("interpolated" in remark for remark in source.remarks)
+
+
+# The published logs as they lie
+
+
+@pytest.mark.parametrize(
+    ("files", "words", "column"),
+    [
+        ("measured/laas/speed_test*.txt", ["--torque-constant", "0.025"], "Iq"),
+        ("measured/bam/*28m*.json", [], "load"),
+        ("measured/tro2021/*.csv", [], "Torque actual value averaged"),
+        ("emps/DATA_EMPS*.mat", ["--linear", "--torque-constant", "35.15065"], "vir"),
+    ],
+)
+def test_published_logs_are_taken_in_as_they_lie(tmp_path, capsys, files, words, column):
+    paths = shared_files(files)
+    assert run_import(*paths, "--out", tmp_path / "out", "--json", "--yes", *words) == 0
+    said = json.loads(capsys.readouterr().out)
+    for one in said["logs"]:
+        inputs = [
+            guess["column"] for name, guess in one["signals"].items() if name in ("current_a", "current_command_a")
+        ]
+        assert inputs == [column]
+    assert len(said["logs"]) == len(paths)
+
+
+def test_the_published_log_of_an_outrunner_keeps_its_turn(tmp_path):
+    """Positions in rad: told by a reference that stands at 2 pi, not by a unit."""
+    source = read_source(shared_files("measured/laas/speed_test1.txt")[0])
+    found = recognise(source)
+    position = found.of("position_rev")
+    assert position.sure
+    assert position.factor == pytest.approx(1.0 / (2.0 * np.pi))
+    assert found.of("current_a").factor == 1.0
+
+
+# Files that are no logs
+
+
+def _mat(columns):
+    from scipy.io import savemat
+
+    out = io.BytesIO()
+    savemat(out, columns)
+    return out.getvalue()
+
+
+def _npz(columns):
+    out = io.BytesIO()
+    np.savez(out, **columns)
+    return out.getvalue()
+
+
+def _parquet(columns):
+    import pyarrow
+    from pyarrow import parquet
+
+    out = io.BytesIO()
+    parquet.write_table(pyarrow.table(columns), out)
+    return out.getvalue()
+
+
+def _zip():
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<x/>")
+    return out.getvalue()
+
+
+def malformed():
+    """(name, bytes): files of every kind, cut off, damaged, or with nothing in them that is a log."""
+    text = as_text(truth(), Dialect()).encode()
+    raw = {name.replace(" ", "_"): v for name, v in raw_columns(truth(), Dialect()).items()}
+    whole = {
+        "log.mat": _mat(raw), "log.npz": _npz(raw), "log.parquet": _parquet(raw),
+        "log.json": json.dumps({name: v.tolist() for name, v in raw.items()}).encode(),
+        "log.csv.gz": gzip.compress(text),
+    }  # fmt: skip
+    for name, data in whole.items():
+        for share in (0.1, 0.3, 0.5, 0.7, 0.9, 0.99):
+            yield name, data[: int(share * len(data))]
+        yield name, b""
+        yield name, bytes(reversed(data))
+        yield name, np.random.default_rng(3).bytes(2000)
+    header, *rows = text.decode().splitlines()
+    tables = {
+        "names alone": header,
+        "one row": f"{header}\n{rows[0]}",
+        "blank": "\n\n\n",
+        "words": "\n".join(["the quick brown fox"] * 50),
+        "a page": "<html><body><p>404</p></body></html>",
+        "no input": "\n".join(",".join(row.split(",")[:3]) for row in [header, *rows]),
+        "no motion": "\n".join(",".join(row.split(",")[::3]) for row in [header, *rows]),
+        "time alone": "\n".join(row.split(",")[0] for row in [header, *rows]),
+        "no time": "\n".join(",".join(row.split(",")[1:]) for row in [header, *rows]),
+        "time stands": "\n".join([header, *("0," + row.split(",", 1)[1] for row in rows)]),
+        "time runs back": "\n".join([header, *reversed(rows)]),
+        "nothing moves": "\n".join([header, *(f"{k},0,0,0" for k in range(500))]),
+        "all missing": "\n".join([header, *("nan,nan,nan,nan" for _ in rows)]),
+        "text among": "\n".join([header, *(row.replace(",", ",x", 1) if k % 3 else row for k, row in enumerate(rows))]),
+        "lengths": "\n".join([header, *(row if k % 3 else row + ",1,2,3" for k, row in enumerate(rows))]),
+        "position of words": "\n".join([header, *(",".join([r.split(",")[0], "a", "b", "c"]) for r in rows)]),
+        "infinite": "\n".join([header, *(f"{k},inf,inf,inf" for k in range(500))]),
+        "counts": "\n".join(
+            ["Time [s],Position [counts],Current [A]", *(f"{k / 500},{k % 7},{k % 3}" for k in range(500))]
+        ),
+    }  # fmt: skip
+    for name, table in tables.items():
+        yield f"{name}.csv", table.encode()
+        yield f"{name}.txt", table.replace(",", "\t").encode("utf-16")
+    objects = [
+        "3", "null", "[]", "{}", "[1,2,3]", '"x"', "[[1,2],[3,4]]", '{"a": 1}', '{"entries": []}',
+        '{"entries": [{"a": "x"}, {"a": "y"}]}',
+        '{"a": [1,2', '[{"t": 0}, 5]', '{"a": {"b": {"c": "d"}}}', "[" * 100_000, "\ufeff{", "{'a': 1}",
+    ]  # fmt: skip
+    for k, content in enumerate(objects):
+        yield f"{k}.json", content.encode()
+    yield from (
+        ("a.pdf", b"%PDF-1.7\n"), ("a.png", b"\x89PNG\r\n\x1a\n"), ("a.xlsx", _zip()),
+        ("a.xls", b"\xd0\xcf\x11\xe0" + bytes(500)),
+        ("a.mcap", b"\x89MCAP0\r\n"), ("b.mcap", b"\x89MCAP0\r\n" + bytes(500)),
+        ("a.mat", b"MATLAB 7.3 MAT-file" + bytes(600)),
+        ("b.mat", bytes(509)), ("a.npy", b"\x93NUMPY\x01\x00"),
+        ("a.feather", b"ARROW1\0\0"), ("a.parquet", b"PAR1PAR1"),
+    )  # fmt: skip
+
+
+CASES = list(malformed())
+
+
+def test_there_are_a_hundred_malformed_files():
+    assert len(CASES) >= 100
+
+
+@pytest.mark.parametrize("case", range(len(CASES)), ids=lambda k: f"{k}-{CASES[k][0]}")
+def test_a_malformed_file_has_one_message_and_one_exit_code(tmp_path, capsys, case):
+    name, data = CASES[case]
+    path = tmp_path / name
+    path.write_bytes(data)
+    assert run_import(path, "--out", tmp_path / "out", "--yes", "--json") == EXIT_BAD_INPUT
+    streams = capsys.readouterr()
+    assert streams.out == ""
+    assert streams.err.startswith("fffo-drive import: ")
+    assert str(path) in streams.err
+    assert len(streams.err) < 2000
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
+    assert run_import(tmp_path / "none.csv", "--out", tmp_path / "out") == EXIT_BAD_INPUT
+    assert "none.csv" in capsys.readouterr().err
