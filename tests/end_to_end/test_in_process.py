@@ -10,8 +10,10 @@ import pytest
 
 from fffo_drive.cli import main
 from fffo_drive.cli.drives import make_plan, plan_session
+from fffo_drive.cli.recorded_facts import facts_for
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.metrics import run_metrics
 from fffo_drive.recording.reader import read_run
@@ -79,6 +81,13 @@ def test_the_run_command_records_what_it_reports(tmp_path, capsys):
     assert (run.rows["current_command_a"][~enabled] == 0).all()
     total = run.rows["proportional_a"] + run.rows["integral_a"] + run.rows["friction_nm"] / 0.148
     np.testing.assert_allclose(run.rows["requested_a"], total, atol=1e-12)
+    # identify and diagnose need no file beside it
+    facts = facts_for(None, [out])
+    assert (facts.torque_constant_nm_per_a, facts.resolver_bits, facts.absolute_angle) == (0.148, 15, True)
+    log = tmp_path / "log.csv"
+    log.write_text("time_s\n0\n1\n")
+    with pytest.raises(DocumentError, match=r"log\.csv: a table carries no facts"):
+        facts_for(None, [out, log])
 
 
 def test_the_motion_that_decides_about_an_effect_is_run_by_its_name(tmp_path, capsys):
