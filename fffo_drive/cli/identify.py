@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ..identification.coverage import coverage_lines, coverage_of
 from ..identification.dataset import load_records
 from ..identification.fit import FitSettings, fit_records
 from ..identification.residuals import run_residuals
@@ -54,7 +55,8 @@ def execute(options: argparse.Namespace) -> int:
         progress = None if bar is None else lambda share, _: bar(0.85 * share)
         fit = fit_records(records, FitSettings(), facts, progress)
         runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
-        result = report(fit, records, facts, runs)
+        coverage = coverage_of(records)
+        result = report(fit, records, facts, runs) | {"coverage": coverage._asdict()}
         if bar is not None:
             bar(0.95)
         out.mkdir(parents=True, exist_ok=True)
@@ -71,6 +73,7 @@ def execute(options: argparse.Namespace) -> int:
         keys = ("parameters", "effects", "remarks", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
         print(json.dumps({key: result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
     else:
+        print("\n".join(coverage_lines(coverage, facts.units == "linear")))
         _print(result)
         print(out / "model.yaml")
         print(paths.page)

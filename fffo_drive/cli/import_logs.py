@@ -20,7 +20,9 @@ from typing import Any, NamedTuple
 import yaml
 
 from ..documents import DocumentError, read_text
-from ..identification.dataset import distinct_names, load_record
+from ..identification.coverage import Coverage, coverage_lines, coverage_of
+from ..identification.dataset import distinct_names, load_record, one_rate
+from ..identification.facts import DriveFacts
 from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, write_facts, write_recording
 from ..importing.read import read_source
 from ..importing.recognise import (
@@ -40,6 +42,7 @@ from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError, did_you_mean
 
 MAP_NAME = "map.yaml"
+PICTURE_NAME = "data.png"
 OTHER_SUFFIXES = {".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc"}
 MAP_KEYS = {"roles", "units", "rate_hz", "counts_per_turn", "linear", "facts"}
 SAY_IT = "say what it is with --unit, --position, --velocity, --command and their like"
@@ -116,11 +119,15 @@ def execute(options: argparse.Namespace) -> int:
         write_recording(path, one.source.path, one.log, facts)
     write_facts(out / FACTS_NAME, facts)
     (out / MAP_NAME).write_text(yaml.safe_dump(_map(options, found, declared), sort_keys=False), encoding="utf-8")
-    problems = _checked(paths, facts, options.json)
+    problems, coverage = _checked(paths, facts, options.json)
     if options.json:
         print(
             json.dumps(
-                {"logs": [_as_json(*pair) for pair in zip(logs, paths, strict=True)], "problems": problems},
+                {
+                    "logs": [_as_json(*pair) for pair in zip(logs, paths, strict=True)],
+                    "problems": problems,
+                    "shows": None if coverage is None else coverage._asdict(),
+                },
                 indent=2,
             )
         )
@@ -130,7 +137,9 @@ def execute(options: argparse.Namespace) -> int:
             f"no torque constant is given: torque is in units of the input ({found.torque_unit}), and inertia and "
             "friction with it; --torque-constant makes them Nm"
         )
-    print("\n".join(str(path) for path in paths))
+    if coverage is not None:
+        print("\n".join(coverage_lines(coverage, found.linear)))
+    print("\n".join(str(path) for path in (*paths, out / PICTURE_NAME)))
     print(f"next: fffo-drive identify {' '.join(str(path) for path in paths)} --out {out / 'model'}")
     return 0
 
@@ -218,9 +227,9 @@ def _map(options: argparse.Namespace, found: Recognition, declared: dict[str, An
     }
 
 
-def _checked(paths: list[Path], facts: Any, quiet: bool) -> list[str]:
-    """What an identification would say of the recordings before it begins."""
-    problems = []
+def _checked(paths: list[Path], facts: DriveFacts, quiet: bool) -> tuple[list[str], Coverage | None]:
+    """What an identification would say of the recordings before it begins, and what they can show."""
+    problems, records = [], []
     for path in paths:
         try:
             record = load_record(path, facts)
@@ -229,7 +238,17 @@ def _checked(paths: list[Path], facts: Any, quiet: bool) -> list[str]:
             if not quiet:
                 print(f"not usable for a fit: {error}", file=sys.stderr)
             continue
+        records.append(record)
         if not quiet:
             for warning in record.warnings:
                 print(f"warning: {warning}", file=sys.stderr)
-    return problems
+    if not records:
+        return problems, None
+    records = one_rate(records)
+    coverage = coverage_of(records)
+    from ..report.coverage import coverage_figures
+    from ..report.static import write_overview  # loads slowly
+
+    linear = facts.units == "linear"
+    write_overview(coverage_figures(records, coverage, linear), [paths[0].parent / PICTURE_NAME])
+    return problems, coverage

@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("config", metavar="CONFIG", help="axis file (YAML)")
     parser.add_argument("--toggle", choices=list(TOGGLES), help="friction from: off, ff, fb (default: the file's)")
-    parser.add_argument(
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument(
+        "--profile", metavar="FILE", help="instead of the file's profile that of FILE (configs/profiles)"
+    )
+    chosen.add_argument(
         "--decide",
         type=_effect_name,
         metavar="EFFECT",
@@ -49,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     wanted = TOGGLES[options.toggle] if options.toggle else None
-    plan = make_plan(options.config, None if wanted is None else (wanted,), options.decide)
+    plan = make_plan(options.config, None if wanted is None else (wanted,), options.decide, options.profile)
     toggle = plan.toggle if wanted is None else wanted
     given = permission(plan.path, plan.axis, plan.model, options.uncommissioned)
     out = Path(options.out) if options.out else _default_path(plan)
@@ -62,11 +67,18 @@ def execute(options: argparse.Namespace) -> int:
         print(json.dumps(summary, indent=2))
     else:
         _print(summary)
+        print(f"next: {next_step(outcome.files)}")
     if outcome.fault_text is not None:
         raise DriveFaultError(f"the run ended with a fault: {outcome.fault_text}")
     if outcome.gap_text is not None:
         raise RecordingGapError(outcome.gap_text)
     return 0
+
+
+def next_step(files: Sequence[Path]) -> str:
+    """What to type with a run's files."""
+    names = " ".join(map(str, files))
+    return f"fffo-drive identify {names} --out DIR, or fffo-drive diagnose --fit {names} --held-out OTHER_RUN --out DIR"
 
 
 def _effect_name(text: str) -> str:

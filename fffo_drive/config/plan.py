@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
+from ..documents import Record, load
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
@@ -29,7 +30,7 @@ from .axis import (
 from .checks import bus_problems, law_problems, motion_problems, profile_problems, require
 from .commissioning import Permission, require_identity
 from .effects import compensated_names, effect_problems
-from .sections import length_problems
+from .sections import ProfileSection, length_problems
 
 YAML_TYPE = "application/yaml"
 
@@ -48,24 +49,44 @@ class Plan(NamedTuple):
         return TOGGLES[self.axis.controller.observer.toggle]
 
 
-def make_plan(path: str | Path, toggles: tuple[int, ...] | None = None, decide: str | None = None) -> Plan:
+class ProfileFile(Record):
+    """A profile in a file of its own, for `run --profile`: any axis takes it that its limits allow."""
+
+    profile: ProfileSection
+
+
+def make_plan(
+    path: str | Path, toggles: tuple[int, ...] | None = None, decide: str | None = None,
+    profile_file: str | Path | None = None,
+) -> Plan:  # fmt: skip
     """Read an axis file and everything that it names, and check that it may run with these toggles (None: its own).
 
-    With `decide`, the name of an effect, the profile is the motion that tells it from its lookalikes.
+    With `decide`, the name of an effect, the profile is the motion that tells it from its lookalikes; with
+    `profile_file` it is that of another file.
     Raises DocumentError with every problem found.
     """
     path = Path(path)
     axis = read_axis(path)
     if decide is not None:
         axis = axis.model_copy(update={"profile": deciding_section(axis, decide)})
-    return checked_plan(path, axis, model_of(path, axis), toggles)
+    if profile_file is not None:
+        axis = axis.model_copy(update={"profile": load(profile_file, ProfileFile).profile})
+    return checked_plan(path, axis, model_of(path, axis), toggles, profile_file)
 
 
-def checked_plan(path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None) -> Plan:
+def checked_plan(
+    path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None,
+    profile_file: str | Path | None = None,
+) -> Plan:  # fmt: skip
     """As `make_plan`, of what was read already or has been changed since. Raises DocumentError."""
-    require(path, length_problems(axis.profile, axis.loop))
+    of_profile = path if profile_file is None else Path(profile_file)
+    require(of_profile, length_problems(axis.profile, axis.loop))
     profile = build_profile(axis.profile, axis.loop.period_s)
-    problems = profile_problems(axis, profile) + motion_problems(axis, profile, model) + bus_problems(axis, model)
+    problems = profile_problems(axis, profile) + motion_problems(axis, profile, model)
+    if profile_file is not None:
+        require(of_profile, problems)
+        problems = []
+    problems += bus_problems(axis, model)
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)
     problems += proof_problems(axis, model, toggles, profile)
     require(path, problems)

@@ -1,0 +1,31 @@
+"""`run --profile FILE`: the profiles in configs/profiles are read, fit the example axis, and are run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fffo_drive.config.plan import make_plan
+from fffo_drive.documents import DocumentError
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+PROFILES = sorted((CONFIGS / "profiles").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", PROFILES, ids=lambda p: p.stem)
+def test_a_profile_of_ours_fits_the_example_axis(path):
+    plan = make_plan(CONFIGS / "axis_simulated.yaml", profile_file=path)
+    assert plan.axis.profile.kind == path.stem
+    assert plan.profile.duration_s > 5.0
+
+
+def test_there_is_a_file_for_each_profile_that_identifies():
+    assert {path.stem for path in PROFILES} == {"identify", "frf", "recipe", "decide"}
+
+
+def test_a_mistake_in_a_profile_file_is_named_with_its_line(tmp_path):
+    wrong = tmp_path / "profile.yaml"
+    wrong.write_text("profile:\n  kind: recipe\n  high_rpm: 14\n")
+    with pytest.raises(DocumentError, match=r"profile\.yaml:3.*high_rpm"):
+        make_plan(CONFIGS / "axis_simulated.yaml", profile_file=wrong)
