@@ -30,7 +30,7 @@ from .gates import needed_rows
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .propose import WAVE_RUNG
-from .rest import rest_of
+from .rest import refused_rest, rest_of
 from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
@@ -155,7 +155,8 @@ def assemble(
     proof = Proof(held_out, data.rows.filter, base, selected.ladder, fitted) if held_out else None
     worse = proof.worse() if proof is not None else ""
     if worse:  # the base stays, and what it leaves is left
-        rest = rest_of(data, base, ceiling(data, base, base))
+        axes = tuple(dict.fromkeys(axis_of_effect(effect.name) for effect in fitted.effects))
+        rest = rest_of(data, base, ceiling(data, base, base)) or refused_rest(data, base, fitted, axes[:2])
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]

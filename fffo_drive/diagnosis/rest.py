@@ -69,6 +69,19 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     return Rest(rms, floor, repeats, axes, sentence)
 
 
+def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...]) -> Rest | None:
+    """What the base leaves and effects explain that do not carry over to held-out runs; None where it is little."""
+    used = data.used
+    rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (base, refused))
+    if rms <= TOLD_RATIO * floor:
+        return None
+    sentence = (
+        f"{100.0 * share_above(floor, rms):.0f} % of the squared residual goes with effects that hold for the fitted "
+        f"runs alone: {rms:.3g} rms are left, {floor:.3g} would be; it goes with {' and '.join(axes).replace('_', ' ')}"
+    )
+    return Rest(rms, floor, None, axes, sentence)
+
+
 def _groups(data: Data) -> npt.NDArray[np.int64]:
     """Which fold of the trees each row that counts belongs to: its run, or its block's fold where runs are few."""
     run = data.rows.run[data.used]

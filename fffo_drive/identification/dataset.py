@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -110,7 +110,17 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
         warnings += [f"{path}: {filled}"] if filled else []
-    return _record(path, columns, fresh, facts, warnings)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return _record(path, columns, fresh, facts, warnings, digest)
+
+
+def record_of_columns(
+    name: str, columns: Mapping[str, Floats], facts: DriveFacts, warnings: Sequence[str] = ()
+) -> Record:
+    """As `load_record`, of columns (n,) by our names, `time_s` among them. Raises DataError."""
+    own = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in columns.items()}
+    digest = hashlib.sha256(b"".join(own[key].tobytes() for key in sorted(own))).hexdigest()
+    return _record(Path(name), own, None, facts, list(warnings), digest)
 
 
 def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
@@ -215,7 +225,9 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
     )
 
 
-def _record(path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str]) -> Record:
+def _record(
+    path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str], digest: str
+) -> Record:  # fmt: skip
     time_s = columns.pop("time_s")
     measured_rev = columns.get("position_rev")  # its steps are the sensor's as long as nothing is interpolated
     even = on_even_grid(time_s, columns, fresh)
@@ -257,7 +269,7 @@ def _record(path: Path, columns: dict[str, Any], fresh: Mask | None, facts: Driv
         reference_rps=columns.get("reference_rps"),
         lsb_rev=facts.lsb_rev or _resolution(position_rev if measured_rev is None else measured_rev),
         breaks=even.breaks,
-        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+        digest=digest,
         measured_current_a=columns.get("current_a"),
         begin_s=float(time_s[0]),
         good=even.good,

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..recording.errors import RecordingError
+from .units import split_name
 
 Floats = npt.NDArray[np.float64]
 
@@ -68,4 +69,5 @@ def source_of_arrays(
     left += [f"{name!r} has {v.size} samples, the others {usual}" for name, v in vectors.items() if v.size != usual]
     kept = {name: np.ascontiguousarray(column) for name, column in vectors.items() if column.size == usual}
     told = (*remarks, *(f"left out: {text}" for text in left))
-    return Source(path, kept, period_s=period_s, scalars=scalars, remarks=told)
+    units = {name: unit for name in kept if (unit := split_name(name)[1])}
+    return Source(path, kept, units, period_s, scalars, told)

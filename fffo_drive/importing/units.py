@@ -70,6 +70,7 @@ _ALIASES = {
     **{word: name for name, words in _SPELLINGS.items() for word in words.split()},
 }
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
+_CURRENT = re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE)
 _SLASHED = re.compile(r"^(?P<name>[^/]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
 _SUFFIX = re.compile(r"^(?P<name>.*[a-zA-Z0-9])_(?P<unit>rad_s|deg_s|rad_per_s|deg_per_s|[a-zA-Z]+)$")
 # a suffix like _a or _m may be an index as well: these may not
@@ -95,6 +96,8 @@ def split_name(text: str) -> tuple[str, str | None]:
         if found and (unit := unit_of(found["unit"])):
             return found["name"].strip() or plain, unit
     found = _SUFFIX.match(plain)
+    if found and found["unit"].lower() == "a" and not _CURRENT.search(found["name"]):
+        return plain, None  # an index: x_a, phase_a
     if found and found["unit"].lower() in _SAFE_SUFFIXES:
         unit = unit_of({"rad_s": "rad/s", "deg_s": "deg/s"}.get(found["unit"].lower(), found["unit"]))
         if found["unit"].lower() == "nm":

@@ -9,7 +9,7 @@ import sklearn.ensemble  # noqa: F401  # before the limit of its threads: what i
 from diagnosis.planted import NOISE_NM, based, left, nothing, runs
 from threadpoolctl import threadpool_limits
 
-from fffo_drive.diagnosis.rest import TOLD_RATIO, rest_of
+from fffo_drive.diagnosis.rest import TOLD_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
 
 NO_CEILING = Ceiling(None, None, None, None, "no piece of a reference was repeated")
@@ -98,3 +98,15 @@ def test_the_sentence_says_how_much_and_how_large():
     share = 100.0 * (1.0 - (found.floor_nm / found.rms_nm) ** 2)
     assert found.sentence.startswith(f"{share:.0f} %")
     assert f"{found.rms_nm:.3g}" in found.sentence
+
+
+def test_what_effects_explain_that_do_not_carry_over_is_left():
+    data, base = axis()
+    spoiled = left(data, base, 3.0 * NOISE_NM * np.ones(data.rows.time_s.size))
+    found = refused_rest(data, spoiled, base, ("motor_angle",))
+    rms = [float(np.sqrt(np.mean(one.residual_nm[data.used] ** 2))) for one in (spoiled, base)]
+    assert (found.rms_nm, found.floor_nm) == pytest.approx(tuple(rms))
+    assert found.share == pytest.approx(1.0 - (rms[1] / rms[0]) ** 2)
+    assert "the fitted runs alone" in found.sentence
+    assert found.sentence.endswith("it goes with motor angle")
+    assert refused_rest(data, base, base, ("motor_angle",)) is None
