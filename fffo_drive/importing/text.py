@@ -64,9 +64,11 @@ def read_text(path: Path) -> Source:
     head = [line.rstrip("\r") for line in lines[: layout.first]]
     scope = _scope_channels(head, layout)
     names, units = scope or _names(head, layout)
-    body = text
+    begin = 0
     for _ in range(layout.first):
-        body = body[body.index("\n") + 1 :]
+        begin = text.index("\n", begin) + 1
+    body = text[begin:]
+    del text  # a log of 100 MB is in memory as often as somebody holds it
     columns, remarks = _numbers(path, body, layout, names)
     if scope:
         columns, more = _on_one_time(columns, names)
@@ -225,17 +227,28 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
         short += 1
         return "skip"
 
-    try:
-        table = parser.read_csv(
-            io.BytesIO(body.encode()),
+    def parsed(data: bytes, kind: Any) -> Any:
+        nonlocal short
+        short = 0
+        return parser.read_csv(
+            io.BytesIO(data),
             read_options=parser.ReadOptions(column_names=labels, use_threads=False),
             parse_options=parser.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=skipped),
             convert_options=parser.ConvertOptions(
-                column_types=dict.fromkeys(labels, pyarrow.string()), strings_can_be_null=False
+                column_types=dict.fromkeys(labels, kind), decimal_point=layout.decimal,
+                null_values=[*MISSING, *(word.upper() for word in MISSING)], strings_can_be_null=False,
             ),
-        )
+        )  # fmt: skip
+
+    data = body.encode()
+    try:
+        try:
+            table = parsed(data, pyarrow.float64())
+        except pyarrow.ArrowInvalid:  # a cell that is no number: one by one
+            table = parsed(data, pyarrow.string())
     except pyarrow.ArrowInvalid as error:
         raise RecordingError(f"{path}: {error}") from error
+    del data
     rows = table.num_rows
     if rows < 2 or short > max(2.0, MOST_UNREADABLE * rows):
         raise RecordingError(
@@ -276,14 +289,11 @@ def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64]]:
     import pyarrow
     from pyarrow import compute
 
+    if pyarrow.types.is_floating(cells.type):
+        return np.asarray(cells.to_numpy(zero_copy_only=False), dtype=np.float64), np.zeros(0, np.int64)
     plain = compute.utf8_trim_whitespace(cells)
     if decimal != ".":
         plain = compute.replace_substring(plain, decimal, ".")
-    try:
-        # what most logs hold; pyarrow refuses the whole column for one cell that is something else
-        return np.asarray(compute.cast(plain, pyarrow.float64()).to_numpy(zero_copy_only=False)), np.zeros(0, np.int64)
-    except pyarrow.ArrowInvalid:
-        pass
     simple = compute.match_substring_regex(plain, r"^-?[0-9]*\.?[0-9]+([eE][-+]?[0-9]+)?$")
     values = compute.cast(compute.if_else(simple, plain, pyarrow.scalar(None, pyarrow.string())), pyarrow.float64())
     found = np.array(values.to_numpy(zero_copy_only=False), dtype=np.float64)
