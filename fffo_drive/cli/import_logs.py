@@ -69,7 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for role, signal in ROLES.items():
         roles.add_argument(f"--{role}", metavar="COLUMN", help=f"column of {signal}")
     roles.add_argument(
-        "--unit", action="append", default=[], metavar="COLUMN=UNIT", help="unit of a column: " + ", ".join(UNITS)
+        "--unit",
+        action="append",
+        default=[],
+        metavar="COLUMN=UNIT",
+        help="unit of a column: " + ", ".join(UNITS).replace("%", "%%"),
     )
     roles.add_argument("--rate", type=float, metavar="HZ", help="samples a second, where there is no time")
     roles.add_argument("--counts-per-turn", type=float, metavar="N", help="of a position in counts")

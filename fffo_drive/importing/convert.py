@@ -12,6 +12,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from ..documents import check
 from ..formats import FACTS
 from ..identification.facts import DriveFacts
 from ..recording.container import ChunkBuilder, McapFile, record_bytes
@@ -105,12 +106,15 @@ def _values(source: Source, guess: Guess) -> Floats:
 
 
 def facts_of(found: Recognition, declared: Mapping[str, Any]) -> DriveFacts:
-    """The facts of a recognised log: `declared` by the user, a torque constant of one where the input is a torque."""
+    """The facts of a recognised log: `declared` by the user, a torque constant of one where none is.
+
+    Raises DocumentError with everything that cannot be declared so.
+    """
     given = {key: value for key, value in declared.items() if value is not None}
     if found.linear:
         given["units"] = "linear"
     given.setdefault("torque_constant_nm_per_a", 1.0)
-    return DriveFacts.model_validate(given)
+    return check(given, DriveFacts, "what is declared")
 
 
 def write_facts(path: Path, facts: DriveFacts) -> None:

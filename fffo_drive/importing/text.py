@@ -250,7 +250,9 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
         raise RecordingError(f"{path}: {error}") from error
     del data
     rows = table.num_rows
-    if rows < 2 or short > max(2.0, MOST_UNREADABLE * rows):
+    if rows < 2:
+        raise RecordingError(f"{path}: {rows} rows of numbers; at least 2 are needed")
+    if short > max(2.0, MOST_UNREADABLE * rows):
         raise RecordingError(
             f"{path}, line {_first_short(body, layout) + 1}: {short} of {rows + short} lines do not have "
             f"{layout.cells} cells"

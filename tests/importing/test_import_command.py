@@ -49,6 +49,12 @@ def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
     np.testing.assert_allclose(record.position_rev, truth().position_rev, atol=1e-6)
 
 
+def test_the_help_is_printed(capsys):
+    with pytest.raises(SystemExit):
+        run_import("--help")
+    assert "permille" in capsys.readouterr().out
+
+
 def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     path = tmp_path / "log.csv"
     path.write_text(as_text(truth(), Dialect(units="none", position="rad", speed="rad/s")))
@@ -78,6 +84,8 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
         (["--unit", "Actual position=turnz"], "unit 'turnz'"),
         (["--unit", "Actual position"], "COLUMN=UNIT"),
         (["--rate", "-1"], "--rate -1"),
+        (["--gear-ratio", "-3"], "gear_ratio"),
+        (["--map", str(log)], "not a map of columns"),
     ):
         assert run_import(log, "--out", tmp_path / "other", *words) == EXIT_BAD_INPUT
         assert text in capsys.readouterr().err
