@@ -61,7 +61,7 @@ def execute(options: argparse.Namespace) -> int:
             bar(0.95)
         out.mkdir(parents=True, exist_ok=True)
         name = options.name or out.resolve().name
-        write_model(out / "model.yaml", model_file(fit, records, name))
+        write_model(out / "model.yaml", model_file(fit, records, name, facts.units))
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
         page = identify_report(source, fit, records, runs, result)
         paths = write_report(page, out)

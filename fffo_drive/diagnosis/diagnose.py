@@ -405,6 +405,7 @@ def model_file(
         )  # fmt: skip
     return ModelFile(
         name="diagnosed",
+        units=facts.units,
         torque_constant_nm_per_a=facts.torque_constant_nm_per_a,
         inertia_kg_m2=quantity("inertia_nm_s2_per_rev", inertia_kg_m2(1.0)),
         delay_s=Quantity(value=value["delay_s"] + sensor_s, sd=spread["delay_s"], source="fitted, and the sensor's"),

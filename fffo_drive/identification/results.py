@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
@@ -48,7 +48,9 @@ def unit_on(unit: str, facts: DriveFacts) -> str:
     return LINEAR_UNITS.get(unit, unit) if facts.units == "linear" else unit
 
 
-def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
+def model_file(
+    fit: Fit, records: Sequence[Record], name: str, units: Literal["rotary", "linear"] = "rotary"
+) -> ModelFile:
     """The fitted model as the controller runs it. The delay of the drive's velocity, where there is one, is added."""
 
     def quantity(key: str, factor: float = 1.0) -> Quantity:
@@ -70,6 +72,7 @@ def model_file(fit: Fit, records: Sequence[Record], name: str) -> ModelFile:
     )
     return ModelFile(
         name=name,
+        units=units,
         torque_constant_nm_per_a=records[0].torque_constant_nm_per_a,
         inertia_kg_m2=quantity("inertia_nm_s2_per_rev", to_kg_m2),
         delay_s=Quantity(

@@ -9,12 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .. import formats, units
 from ..documents import Record, load, refuse
@@ -118,8 +118,14 @@ class ModelFile(Record):
 
     format: Annotated[str, formats.MODEL.key] = formats.MODEL.word
     name: str
+    units: Annotated[
+        Literal["rotary", "linear"],
+        Field(description="linear: m, m/s and N stand for rev, rps and Nm, and `mass_kg` stands for `inertia_kg_m2`"),
+    ] = "rotary"
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6)]
-    inertia_kg_m2: Quantity
+    inertia_kg_m2: Annotated[
+        Quantity, Field(description="at the motor shaft; a linear axis has `mass_kg` in its place")
+    ]
     delay_s: Annotated[Quantity, Field(description="command to measured velocity, without the hold of the command")]
     sensor_delay_s: Annotated[
         Quantity, Field(description="the sensor's share of it; declared, it cannot be fitted")
@@ -128,6 +134,15 @@ class ModelFile(Record):
     effects: list[EffectModel] = Field(default_factory=list, description="what else takes torque away")
     provenance: Provenance = Provenance()
     content_hash: Annotated[str | None, Field(description="written by the tools; checked when it is there")] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mass(cls, data: Any) -> Any:
+        """`mass_kg` of a linear axis: force is mass times m/s2, as torque is 2 pi inertia times rev/s2."""
+        if not isinstance(data, Mapping) or data.get("units") != "linear" or "mass_kg" not in data:
+            return data
+        rest = {key: value for key, value in data.items() if key != "mass_kg"}
+        return {**rest, "inertia_kg_m2": _scaled(data["mass_kg"], lambda mass: mass / units.TWO_PI)}
 
     def friction_config(self) -> FrictionConfig:
         """The kernel's constants."""
@@ -163,7 +178,30 @@ def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:
     content = model.model_dump(mode="json", exclude_none=exclude_none, exclude=set() if model.effects else {"effects"})
     for effect in content.get("effects", []):
         effect.pop("parameters" if effect.get("curve") is not None else "curve", None)
-    return content
+    if model.units == "rotary":  # as files had it before there were others
+        del content["units"]
+        return content
+    return {
+        "mass_kg" if key == "inertia_kg_m2" else key: _scaled(value, _mass_kg) if key == "inertia_kg_m2" else value
+        for key, value in content.items()
+    }
+
+
+def _mass_kg(inertia_kg_m2: float) -> float:
+    """To as many digits as come back unchanged."""
+    return float(f"{units.TWO_PI * inertia_kg_m2:.15g}")
+
+
+def _scaled(quantity: Any, convert: Callable[[float], float]) -> Any:
+    """A parsed quantity in another unit; anything else as it is."""
+    if not isinstance(quantity, Mapping):
+        return quantity
+
+    def converted(key: str, value: Any) -> Any:
+        number = key in ("value", "sd") and isinstance(value, int | float) and not isinstance(value, bool)
+        return convert(value) if number else value
+
+    return {key: converted(key, value) for key, value in quantity.items()}
 
 
 def content_hash(model: ModelFile) -> str:
