@@ -23,7 +23,7 @@ from ..documents import DocumentError, read_text
 from ..identification.coverage import Coverage, coverage_lines, coverage_of
 from ..identification.dataset import distinct_names, load_record, one_rate
 from ..identification.facts import DriveFacts
-from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, write_facts, write_recording
+from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
 from ..importing.read import read_source
 from ..importing.recognise import (
     COMMAND_A,
@@ -144,7 +144,8 @@ def execute(options: argparse.Namespace) -> int:
     if coverage is not None:
         print("\n".join(coverage_lines(coverage, found.linear)))
     print("\n".join(str(path) for path in (*paths, out / PICTURE_NAME)))
-    print(f"next: fffo-drive identify {' '.join(str(path) for path in paths)} --out {out / 'model'}")
+    if not problems:
+        print(f"next: fffo-drive identify {' '.join(str(path) for path in paths)} --out {out / 'model'}")
     return 0
 
 
@@ -191,7 +192,7 @@ def _told(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
 def _take(path: Path, hints: Hints) -> _Log:
     source = read_source(path)
     found = recognise(source, hints)
-    return _Log(source, found, converted(source, found))
+    return _Log(source, found, usable(str(path), converted(source, found), found))
 
 
 def _plain_name(path: Path) -> Path:

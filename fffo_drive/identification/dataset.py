@@ -24,6 +24,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
+LEAST_RATE_HZ = 50.0  # below it the filters leave hardly a hertz: no acceleration, no break-away, no delay
 SHORTEST_STRETCH_S = 0.1  # between gaps: what is shorter than the filters' memory tells nothing
 SHORTEST_STRETCH_SAMPLES = 20
 SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate
@@ -294,6 +295,11 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
     place = record.path
     if record.duration_s < SHORTEST_S:
         problems.append(f"{place}: {record.duration_s:.3g} s long; at least {SHORTEST_S:g} s are needed")
+    elif 1.0 / record.period_s < LEAST_RATE_HZ:
+        problems.append(
+            f"{place}: sampled at {1.0 / record.period_s:.4g} Hz; at least {LEAST_RATE_HZ:g} Hz are needed to see "
+            "accelerations and break-aways: record it faster"
+        )
     elif not record.segments():
         problems.append(f"{place}: no stretch without a gap is {SHORTEST_STRETCH_S:g} s long: record it without losses")
     for name, values in (("current command", record.current_a), ("position", record.position_rev)):

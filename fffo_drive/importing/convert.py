@@ -14,6 +14,7 @@ from mcap.records import Channel, Schema
 
 from ..documents import check
 from ..formats import FACTS
+from ..identification.dataset import DataError, record_of_columns
 from ..identification.facts import DriveFacts
 from ..recording.container import ChunkBuilder, McapFile, record_bytes
 from ..recording.errors import RecordingError
@@ -94,6 +95,24 @@ def converted(source: Source, found: Recognition) -> Converted:
         assert guess is not None
         remarks.append(f"the reference is the derivative of {guess.column!r}")
     return Converted(columns, tuple(remarks))
+
+
+def usable(name: str, log: Converted, found: Recognition) -> Converted:
+    """The log without its velocity, where that keeps it from a fit and the position does not."""
+    if VELOCITY_RPS not in log.columns or POSITION_REV not in log.columns:
+        return log
+    facts = facts_of(found, {})
+    try:
+        record_of_columns(name, log.columns, facts)
+    except DataError as error:
+        rest = {key: values for key, values in log.columns.items() if key != VELOCITY_RPS}
+        try:
+            record_of_columns(name, rest, facts)
+        except DataError:
+            return log
+        told = str(error).removeprefix(f"{name}: ")
+        return Converted(rest, (*log.remarks, f"the velocity is left out, the position says it better: {told}"))
+    return log
 
 
 def _values(source: Source, guess: Guess) -> Floats:

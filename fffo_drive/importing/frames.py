@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from ..identification.dataset import Record, record_of_columns
 from ..identification.facts import DriveFacts
-from .convert import converted, facts_of
+from .convert import converted, facts_of, usable
 from .recognise import Hints, Recognition, recognise
 from .source import source_of_arrays
 
@@ -36,7 +36,7 @@ def record_of(
     arrays = {column: _array(data[column]) for column in names}
     source = source_of_arrays(Path(name), arrays)
     found = recognise(source, hints)
-    log = converted(source, found)
+    log = usable(name, converted(source, found), found)
     facts = facts_of(found, declared)
     return record_of_columns(name, log.columns, facts, [f"{name}: {remark}" for remark in log.remarks]), facts, found
 

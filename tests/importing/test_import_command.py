@@ -99,6 +99,18 @@ def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
     assert "the sign is turned" in capsys.readouterr().out
 
 
+def test_a_velocity_that_is_too_small_does_not_cost_the_log(tmp_path, capsys):
+    given = raw_columns(truth(), Dialect()) | {"Actual velocity": 0.93 * truth().velocity_rps}
+    lines = [",".join(f"{cell:.9g}" for cell in row) for row in np.stack(list(given.values()), axis=1)]
+    names = "Time [s],Actual position [rev],Actual velocity [rps],Actual current [A]"
+    (tmp_path / "log.csv").write_text("\n".join([names, *lines]) + "\n")
+    assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
+    assert "the velocity is left out" in capsys.readouterr().out
+    record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
+    assert record.velocity_rps is None
+    np.testing.assert_allclose(record.position_rev, truth().position_rev, atol=1e-6)
+
+
 # MCAP of others
 
 
@@ -186,6 +198,16 @@ def test_the_published_log_of_an_outrunner_keeps_its_turn(tmp_path):
     assert position.sure
     assert position.factor == pytest.approx(1.0 / (2.0 * np.pi))
     assert found.of("current_a").factor == 1.0
+
+
+def test_a_published_log_at_25_hz_is_refused_by_its_rate(tmp_path, capsys):
+    paths = shared_files("measured/tro2021/*.csv")
+    assert run_import(*paths, "--out", tmp_path / "out", "--yes") == 0
+    assert "sampled at 25 Hz; at least 50 Hz" in capsys.readouterr().err
+    recordings = sorted(map(str, (tmp_path / "out").glob("*.mcap")))
+    assert len(recordings) == len(paths)
+    assert main(["identify", *recordings, "--out", str(tmp_path / "model")]) == EXIT_BAD_INPUT
+    assert "record it faster" in capsys.readouterr().err
 
 
 # Files that are no logs
