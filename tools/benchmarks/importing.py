@@ -118,7 +118,7 @@ def of_set(program: list[str], one: Published, out: Path, sample: bool) -> list[
     seconds, _, done = timed([*program, "identify", *recordings, "--out", str(out / "model"), "--json"])
     begin = [one.name, str(len(files)), said, known, assumed or "-"]
     if done.returncode:
-        return [*begin, f"refused: {done.stderr.strip().splitlines()[-1][:200]}"]
+        return [*begin, f"refused: {done.stderr.strip().splitlines()[-1].replace(f'{out}/', '')}"]
     parameters = {row["symbol"]: row for row in json.loads(done.stdout)["parameters"] if row["fitted"]}
     told = ", ".join(
         f"{name} {parameters[name]['value']:.4g} ± {parameters[name]['sd']:.2g} {parameters[name]['unit']}"
