@@ -111,7 +111,7 @@ def usable(name: str, log: Converted, found: Recognition) -> Converted:
         except DataError:
             return log
         told = str(error).removeprefix(f"{name}: ")
-        return Converted(rest, (*log.remarks, f"the velocity is left out, the position says it better: {told}"))
+        return Converted(rest, (*log.remarks, f"the velocity is left out, it contradicts the position: {told}"))
     return log
 
 

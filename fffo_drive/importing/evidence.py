@@ -40,7 +40,7 @@ def is_time(values: Floats) -> bool:
 
 
 def wrap_of(values: Floats) -> float | None:
-    """The range at which a counter or an angle begins anew, in its own unit; None where nothing jumps."""
+    """The range at which a counter or an angle wraps, in its own unit; None where nothing jumps."""
     given = values[np.isfinite(values)]
     steps = np.diff(given)
     span = float(np.ptp(given)) if given.size else 0.0
@@ -60,7 +60,7 @@ def wrap_of(values: Floats) -> float | None:
 
 
 def unwrapped(values: Floats, wrap: float) -> Floats:
-    """A running position of one that begins anew at `wrap`; missing samples are left as they are."""
+    """A position without the wraps at `wrap`; missing samples are left as they are."""
     found = values.copy()
     given = np.isfinite(values)
     found[given] = np.unwrap(values[given], period=wrap)
@@ -114,7 +114,7 @@ class Driven(NamedTuple):
     """What a column that may drive the axis has in common with its motion."""
 
     share: float  # R^2 by inertia and friction
-    against: bool  # it takes power out on the whole, and accelerates the other way: its sign is turned
+    against: bool  # it takes power out on the whole, and opposes the acceleration: its sign is reversed
 
 
 def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:

@@ -161,7 +161,9 @@ class _Recogniser:
         found.sort(key=lambda c: not c.meaning.measured)
         others = [c.name for c in found[1:]]
         if others:
-            self.remarks.append(f"{found[0].name!r} is taken as {signal}; {', '.join(map(repr, others))} would do too")
+            self.remarks.append(
+                f"{found[0].name!r} is taken as {signal}; other candidates: {', '.join(map(repr, others))}"
+            )
         return found[0] if found else None
 
     # time
@@ -196,7 +198,7 @@ class _Recogniser:
         wrap = wrap_of(found.values)
         self.guesses[TIME_S] = Guess(
             TIME_S, found.name, unit, factor, wrap, None,
-            f"{evidence}{1.0 / (step * factor):.6g} Hz" + (f", begins anew at {wrap:g}" if wrap else ""), sure,
+            f"{evidence}{1.0 / (step * factor):.6g} Hz" + (f", wraps at {wrap:g}" if wrap else ""), sure,
         )  # fmt: skip
         return None
 
@@ -259,12 +261,12 @@ class _Recogniser:
         if self.linear:
             unit = unit if unit and measures == LENGTH else "m"
             factor, sure = UNITS[unit].factor, measures == LENGTH
-            evidence.append(f"unit {unit}" if sure else "m, as nothing says otherwise")
+            evidence.append(f"unit {unit}" if sure else "m is assumed")
         elif measures == COUNT or (unit is None and counts is not None):
             unit = "counts"
             counts, text = self._counts(wrap, velocity, slope, counts)
             factor, sure = 1.0 / counts, text != ""
-            evidence.append(text or "a turn at a wrap, as nothing says otherwise")
+            evidence.append(text or "one wrap is assumed to be one turn")
         elif unit is not None and measures != SHARE:
             factor = UNITS[unit].factor
             evidence.append(f"unit {unit}")
@@ -273,7 +275,7 @@ class _Recogniser:
             factor = UNITS[unit].factor
             evidence.append(text)
         if wrap is not None:
-            evidence.append(f"begins anew at {wrap:.6g}: undone")
+            evidence.append(f"wraps at {wrap:.6g}, unwrapped")
         self.guesses[POSITION_REV] = Guess(
             POSITION_REV, column.name, unit, factor, wrap, None, ", ".join(evidence), sure
         )
@@ -298,10 +300,10 @@ class _Recogniser:
         """The unit of an angle that the file does not say: by its wrap, by the velocity, or rad by assumption."""
         for unit, turn in ANGLE_UNITS.items():
             if wrap is not None and any(abs(wrap / (k * turn) - 1.0) < 1e-6 for k in (1, 2)):
-                return unit, f"{unit}, as it begins anew at {wrap:.6g}", True
+                return unit, f"{unit}, because it wraps at {wrap:.6g}", True
         if wrap is not None and wrap >= 256.0:
             raise RecordingError(
-                f"{self.source.path}: the position looks like counts (it begins anew at {wrap:g}): "
+                f"{self.source.path}: the position looks like counts (it wraps at {wrap:g}): "
                 "--counts-per-turn N, and --unit COLUMN=counts"
             )
         if velocity is not None and velocity.unit in SPEED_UNITS and slope:
@@ -322,7 +324,7 @@ class _Recogniser:
                 return pairs[0][0], f"{pairs[0][0]}, as the velocity is {slope:.4g} times its derivative", True
             if (hint := self._full_turn()) and any(pair[0] == "rad" for pair in pairs):
                 return "rad", f"rad, as {hint}", True
-        return "rad", "rad, as nothing says otherwise", False
+        return "rad", "rad is assumed", False
 
     def _full_turn(self) -> str | None:
         """A reference that stands at whole multiples of 2 pi: a speed in rad/s that somebody meant in turns."""
@@ -351,7 +353,7 @@ class _Recogniser:
                 return self._odd_velocity(column, slope)
             evidence, sure = f"{unit}, by the derivative of the position", self.guesses[own].sure
         else:
-            unit, evidence, sure = "rad/s", "rad/s, as nothing says otherwise", False
+            unit, evidence, sure = "rad/s", "rad/s is assumed", False
         factor = UNITS[unit].factor
         if slope and own:
             ratio = slope * factor / self.guesses[own].factor
@@ -363,7 +365,7 @@ class _Recogniser:
                 return None
             evidence += f"; r = {alike:.3f} with the derivative of the position"
             if slope < 0.0:
-                factor, evidence = -factor, evidence + ", with the sign turned"
+                factor, evidence = -factor, evidence + ", sign reversed"
         self.guesses[VELOCITY_RPS] = Guess(VELOCITY_RPS, column.name, unit, factor, None, None, evidence, sure)
         return None
 
@@ -428,7 +430,7 @@ class _Recogniser:
             and not measured.meaning.measured
         ):
             found = {COMMAND_A: measured}  # what an amplifier is given
-        kinds = {signal: _quantity(c) for signal, c in found.items()}
+        kinds = {signal: c.meaning.quantity or "" for signal, c in found.items()}
         if len(set(kinds.values())) == 2:  # a current beside a torque: one unit for both
             worse = max(found, key=lambda s: (INPUTS.index(kinds[s]), s == CURRENT_A))
             self.remarks.append(f"{found[worse].name!r} is left out: the other input is a {kinds[COMMAND_A]}")
@@ -478,14 +480,10 @@ class _Recogniser:
         if unit is None:
             evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
         if whole is not None:
-            evidence += f"; stored without its sign (0 to {whole:g}): put back"
+            evidence += f"; stored as an unsigned number (0 to {whole:g}), sign restored"
         if driven.against and driven.share > EXPLAINED:
-            factor, evidence = -factor, evidence + "; it accelerates the other way: the sign is turned"
+            factor, evidence = -factor, evidence + "; it opposes the motion, so its sign is reversed"
         return Guess(signal, column.name, unit or "-", factor, None, whole, evidence, unit is not None)
-
-
-def _quantity(column: _Column) -> str:
-    return column.meaning.quantity or ""
 
 
 def _rises(values: Floats) -> bool:

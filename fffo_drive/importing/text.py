@@ -11,7 +11,6 @@ import datetime
 import io
 import itertools
 import re
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,12 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..recording.errors import RecordingError
-from ..recording.unpack import Allowance, inflated
+from ..recording.unpack import gunzipped
 from .source import Floats, Source
 from .units import split_name, time_scale, unit_of
 
-GZIP = b"\x1f\x8b"
-GZIP_WINDOW_BITS = 31
 SAMPLE_LINES = 400  # that the layout is told from
 DELIMITERS = ("\t", ";", ",", "|", " ")  # " ": any run of blanks
 MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"}
@@ -79,12 +76,7 @@ def read_text(path: Path) -> Source:
 
 
 def _text_of(path: Path) -> str:
-    data = path.read_bytes()
-    if data.startswith(GZIP):
-        try:
-            data = inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
-        except (EOFError, zlib.error) as error:
-            raise RecordingError(f"{path}: the compressed file is not whole") from error
+    data = gunzipped(path, path.read_bytes())
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = data.decode("utf-16", "replace")
     else:

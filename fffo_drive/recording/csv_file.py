@@ -7,7 +7,6 @@ and column.
 from __future__ import annotations
 
 import io
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from .errors import RecordingError, did_you_mean
-from .unpack import Allowance, inflated
+from .unpack import gunzipped
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
-_GZIP = b"\x1f\x8b"
-GZIP_WINDOW_BITS = 31  # of zlib: the largest window, with the head of gzip
 _DELIMITERS = ",;\t"
 _COMMENTS = ("#", "%")
 
@@ -107,13 +104,7 @@ class CsvFile:
 
 
 def _read_text(path: Path) -> str:
-    data = path.read_bytes()
-    if data.startswith(_GZIP):
-        try:
-            data = inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
-        except (EOFError, zlib.error) as error:
-            raise RecordingError(f"{path}: the compressed file is not whole") from error
-    return data.decode("utf-8-sig", "replace")
+    return gunzipped(path, path.read_bytes()).decode("utf-8-sig", "replace")
 
 
 def _find_header(text: str, path: Path) -> tuple[str, int, int]:

@@ -16,6 +16,8 @@ from .errors import RecordingError
 LARGEST_RATIO = 250  # of what a file unpacks to and its own size
 FREE_BYTES = 16 * 1024 * 1024  # whatever the ratio
 BLOCK_BYTES = 1 << 20
+GZIP = b"\x1f\x8b"
+GZIP_WINDOW_BITS = 31  # of zlib: the largest window, with the head of gzip
 
 
 class Allowance:
@@ -33,6 +35,16 @@ class Allowance:
                 f"{self._path}: unpacks to more than {self._whole} bytes, {LARGEST_RATIO} times its size: no recording "
                 "does; it is damaged, or made to fill the memory"
             )
+
+
+def gunzipped(path: Path, data: bytes) -> bytes:
+    """What a gzip file holds; any other data as they are. Raises RecordingError where it is not whole, or too much."""
+    if not data.startswith(GZIP):
+        return data
+    try:
+        return inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
+    except (EOFError, zlib.error) as error:
+        raise RecordingError(f"{path}: the compressed file is not whole") from error
 
 
 def inflated(data: bytes | memoryview, window_bits: int, allowance: Allowance) -> bytes:

@@ -96,7 +96,7 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
 def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
     (tmp_path / "log.csv").write_text(as_text(truth(), Dialect(reversed_current=True)))
     assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
-    assert "the sign is turned" in capsys.readouterr().out
+    assert "its sign is reversed" in capsys.readouterr().out
 
 
 def test_a_velocity_that_is_too_small_does_not_cost_the_log(tmp_path, capsys):
