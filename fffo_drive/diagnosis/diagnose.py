@@ -26,7 +26,7 @@ from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
-from .gates import needed_rows
+from .gates import NEGLIGIBLE, needed_rows
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .propose import WAVE_RUNG
@@ -158,7 +158,7 @@ def assemble(
         axes = tuple(dict.fromkeys(axis_of_effect(effect.name) for effect in fitted.effects))
         rest = rest_of(data, base, ceiling(data, base, base)) or refused_rest(data, base, fitted, axes[:2])
     base_matrix = jacobian(data, base)
-    sd = standard_deviations(data, fitted, selected.matrix)
+    sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     # what the first rungs of the ladder found stands first, then what takes away most, then the friction's own form
@@ -171,7 +171,7 @@ def assemble(
     remarks = contradictions(selected, fit)
     verdict, headline = verdict_of(accepted, worse, rest, remarks)
     needed = needed_rows(data, selected.ladder)
-    base_sd = standard_deviations(data, base, base_matrix)
+    base_sd = standard_deviations(data, base, base_matrix, selected.negligible_nm)
     return Diagnosis(
         verdict=verdict,
         headline=headline,
@@ -278,8 +278,8 @@ def _finding(
     before, after, unseen = _held_out(proof, number)
     reason = (
         f"takes away {100.0 * note.share:.1f} % of the squared residual that all others leave; on rows that the fit "
-        f"did not see it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise alone would do so in a search "
-        f"like this with probability {note.p:.2g}"
+        f"did not see it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise and an effect of "
+        f"{100.0 * NEGLIGIBLE:g} % of the torque would look so in a search like this with probability {note.p:.2g}"
     )
     across = across_word(effect.shapes)
     if across:

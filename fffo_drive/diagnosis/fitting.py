@@ -49,6 +49,7 @@ STEEPEST = 5.0  # Fs over Fc at most
 LARGEST_GROWTH = 0.02  # of the plain squared residual, that an effect may cost
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits of the classes of noise, in shares of the top speed
+HIDDEN = 0.05  # of the most that what is too small to be told can bend a number by, as a standard deviation
 PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so many 1/K of travel
 
 
@@ -400,8 +401,12 @@ def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Float
     return found
 
 
-def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None) -> Floats:
-    """Standard deviations (sandwich over windows) of BASE in its coordinates, then of the effects' numbers. (p,)"""
+def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None, negligible_nm: float = 0.0) -> Floats:
+    """Standard deviations of BASE in its coordinates, then of the effects' numbers. (p,)
+
+    From noise by the sandwich over blocks; and from an effect of this rms torque that is too small to be told: its
+    part is HIDDEN of the most that it can bend a number by.
+    """
     matrix = jacobian(data, fitted) if matrix is None else matrix
     norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", matrix, matrix)), 1e-300)
     scaled = matrix / norms
@@ -410,4 +415,6 @@ def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None
     products = scaled * clipped(fitted.white)[:, None]
     scores = np.stack([np.bincount(block, products[:, k]) for k in range(products.shape[1])], axis=1)
     spread = inverse @ (scores.T @ scores) @ inverse
-    return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0)) / norms)
+    weighted = scaled * data.weight[data.used][:, None]
+    pull = np.sqrt(scaled.shape[0] * np.maximum(np.diag(inverse @ (weighted.T @ weighted) @ inverse), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0) + (HIDDEN * negligible_nm * pull) ** 2) / norms)

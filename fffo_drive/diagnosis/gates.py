@@ -21,6 +21,7 @@ from .scenes import Effect, load_along
 Floats = npt.NDArray[np.float64]
 
 INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
+NEGLIGIBLE = 0.0025  # of the torque that the axis needs, rms: the steps of a sensor leave as much
 NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
 DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
 AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...
@@ -41,6 +42,11 @@ class Reference(NamedTuple):
     def inertia_is_determined(self) -> bool:
         """Whether the data say how large it is."""
         return self.inertia_sd < DETERMINED_SD
+
+    @property
+    def negligible_nm(self) -> float:
+        """Rms torque of what is too small to be an effect, and of what may hide behind every parameter."""
+        return NEGLIGIBLE * self.needed_nm
 
     def and_then(self, later: Reference) -> Reference:
         """The axis of later rungs: what they changed of the inertia, the data do not determine."""

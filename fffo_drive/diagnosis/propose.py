@@ -45,6 +45,8 @@ class Evidence(NamedTuple):
     residual: Floats  # (q,)
     basis: Floats  # (q, b) orthonormal
     folds: Folds  # of the rows that count, (q,) each
+    level_nm: Floats  # (q,) of noise
+    negligible_nm: float  # rms torque of what is too small to be an effect
 
     @property
     def energy(self) -> float:
@@ -78,12 +80,13 @@ class Proposal(NamedTuple):
         return self.score.explained - numbers * 10.0
 
 
-def evidence_of(data: Data, fitted: Fitted, known: Floats) -> Evidence:
+def evidence_of(data: Data, fitted: Fitted, known: Floats, negligible_nm: float = 0.0) -> Evidence:
     """`known` (q, b): white sensitivities of everything that is refitted anyway. Outliers are pulled in."""
     basis = orthonormal(known)
     residual = clipped(fitted.white)
     residual = residual - basis @ (basis.T @ residual)
-    return Evidence(residual, basis, Folds(*(part[data.used] for part in data.rows.folds)))
+    folds = Folds(*(part[data.used] for part in data.rows.folds))
+    return Evidence(residual, basis, folds, 1.0 / data.weight[data.used], negligible_nm)
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
@@ -142,7 +145,9 @@ def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Scor
         return np.stack([np.bincount(evidence.folds.window, values * axis) for axis in axes.T], axis=1)
 
     leverage = np.bincount(evidence.folds.window, np.einsum("ij,ij->i", axes, axes)).astype(np.float64)
-    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage))
+    own_nm = evidence.level_nm * (axes @ (axes.T @ whole))
+    negligible = evidence.negligible_nm**2 / max(float(np.mean(own_nm**2)), 1e-300)
+    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage, negligible))
 
 
 def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:

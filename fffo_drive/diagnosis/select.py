@@ -58,7 +58,6 @@ KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tri
 LAW_OF_CURVE = 0.75  # of a curve's gain: a law that gains more comes before it
 LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away ...
 CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve without a name has to take away
-LEAST_TORQUE = 0.0025  # ... and rms torque, over what the axis needs: the steps of a sensor leave as much
 
 
 class Standing(NamedTuple):
@@ -111,6 +110,7 @@ class Selection(NamedTuple):
     first_p: float  # the smallest chance of that round, times what was tried
     ladder: Fitted  # of the first rungs
     inertia_ratios: tuple[float, ...]  # of each run, where the runs contradict each other in it
+    negligible_nm: float  # rms torque of what is too small to be an effect
 
 
 class Rules(Protocol):
@@ -167,7 +167,7 @@ class Selector:
         accepted = [replace(one, family=tuple(n for n in one.family if n not in stands)) for one in accepted]
         return Selection(
             data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
-            self.first, self.first_p, self.ladder, self.inertia_ratios,
+            self.first, self.first_p, self.ladder, self.inertia_ratios, self._negligible_nm,
         )  # fmt: skip
 
     def without_doubtful(self, found: Selection, rest_share: float) -> Selection | None:
@@ -277,7 +277,7 @@ class Selector:
         self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
     ) -> tuple[Data, Standing, list[Accepted]] | None:
         """One more effect; None where none is left on this rung."""
-        evidence = evidence_of(data, standing.fitted, standing.matrix)
+        evidence = self._evidence(data, standing.fitted, standing.matrix)
         proposals = self.search.proposals(data, standing.fitted, evidence, rung)
         tried = self.search.tried
         if rung == LAW_RUNG and not self.first:
@@ -377,7 +377,7 @@ class Selector:
         found = []
         for (one, _), result in zip(contenders, standings, strict=True):
             own = gain(standing.unseen, result.unseen, evidence.folds)
-            share = self._share(data, standing.fitted, result.fitted)
+            share = share_gone(standing.fitted, result.fitted)
             if not own.holds or share < LEAST_SHARE:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
@@ -387,11 +387,13 @@ class Selector:
             found.append((one, result, own))
         return found
 
-    def _share(self, data: Data, before: Fitted, after: Fitted) -> float:
-        """Share of the squared residual that is gone; nothing where the torque that is gone is too small to matter."""
-        fall = float(np.mean(before.residual_nm[data.used] ** 2 - after.residual_nm[data.used] ** 2))
-        least_nm = LEAST_TORQUE * self.reference.needed_nm if self.reference is not None else 0.0
-        return 0.0 if fall < least_nm**2 and "least_torque" not in self.ablate else share_gone(before, after)
+    def _evidence(self, data: Data, fitted: Fitted, known: Floats) -> Evidence:
+        """What candidates are scored against, with what is too small to be one of them."""
+        return evidence_of(data, fitted, known, self._negligible_nm)
+
+    @property
+    def _negligible_nm(self) -> float:
+        return 0.0 if self.reference is None or "least_torque" in self.ablate else self.reference.negligible_nm
 
     def _pruned(
         self, data: Data, standing: Standing, accepted: list[Accepted], refit: bool = False
@@ -438,7 +440,7 @@ class Selector:
         place = number - sum(k < number for k in aside)
         return replace(
             note, gain=gain(alone.unseen, beside.unseen, folds_used(data)),
-            share=self._share(data, alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
+            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
         )  # fmt: skip
 
     def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
@@ -447,7 +449,7 @@ class Selector:
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
         others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
-        found = score(evidence_of(data, standing.fitted, others), standing.matrix[:, own], load)
+        found = score(self._evidence(data, standing.fitted, others), standing.matrix[:, own], load)
         return min(1.0, found.p * note.tried) if found.rank else note.p
 
 

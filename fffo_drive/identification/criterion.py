@@ -165,8 +165,13 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
     return min(1.0, max(SMALLEST_P, tail * tried))
 
 
-def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats) -> float:
+def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: float = 0.0) -> float:
     """Chance that noise alone gives an effect its windows' scores `with_it` (W, k), by those `beside` it (W, k).
+
+    `negligible`: share of its square that is too small to matter. With it the chance is that noise beside an effect
+    of that size looks like this (a minimum-effect test: Murphy and Myors, 1999): no sensor and no model is perfect,
+    and of a long log anything is beyond noise.
+
 
     `beside` is what the residual with the effect fitted has of the same columns: the variance is that of the windows
     (White, 1980). `leverage` (W,): how much of the columns lies in each window; the degrees of freedom are the number
@@ -184,5 +189,9 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats) -> float:
     scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", scores, scores), 1e-300))
     spread = (scores / scale).T @ (scores / scale)
     statistic = float(size / scale @ np.linalg.pinv(spread, rcond=1e-10) @ (size / scale))
-    tail = float(stats.f.sf(statistic * (windows - rank) / (rank * windows), rank, windows - rank))
+    ratio, freedom = statistic * (windows - rank) / (rank * windows), windows - rank
+    if negligible > 0.0:
+        tail = float(stats.ncf.sf(ratio, rank, freedom, negligible * statistic))
+    else:
+        tail = float(stats.f.sf(ratio, rank, freedom))
     return min(1.0, max(SMALLEST_P, tail))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..diagnosis.gates import NEGLIGIBLE
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest, report
 from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
@@ -50,7 +51,8 @@ NOT_DETERMINED = Cell(text="not determined")
 GAINS = (
     "Takes away: share of the squared residual of the fit runs that all other effects leave, outliers counted "
     "linearly. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
-    "turn), and on the held-out runs; 95 % intervals. The probability of a false alarm is over the whole search."
+    "turn), and on the held-out runs; 95 % intervals. p is over the whole search: the chance that noise "
+    f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
 )
 FORM = "How the friction differs from that of a single 2SEP surface. It is part of the model, and no effect beside it."
 MODEL_ROWS = {
@@ -200,8 +202,9 @@ def _reason(finding: Finding) -> str:
     family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
     share = 100.0 * finding.explained_fraction
     return (
-        f"{finding.name}{family}. It takes away {share:.0f} % of the squared residual that all others leave; chance "
-        f"would do so with p = {significant(finding.false_alarm_probability, 2)}. Acts in: {finding.regime}."
+        f"{finding.name}{family}. It takes away {share:.0f} % of the squared residual that all others leave; noise and "
+        f"an effect too small to matter would do so with p = {significant(finding.false_alarm_probability, 2)}. "
+        f"Acts in: {finding.regime}."
         + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
     )
 

@@ -8,6 +8,7 @@ from diagnosis.planted import TRUTH, based, effect, left, nothing, runs
 
 from fffo_drive.diagnosis.base import BASE, NAMES, moved
 from fffo_drive.diagnosis.fitting import (
+    HIDDEN,
     STEEPEST,
     changed,
     evaluate,
@@ -167,3 +168,15 @@ def test_the_deviation_of_a_parameter_is_that_of_fits_of_other_noise():
         signs = draw.choice([-1.0, 1.0], block.max() + 1)[block[data.used]]
         found.append(np.linalg.lstsq(matrix, fitted.white * signs, rcond=1e-8)[0][-1])
     assert sd == pytest.approx(np.std(found), rel=0.4)
+
+
+def test_what_is_too_small_to_be_told_doubts_a_parameter_by_the_torque_that_it_shows_itself_with():
+    """A constant torque, known by nothing else, may be wrong by a hidden constant torque."""
+    data, base = offset_axis()
+    fitted = fit(data, base.physical, [effect("torque_offset", {"torque_nm": OFFSET_NM})])
+    even = data._replace(weight=np.where(data.weight > 0.0, 100.0, 0.0))
+    alone = even.white(np.ones((data.rows.time_s.size, 1)))
+    noise = standard_deviations(even, fitted, alone)
+    for hidden_nm in (1e-6, 1e-3, 1.0):
+        sd = standard_deviations(even, fitted, alone, hidden_nm)
+        assert sd[0] == pytest.approx(np.hypot(noise[0], HIDDEN * hidden_nm))

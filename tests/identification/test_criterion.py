@@ -215,6 +215,27 @@ def test_a_rare_effect_far_above_the_noise_is_no_chance_by_the_sandwich():
     assert sandwich_p(noise + size, noise, np.where(size[:, 0] > 0.0, 1.0, 1e-9)) < 1e-4  # by six windows it is less
 
 
+@pytest.mark.parametrize("rank", [1, 3])
+def test_an_effect_of_the_size_that_is_negligible_is_no_more_found_in_a_long_log_than_in_a_short_one(rank):
+    """Against nothing every one of them is beyond chance; against the negligible size the chance is no smaller than it says."""
+    nothing, chances = [], []
+    for seed in range(300):
+        draw = np.random.default_rng([rank, seed])
+        noise = draw.normal(size=(200, rank))
+        size = np.zeros(rank)
+        size[0] = 1.0  # of each window: 200 in the sum of squares over the noise
+        scores = noise + size
+        square = float(np.sum(scores.mean(axis=0) ** 2))
+        left = scores - scores.mean(axis=0)
+        nothing.append(sandwich_p(scores, left, np.ones(200)))
+        chances.append(sandwich_p(scores, left, np.ones(200), 1.0 / square))
+    assert max(nothing) < 1e-9
+    assert stats.kstest(chances, "uniform", alternative="greater").pvalue > 0.01  # never too small
+    assert 0.3 < np.median(chances) < 0.7
+    large = noise + 2.0 * size
+    assert sandwich_p(large, large - large.mean(axis=0), np.ones(200), 0.25) < 1e-9
+
+
 def test_one_window_that_has_all_of_a_column_does_not_decide_by_itself():
     """Its score counts for one in twenty of the leverage: without it the others, in which nothing is, remain."""
     draw = np.random.default_rng(11)
