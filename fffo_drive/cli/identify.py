@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..identification.coverage import coverage_lines, coverage_of
+from ..identification.cyclic import cyclic_error, cyclic_lines
 from ..identification.dataset import load_records
 from ..identification.fit import FitSettings, fit_records
 from ..identification.residuals import run_residuals
@@ -56,14 +57,17 @@ def execute(options: argparse.Namespace) -> int:
         fit = fit_records(records, FitSettings(), facts, progress)
         runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
         coverage = coverage_of(records)
+        cyclic = cyclic_error(records)
         result = report(fit, records, facts, runs) | {"coverage": coverage._asdict()}
+        if cyclic is not None:
+            result["cyclic_error"] = cyclic.as_plain()
         if bar is not None:
             bar(0.95)
         out.mkdir(parents=True, exist_ok=True)
         name = options.name or out.resolve().name
         write_model(out / "model.yaml", model_file(fit, records, name, facts.units))
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
-        page = identify_report(source, fit, records, runs, result)
+        page = identify_report(source, fit, records, runs, result, cyclic)
         paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -75,6 +79,8 @@ def execute(options: argparse.Namespace) -> int:
     else:
         print("\n".join(coverage_lines(coverage, facts.units == "linear")))
         _print(result)
+        if cyclic is not None:
+            print("\n".join(cyclic_lines(cyclic)))
         print(out / "model.yaml")
         print(paths.page)
     return 0

@@ -49,6 +49,12 @@ class DataError(RecordingError):
     """A log that cannot be used for a fit; the text says why and what to do."""
 
 
+TAKEN = (  # columns of a log that a fit may use
+    "time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps",
+    "reference_position_rev",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Record:
     """One log, (n,) samples at one rate. For a linear axis revolutions stand for m, and Nm for N."""
@@ -68,6 +74,7 @@ class Record:
     measured_current_a: Floats | None = None
     begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
     good: Mask | None = None  # (n,) False where a sample was filled in; None: all were measured
+    reference_position_rev: Floats | None = None  # of a reference encoder on the same shaft
 
     @property
     def samples(self) -> int:
@@ -102,9 +109,7 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     else:
         log = read_table(path, facts.column_map(), uneven_time=True)
     columns: dict[str, Floats] = {
-        name: np.ascontiguousarray(log.columns[name], dtype=np.float64)
-        for name in ("time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps")
-        if name in log.columns
+        name: np.ascontiguousarray(log.columns[name], dtype=np.float64) for name in TAKEN if name in log.columns
     }
     warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
     fresh = None
@@ -163,7 +168,7 @@ def _slowed(record: Record, period_s: float) -> Record:
     columns = {
         "current_command_a": record.current_a, "position_rev": record.position_rev,
         "velocity_rps": record.velocity_rps, "reference_rps": record.reference_rps,
-        "current_a": record.measured_current_a,
+        "current_a": record.measured_current_a, "reference_position_rev": record.reference_position_rev,
     }  # fmt: skip
     given = {name: values for name, values in columns.items() if values is not None}
     parts = [
@@ -176,7 +181,8 @@ def _slowed(record: Record, period_s: float) -> Record:
     return replace(
         record, period_s=period_s, current_a=joined["current_command_a"], position_rev=joined["position_rev"],
         velocity_rps=joined.get("velocity_rps"), reference_rps=joined.get("reference_rps"),
-        measured_current_a=joined.get("current_a"), good=None if good.all() else good,
+        measured_current_a=joined.get("current_a"), reference_position_rev=joined.get("reference_position_rev"),
+        good=None if good.all() else good,
         breaks=tuple(itertools.accumulate(sure.size for _, sure in parts[:-1])),
         warnings=(*record.warnings, f"{record.path}: brought from {rates}, the rate of the slowest log"),
     )  # fmt: skip
@@ -274,6 +280,7 @@ def _record(
         measured_current_a=columns.get("current_a"),
         begin_s=float(time_s[0]),
         good=even.good,
+        reference_position_rev=columns.get("reference_position_rev"),
     )
     problems, found = check_record(record)
     if problems:

@@ -44,6 +44,12 @@ class DriveFacts(Record):
     sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="needed where a log has no time")] = None
     pole_pairs: Annotated[Count | None, Field(description="electrical turns a revolution")] = None
     slots: Annotated[Count | None, Field(description="of the stator: cogging has its multiples")] = None
+    load_gravity_nm: Annotated[
+        float | None,
+        Field(
+            gt=0, le=1e6, description="largest torque of the load's weight at the motor shaft; checked, never fitted"
+        ),
+    ] = None
     nominal_delay_s: Annotated[
         float | None, Field(ge=0, le=0.1, description="command to torque, as it should be; more is a finding")
     ] = None

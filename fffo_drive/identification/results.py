@@ -16,6 +16,7 @@ from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
 from .dataset import DataError, Record
+from .declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave_size
 from .facts import DriveFacts
 from .fit import OFFSET, OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
@@ -116,6 +117,7 @@ def report(
         "warnings": [
             *fit.warnings,
             *(remark.text for remark in looked.remarks),
+            *_weight_remark(fit, records, facts),
             *(text for record in records for text in record.warnings),
         ],
         "start": fit.start._asdict(),
@@ -127,6 +129,18 @@ def report(
             for point in damping_over_amplitude(records, fit.value("inertia_nm_s2_per_rev"), fit.value("delay_s"))
         ],
     }
+
+
+def _weight_remark(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
+    """What the fitted weight of the load says of the declared one."""
+    size = None
+    for effect in _effects(fit, records, facts):
+        if effect["name"] == WEIGHT:
+            cos, sin = (next(row for row in effect["parameters"] if row["name"] == name) for name in WEIGHT_PARTS)
+            size = wave_size(cos["value"], sin["value"], cos["sd"], sin["sd"])
+    ends = np.concatenate([[record.position_rev.min(), record.position_rev.max()] for record in records])
+    remark = gravity_remark(facts, size, float(np.ptp(ends)))
+    return [remark] if remark else []
 
 
 def _run(record: Record) -> dict[str, Any]:

@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 COMMAND = "current_command_a"
-POSITION = "position_rev"
+POSITIONS = ("position_rev", "reference_position_rev")
 LONGEST_BRIDGE_S = 0.02  # longer gaps are not bridged: below a 40 Hz filter nothing would be left of the data
 ON_GRID = 0.05  # periods: a stamp that is no farther from a grid point is that grid point's
 ANTI_ALIAS = 0.4  # cut-off over the new rate when a log is brought to a lower one
@@ -115,7 +115,7 @@ def _even_part(stamps: Floats, columns: Mapping[str, Floats], known: Mask | None
     for name, values in columns.items():
         if name == COMMAND:
             between = held_mean(stamps, values, grid, 1.0)
-        elif name == POSITION and stamps.size > 1:
+        elif name in POSITIONS and stamps.size > 1:
             between = interpolate.PchipInterpolator(stamps, values)(np.clip(grid, 0.0, stamps[-1]))
         else:
             between = np.interp(grid, stamps, values)

@@ -30,12 +30,13 @@ from ..recording.schema import (
     schema_text,
 )
 from ..recording.writer import LIBRARY
-from ..signals import SIGNALS, Signal
+from ..signals import REFERENCE_POSITION, SIGNALS, Signal
 from ..units import NS_PER_S
 from .evidence import unwrapped
 from .recognise import (
     COMMAND_A,
     CURRENT_A,
+    ENCODER_REV,
     POSITION_REV,
     REFERENCE_RPS,
     SETPOINT_REV,
@@ -49,7 +50,7 @@ from .source import Floats, Source
 FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
-WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A)
+WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV)
 LINEAR_UNITS = {"rev": "m", "rps": "m/s", "Nm": "N"}
 
 
@@ -149,7 +150,7 @@ def _facts_text(facts: DriveFacts) -> str:
 def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts) -> None:
     """The log as a recording of ours: rows at the stamps of the log, with the facts inside."""
     names = [name for name in WRITTEN if name in log.columns]
-    by_name = {signal.name: signal for signal in SIGNALS}
+    by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION)}
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
     for name in names:
         own = by_name[name]

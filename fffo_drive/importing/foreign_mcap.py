@@ -27,7 +27,7 @@ def read_foreign_mcap(path: Path) -> Source:
     from mcap_protobuf.decoder import DecoderFactory as Protobuf
     from mcap_ros2.decoder import DecoderFactory as Ros2
 
-    topics: dict[str, list[tuple[float, dict[str, float]]]] = {}
+    topics: dict[str, list[tuple[int, dict[str, float]]]] = {}  # stamps in ns: seconds since 1970 lose digits
     remarks: list[str] = []
     try:
         with path.open("rb") as file:
@@ -42,11 +42,11 @@ def read_foreign_mcap(path: Path) -> Source:
                 if decode is None:
                     continue
                 numbers = dict(_numbers("", decode(message.data)))
-                stamp_s = _stamp_s(numbers)
+                stamp_ns = _stamp_ns(numbers)
                 numbers = {name: value for name, value in numbers.items() if not _is_stamp(name)}
                 if numbers:
-                    time_s = message.log_time / NS_PER_S if stamp_s is None else stamp_s
-                    topics.setdefault(channel.topic, []).append((time_s, numbers))
+                    time_ns = message.log_time if stamp_ns is None else stamp_ns
+                    topics.setdefault(channel.topic, []).append((time_ns, numbers))
     except (McapError, ValueError, EOFError, KeyError, IndexError, OSError) as error:
         raise RecordingError(f"{path}: not a readable MCAP file: {error}") from error
     topics = {topic: rows for topic, rows in topics.items() if len(rows) > 1}
@@ -98,21 +98,22 @@ def _is_stamp(name: str) -> bool:
     return name.endswith(("stamp.sec", "stamp.nanosec", "stamp.seconds", "stamp.nanos"))
 
 
-def _stamp_s(numbers: dict[str, float]) -> float | None:
+def _stamp_ns(numbers: dict[str, float]) -> int | None:
     """The stamp of the header, where it has one that was set."""
     parts = {name.rsplit(".", 1)[1]: value for name, value in numbers.items() if _is_stamp(name)}
     seconds = parts.get("sec", parts.get("seconds"))
     if not seconds:
         return None
-    return seconds + parts.get("nanosec", parts.get("nanos", 0.0)) / NS_PER_S
+    return round(seconds) * NS_PER_S + round(parts.get("nanosec", parts.get("nanos", 0.0)))
 
 
-def _joined(path: Path, topics: dict[str, list[tuple[float, dict[str, float]]]], remarks: list[str]) -> Source:
+def _joined(path: Path, topics: dict[str, list[tuple[int, dict[str, float]]]], remarks: list[str]) -> Source:
     fullest = max(topics, key=lambda topic: len(topics[topic]))
-    time_s = np.array([stamp for stamp, _ in topics[fullest]])
-    columns: dict[str, Any] = {"time_s": time_s - time_s[0]}
+    first_ns = topics[fullest][0][0]
+    time_s = np.array([(stamp - first_ns) / NS_PER_S for stamp, _ in topics[fullest]])
+    columns: dict[str, Any] = {"time_s": time_s}
     for topic, rows in topics.items():
-        own_s = np.array([stamp for stamp, _ in rows])
+        own_s = np.array([(stamp - first_ns) / NS_PER_S for stamp, _ in rows])
         order = np.argsort(own_s, kind="stable")
         label = "" if len(topics) == 1 else topic.strip("/").replace("/", ".") + "."
         for name in dict.fromkeys(name for _, numbers in rows for name in numbers):

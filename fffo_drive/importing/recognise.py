@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..recording.errors import RecordingError
+from ..signals import REFERENCE_POSITION
 from .evidence import (
     driven_by,
     is_time,
@@ -26,10 +27,11 @@ from .evidence import (
 )
 from .names import ENABLE, INPUTS, POSITION, VELOCITY, Meaning, meaning_of
 from .source import Floats, Source
-from .units import COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE
+from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE
 
 TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
+ENCODER_REV = REFERENCE_POSITION.name
 SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
 PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
@@ -128,6 +130,7 @@ class _Recogniser:
         if position is None and velocity is None:
             self._refuse("neither a position nor a velocity", "--position COLUMN or --velocity COLUMN")
         self._motion_units(position, velocity)
+        self._reference_encoder()
         self._references()
         torque_unit = self._inputs()
         used = {guess.column for guess in self.guesses.values()} | {enable}
@@ -374,6 +377,26 @@ class _Recogniser:
         factor = self.guesses[POSITION_REV].factor / slope
         self.guesses[VELOCITY_RPS] = Guess(
             VELOCITY_RPS, column.name, "-", factor, None, None, "scaled by the derivative of the position", True
+        )
+
+    def _reference_encoder(self) -> None:
+        """A second sensor of the position: as told, or the column of its own name."""
+        position = self.guesses.get(POSITION_REV)
+        told = self._told(ENCODER_REV) if ENCODER_REV in self.hints.roles else self.columns.get(ENCODER_REV)
+        if told is None or position is None:
+            return
+        one, other = self._running(told), self._running(self.columns[position.column])
+        found = relation(one - one.mean(), other - other.mean())
+        if abs(found.correlation) < LIKE:
+            self._refuse(
+                f"no reference encoder ({told.name!r} does not follow {position.column!r})", "--reference-encoder"
+            )
+        own = position.factor / found.slope  # the scale of the position: what is left of it is told by the data
+        if told.unit is not None and UNITS[told.unit].measures == ANGLE:
+            own = math.copysign(UNITS[told.unit].factor, found.slope)
+        evidence = f"r = {found.correlation:.6f} with {position.column!r}" + (", sign reversed" if own < 0.0 else "")
+        self.guesses[ENCODER_REV] = Guess(
+            ENCODER_REV, told.name, told.unit or "-", own, wrap_of(told.values), None, evidence, True
         )
 
     # references

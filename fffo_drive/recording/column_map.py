@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from .. import units
-from ..signals import SIGNALS
+from ..signals import REFERENCE_POSITION, SIGNALS
 from .errors import RecordingError, did_you_mean
 
 TIME = "time_s"
-SIGNAL_UNITS = {TIME: "s"} | {signal.name: signal.unit for signal in SIGNALS if signal.dtype == "<f8"}
+_FOREIGN = (*SIGNALS, REFERENCE_POSITION)
+SIGNAL_UNITS = {TIME: "s"} | {signal.name: signal.unit for signal in _FOREIGN if signal.dtype == "<f8"}
 
 _DEG_PER_REV = 360.0
 _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted unit -> factor

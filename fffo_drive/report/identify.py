@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..identification.coordinates import SYMBOLS
+from ..identification.cyclic import CyclicError
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit
@@ -18,6 +19,7 @@ from ..identification.results import CONFIDENCE
 from ..units import inertia_kg_m2
 from . import identify_figures as draw
 from . import response_figures
+from .cyclic import cyclic_section, cyclic_table
 from .document import (
     Cell,
     Column,
@@ -65,14 +67,17 @@ def words_of(facts: DriveFacts) -> Words:
 
 
 def identify_report(
-    source: IdentifySource, fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any]
-) -> Report:
+    source: IdentifySource, fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any],
+    cyclic: CyclicError | None = None,
+) -> Report:  # fmt: skip
     """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
     words = words_of(source.facts)
     tables = [_parameters(results)]
     tables += [_effects(results)] if results["effects"] else []
     tables += [_doubts(results)] if results["doubts"] else []
     tables += [_runs(results, words), _dependence(results, words)]
+    tables += [] if cyclic is None else [cyclic_table(cyclic)]
+    sections = _sections(fit, records, runs, results, words)
     seconds = sum(record.duration_s for record in records)
     return Report(
         kind="identify",
@@ -81,7 +86,7 @@ def identify_report(
         f"{1.0 / records[0].period_s:.5g} Hz, fitted together: {', '.join(record.name for record in records)}.",
         verdict=_verdict(results),
         tables=tuple(tables),
-        sections=_sections(fit, records, runs, results, words),
+        sections=sections if cyclic is None else (*sections, cyclic_section(cyclic)),
         provenance=_provenance(source, records, results),
         results=results,
         listings=(_next_steps(source),),

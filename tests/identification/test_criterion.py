@@ -217,7 +217,7 @@ def test_a_rare_effect_far_above_the_noise_is_no_chance_by_the_sandwich():
 
 @pytest.mark.parametrize("rank", [1, 3])
 def test_an_effect_of_the_size_that_is_negligible_is_no_more_found_in_a_long_log_than_in_a_short_one(rank):
-    """Against nothing every one of them is beyond chance; against the negligible size the chance is no smaller than it says."""
+    """Against nothing each is beyond chance; against the negligible size the chance is no smaller than it says."""
     nothing, chances = [], []
     for seed in range(300):
         draw = np.random.default_rng([rank, seed])

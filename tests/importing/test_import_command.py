@@ -17,8 +17,10 @@ from fffo_drive.cli import main
 from fffo_drive.cli.exits import EXIT_BAD_INPUT
 from fffo_drive.identification.dataset import load_record
 from fffo_drive.identification.facts import read_facts
+from fffo_drive.importing.convert import converted
 from fffo_drive.importing.read import read_source
 from fffo_drive.importing.recognise import recognise
+from fffo_drive.report.columns import column_figures
 
 INPUTS = ("current_a", "current_command_a")
 
@@ -72,6 +74,67 @@ def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "other.yaml") == 0
     record = load_record(tmp_path / "again" / "log.mcap", read_facts(tmp_path / "again" / "facts.yaml"))
     np.testing.assert_allclose(record.position_rev * 360.0, truth().position_rev * 2.0 * np.pi, atol=1e-5)
+
+
+@pytest.fixture
+def answers(monkeypatch):
+    """What is typed at the terminal, in turn."""
+
+    def typed(*lines):
+        left = list(lines)
+        asked = []
+        monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+        monkeypatch.setattr("builtins.input", lambda text: (asked.append(text), left.pop(0))[1])
+        return asked, left
+
+    return typed
+
+
+def test_each_assumption_is_asked_and_can_be_put_right_taken_or_left_out(tmp_path, capsys, answers):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect(units="none", position="rev", speed="rps")))
+    asked, left = answers("turnz", "rev", "", "")
+    assert run_import(path, "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert not left[1:]
+    assert asked[0].startswith("position_rev is 'Actual position' [rad] (rad is assumed")
+    assert "'turnz' is neither a unit nor a column" in said
+    record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
+    np.testing.assert_allclose(record.position_rev, truth().position_rev, atol=1e-5)
+    # what was answered is in the map: nothing is asked again
+    answers()
+    assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "out" / "map.yaml") == 0
+    same = load_record(tmp_path / "again" / "log.mcap", read_facts(tmp_path / "again" / "facts.yaml"))
+    np.testing.assert_array_equal(same.position_rev, record.position_rev)
+    answers("q")
+    assert run_import(path, "--out", tmp_path / "none") == 0
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_column_that_is_left_out_at_the_terminal_stays_out_by_the_map(tmp_path, capsys, answers):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect(units="none", position="rad", speed="rad/s")))
+    answers("-", "", "", "")
+    assert run_import(path, "--out", tmp_path / "out") == 0
+    said = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
+    assert said["roles"]["position_rev"] == ""
+    record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
+    assert any("no position" in warning for warning in record.warnings)
+    answers()
+    assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "out" / "map.yaml") == 0
+
+
+def test_the_picture_of_the_columns_shows_every_guess_beside_what_it_should_be_like(tmp_path, log):
+    assert run_import(log, "--out", tmp_path / "out") == 0
+    assert (tmp_path / "out" / "columns.png").read_bytes().startswith(b"\x89PNG")
+    one = read_source(log)
+    found = recognise(one)
+    rows = column_figures(found.guesses, converted(one, found).columns, "A", linear=False)
+    shown = {row[0].name: row[0] for row in rows}
+    assert set(shown) == {"position_rev", "velocity_rps", "current_a"}
+    measured, derived = shown["velocity_rps"].series
+    assert np.max(np.abs(measured.y - derived.y)) < 0.05 * np.max(np.abs(measured.y))
+    assert "Actual velocity" in shown["velocity_rps"].title
 
 
 def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
@@ -142,6 +205,37 @@ def test_joint_states_of_ros_2_are_read_by_the_names_of_their_joints(tmp_path):
     found = recognise(source)
     assert found.of("current_a").column == "elbow.effort"
     assert not found.of("position_rev").sure
+
+
+def test_protobuf_messages_are_read_by_their_own_schema(tmp_path):
+    """The schema is made here and lies in the file alone: any message will do."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    from mcap_protobuf.writer import Writer
+
+    double = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
+    proto = descriptor_pb2.FileDescriptorProto(name="bench/axis.proto", package="bench", syntax="proto3")
+    state = proto.message_type.add(name="State")
+    for number, name in enumerate(("position_rad", "current_a"), 1):
+        state.field.add(name=name, number=number, type=double, label=1)
+    outer = proto.message_type.add(name="Axis")
+    outer.field.add(name="motor", number=1, type=11, type_name=".bench.State", label=1)
+    outer.field.add(name="comment", number=2, type=9, label=1)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(proto)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName("bench.Axis"))
+    log = truth()
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file, Writer(file) as writer:
+        for time_s, position, current in zip(log.time_s, log.position_rev, log.current_a, strict=True):
+            message = kind(comment="no number")
+            message.motor.position_rad, message.motor.current_a = 2.0 * np.pi * position, current
+            stamp = round(1e9 * time_s) + 10**18
+            writer.write_message("axis", message, log_time=stamp, publish_time=stamp)
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
+    record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
+    assert record.period_s == pytest.approx(2e-3)
+    np.testing.assert_allclose(record.position_rev, log.position_rev, atol=1e-9)
+    np.testing.assert_allclose(record.current_a, log.current_a, atol=1e-9)
 
 
 def test_json_messages_of_two_topics_come_on_one_time(tmp_path):
@@ -325,3 +419,30 @@ def test_a_malformed_file_has_one_message_and_one_exit_code(tmp_path, capsys, ca
 def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
     assert run_import(tmp_path / "none.csv", "--out", tmp_path / "out") == EXIT_BAD_INPUT
     assert "none.csv" in capsys.readouterr().err
+
+
+def test_a_reference_encoder_tells_the_cyclic_error_of_the_sensor(tmp_path, capsys):
+    """In degrees, reversed, with a zero of its own; no torque is used."""
+    log = truth()
+    error = 2e-4 * np.cos(2.0 * np.pi * (2.0 * log.position_rev - 0.1))
+    error += 2e-6 * np.random.default_rng(4).normal(size=error.size)
+    columns = {
+        "time_s": log.time_s, "position_rev": log.position_rev + error, "current_a": log.current_a,
+        "scale [deg]": 77.0 - 360.0 * log.position_rev,
+    }  # fmt: skip
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in np.stack(list(columns.values()), axis=1))
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(columns) + "\n" + rows + "\n")
+    status = run_import(path, "--reference-encoder", "scale", "--yes", "--out", tmp_path / "out", "--json")
+    streams = capsys.readouterr()
+    assert status == 0, streams.err
+    said = json.loads(streams.out)
+    assert said["logs"][0]["signals"]["reference_position_rev"]["evidence"].endswith("sign reversed")
+    (sure,) = [one for one in said["cyclic_error"]["orders"] if one["sure"]]
+    assert sure["order"] == 2
+    assert sure["amplitude_rev"] == pytest.approx(2e-4, rel=0.02)
+    record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
+    np.testing.assert_allclose(np.diff(record.reference_position_rev), np.diff(log.position_rev), atol=1e-8)
+    map_file = tmp_path / "out" / "map.yaml"
+    assert run_import(path, "--map", map_file, "--out", tmp_path / "again") == 0  # the map says it too
+    assert "2 a turn: 4.3" in capsys.readouterr().out

@@ -62,6 +62,17 @@ def test_the_summary_gives_shares_of_what_all_others_leave_and_errors_of_what_th
     assert (tmp_path / "out" / "model.yaml").exists()
 
 
+def test_what_the_data_can_show_comes_first_and_a_declared_weight_is_compared(command, tmp_path, capsys):
+    (tmp_path / "drive.yaml").write_text(FACTS + "load_gravity_nm: 0.05\n")
+    assert command(diagnosis())[0] == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("what these data can show:\n")
+    assert "reversals" in said.out.split("what they cannot")[0]
+    assert "caution: load_gravity_nm declares 0.05 Nm, and the data show no weight" in said.err
+    assert command(diagnosis(), "--json")[0] == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "effects_found"  # nothing else on stdout
+
+
 def test_where_nothing_carries_over_no_model_is_left_and_the_exit_code_says_so(command, tmp_path, capsys):
     out = tmp_path / "out"
     assert command(diagnosis())[0] == 0

@@ -1,0 +1,81 @@
+"""One picture of what an import took each column for: every signal with its derivative or its partner beside it."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ..importing.evidence import smooth_derivative
+from ..importing.recognise import (
+    COMMAND_A,
+    CURRENT_A,
+    ENCODER_REV,
+    POSITION_REV,
+    REFERENCE_RPS,
+    TIME_S,
+    VELOCITY_RPS,
+    Guess,
+)
+from .figures import Axis, Figure, Series
+
+Floats = npt.NDArray[np.float64]
+
+CUTOUT_S = 3.0  # of the log, around its fastest motion
+MOST_POINTS = 4000
+WIDTH = 120  # of a title, characters
+
+
+def column_figures(
+    guesses: Sequence[Guess], columns: Mapping[str, Floats], torque_unit: str, linear: bool
+) -> list[list[Figure]]:
+    """A row a signal for one sheet, with the grounds of the guess in its title; the time has none."""
+    turn, speed = ("m", "m/s") if linear else ("rev", "rps")
+    units = {POSITION_REV: turn, ENCODER_REV: turn, VELOCITY_RPS: speed, REFERENCE_RPS: speed,
+             COMMAND_A: torque_unit or "-", CURRENT_A: torque_unit or "-"}  # fmt: skip
+    part = _cutout(columns)
+    time_s = columns[TIME_S][part] - columns[TIME_S][0]
+    rows = []
+    for guess in guesses:
+        values = columns.get(guess.signal)
+        if values is None or guess.signal not in units:
+            continue
+        series = [Series(guess.signal, time_s, values[part], "orange", weight=2.4)]
+        partner = _partner(guess.signal, columns)
+        if partner is not None:
+            name, other = partner
+            series.append(Series(name, time_s, other[part], "blue", dash="dashed", weight=1.3))
+        grounds = f"{'' if guess.sure else '? '}{guess.evidence}"
+        heading = f"{guess.signal} is {guess.column!r} [{guess.unit}]"
+        rows.append([
+            Figure(
+                guess.signal, "xy", "\n".join([heading, *textwrap.wrap(grounds, WIDTH)]), f"{grounds}.",
+                Axis("Time", "s"), Axis(guess.signal, units[guess.signal]), tuple(series), height_px=190,
+            )
+        ])  # fmt: skip
+    return rows
+
+
+def _cutout(columns: Mapping[str, Floats]) -> slice:
+    """CUTOUT_S around the fastest motion, thinned to MOST_POINTS."""
+    time_s = columns[TIME_S]
+    motion = columns.get(VELOCITY_RPS)
+    if motion is None:
+        motion = np.gradient(columns[POSITION_REV], time_s)
+    middle_s = float(time_s[int(np.nanargmax(np.abs(motion)))])
+    begin, end = np.searchsorted(time_s, [middle_s - 0.5 * CUTOUT_S, middle_s + 0.5 * CUTOUT_S])
+    return slice(int(begin), int(end), max(1, int(end - begin) // MOST_POINTS))
+
+
+def _partner(signal: str, columns: Mapping[str, Floats]) -> tuple[str, Floats] | None:
+    """What a signal should look like by another one."""
+    position = columns.get(POSITION_REV)
+    if position is None:
+        return None
+    if signal in (VELOCITY_RPS, REFERENCE_RPS):
+        return "derivative of the position, smoothed", smooth_derivative(position, columns[TIME_S])[0]
+    if signal == ENCODER_REV:
+        return "position", position - position.mean() + columns[ENCODER_REV].mean()
+    return None
