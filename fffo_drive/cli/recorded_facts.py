@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import formats
-from ..config.axis import AxisFile, CanopenDriveSection
+from ..config.axis import AxisFile, CanopenDriveSection, SimulatedDriveSection
 from ..documents import DocumentError, check, parse
 from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts, read_facts
@@ -62,6 +62,13 @@ def facts_of_axis(axis: AxisFile, model: ModelFile, absolute_angle: bool | None 
     return {
         "format": formats.FACTS.word,
         "torque_constant_nm_per_a": model.torque_constant_nm_per_a,
-        "resolver_bits": section.resolver_bits if isinstance(section, CanopenDriveSection) else SIMULATED_RESOLVER_BITS,
+        **_resolution(section),
         "absolute_angle": not on_bus if absolute_angle is None else absolute_angle,
     }
+
+
+def _resolution(section: SimulatedDriveSection | CanopenDriveSection) -> dict[str, Any]:
+    """The sensor's, as facts have it."""
+    counts = section.counts if isinstance(section, CanopenDriveSection) else 1 << SIMULATED_RESOLVER_BITS
+    bits = counts.bit_length() - 1
+    return {"resolver_bits": bits} if counts == 1 << bits and bits >= 8 else {"position_lsb_rev": 1.0 / counts}

@@ -151,14 +151,14 @@ def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declare
         text += f"; declared {declared:g} counts, 0x608F says {object_608f:g}"
         if object_608f != declared:
             remedy = (
-                "set drive.resolver_bits to what 0x608F says; where they differ on purpose, a position factor "
+                "set drive.counts_per_rev to what 0x608F says; where they differ on purpose, a position factor "
                 "(0x6091, 0x6092) is active: set it to 1"
             )
             return told(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
     if suspected and name not in suspected:
         return told(name, OK, text + CLEARED)
     would = f" ({declared / fit.ratio:.6g} counts would agree with the velocity)" if declared and fit.ratio else ""
-    remedy = f"correct drive.resolver_bits{would}, or the position factors 0x608F, 0x6091, 0x6092 in the drive"
+    remedy = f"correct drive.counts_per_rev{would}, or the position factors 0x608F, 0x6091, 0x6092 in the drive"
     limits = within(1.0, SCALE_OK, SCALE_WARNING)
     return graded(name, 1.0 / fit.ratio if fit.ratio else math.nan, 1.0, limits, "-", text, remedy)
 

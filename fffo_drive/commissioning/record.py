@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from .. import formats
 from ..documents import Record, load, refuse
@@ -38,6 +38,15 @@ class DeclaredFacts(Record):
     rated_torque_nm: float | None = None
     rated_current_a: float | None = None
     inverted: bool = False
+    sdo: Annotated[list[str], Field(description="drive.sdo: its units may change every scale")] = Field(
+        default_factory=list
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Records of drives without the list keep their hash."""
+        found: dict[str, Any] = dump(self)
+        return found if self.sdo else {key: value for key, value in found.items() if key != "sdo"}
 
     @property
     def digest(self) -> str:
@@ -154,8 +163,8 @@ def read_record(path: Path) -> CommissioningRecord:
 
 def fact_differences(record: CommissioningRecord, facts: DeclaredFacts) -> list[str]:
     """Declared facts that are no longer those of the record: one text each."""
-    then, now = record.facts.model_dump(), facts.model_dump()
-    return [f"{name} was {then[name]}, is {now[name]}" for name in then if then[name] != now[name]]
+    both = {name: (getattr(record.facts, name), getattr(facts, name)) for name in DeclaredFacts.model_fields}
+    return [f"{name} was {then}, is {now}" for name, (then, now) in both.items() if then != now]
 
 
 def identity_differences(record: CommissioningRecord, identity: DriveIdentity) -> list[str]:

@@ -19,7 +19,6 @@ from ..commissioning.record import (
 from ..documents import refuse
 from ..drive.port import DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
-from ..units import counts_per_rev
 from .axis import AxisFile, CanopenDriveSection, beside
 
 AGAIN = "commission it again (fffo-drive commission {path}), or give --uncommissioned"
@@ -41,12 +40,13 @@ def declared_facts(axis: AxisFile, model: ModelFile) -> DeclaredFacts:
         return DeclaredFacts(drive_kind="simulated", torque_constant_nm_per_a=constant)
     return DeclaredFacts(
         drive_kind="canopen",
-        counts_per_rev=counts_per_rev(section.resolver_bits),
+        counts_per_rev=section.counts,
         velocity_units_per_rps=section.velocity_units_per_rps,
         torque_constant_nm_per_a=constant,
         rated_torque_nm=section.rated_torque_nm,
         rated_current_a=section.rated_current_a,
         inverted=section.inverted,
+        sdo=[entry.write().text for entry in section.sdo],
     )
 
 

@@ -162,14 +162,15 @@ def test_what_is_kept_otherwise_is_noticed(config, where, kept):
     assert f"reads back {int.from_bytes(kept, 'little')}" in text
 
 
-@pytest.mark.parametrize("missing", [0x6007, 0x1016, 0x1017, 0x605A, (0x1800, 2)])
+@pytest.mark.parametrize("missing", [0x6007, 0x1016, 0x1017, (0x1800, 2)])
 def test_a_drive_without_a_reaction_is_refused(config, missing):
     text = refusal(config, ScriptedNode(config.bus, NODE, without(missing)))
     index = missing[0] if isinstance(missing, tuple) else missing
     assert f"0x{index:04X}" in text
 
 
-@pytest.mark.parametrize("missing", [(0x1400, 5), 0x1006, 0x60C2, 0x6075, 0x6076, 0x1008, 0x100A, 0x1019, 0x1803])
+@pytest.mark.parametrize("missing", [(0x1400, 5), 0x1006, 0x60C2, 0x6075, 0x6076, 0x1008, 0x100A, 0x1019, 0x1803,
+                                     0x605A, 0x605E])  # fmt: skip
 def test_what_is_optional_may_be_missing(config, missing):
     with ScriptedNode(config.bus, NODE, without(missing)), CanopenDrive(config) as drive:
         assert drive.identity.vendor_id == 0x11
@@ -187,12 +188,10 @@ def test_a_torque_limit_is_written_when_asked_for(config):
         assert node.number(0x6072) == 800
 
 
-@pytest.mark.parametrize("device_type", [0x00030191, 0x00010192, 0])
-def test_no_servo_drive(config, device_type):
+@pytest.mark.parametrize("device_type", [0x00030191, 0x00020191, 0])
+def test_no_drive(config, device_type):
     objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", device_type)}
-    assert f"0x{device_type:08X}, which is no CiA 402 servo drive" in refusal(
-        config, ScriptedNode(config.bus, NODE, objects)
-    )
+    assert f"0x{device_type:08X}, which is no CiA 402 drive" in refusal(config, ScriptedNode(config.bus, NODE, objects))
 
 
 def test_a_servo_drive_with_further_bits_is_one(config):
@@ -217,12 +216,30 @@ def test_the_mode_must_be_displayed(config):
 
 @pytest.mark.parametrize(
     ("index", "raw", "text"),
-    [(0x6076, 2000, "0x6076:00 says 2.0 Nm, the configuration rated_torque_nm: 1.0"),
-     (0x6075, 9000, "0x6075:00 says 9.0 A, the configuration rated_current_a: 10.0")],
+    [(0x6076, 2000, "0x6076:00 says 2 Nm, the configuration rated_torque_nm: 1.0"),
+     (0x6075, 9000, "0x6075:00 says 9 A, the configuration rated_current_a: 10.0")],
 )  # fmt: skip
 def test_ratings_must_agree(config, index, raw, text):
     objects = servo_dictionary(NODE) | {(index, 0): struct.pack("<I", raw)}
     assert text in refusal(config, ScriptedNode(config.bus, NODE, objects))
+
+
+def test_a_rating_of_zero_and_one_in_micronewton_metres_have_a_text_of_their_own(config):
+    objects = servo_dictionary(NODE)
+    zero = refusal(config, ScriptedNode(config.bus, NODE, objects | {(0x6076, 0): bytes(4)}))
+    assert "0x6076:00 is 0: the drive does not know the rating of its motor; set it to 1000" in zero
+    micro = objects | {(0x6076, 0): struct.pack("<I", 1_000_000)}
+    assert "rated_torque_unit: uNm" in refusal(config, ScriptedNode(config.bus, NODE, micro))
+    counting = dataclasses.replace(config, rated_torque_unit_nm=1e-6)
+    with ScriptedNode(config.bus, NODE, micro), CanopenDrive(counting) as drive:
+        assert drive.port is not None
+
+
+@pytest.mark.parametrize("kind", [0x00000192, 0x00040192, 0xFFFF0192])
+def test_the_type_word_of_a_drive_is_the_vendors(config, kind):
+    objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", kind)}
+    with ScriptedNode(config.bus, NODE, objects), CanopenDrive(config) as drive:
+        assert drive.identity.vendor_id == 0x11
 
 
 def test_a_sync_counter_is_switched_off_in_the_right_order(config):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fffo_drive.cli import main
 from fffo_drive.config.axis import CanopenDriveSection
 from fffo_drive.drive.canopen.eds import default_of, read_eds
-from fffo_drive.drive.canopen.eds_fitness import fitness_of, mode_names
+from fffo_drive.drive.canopen.eds_fitness import fitness_of, mode_names, velocity_units_per_rps
 from fffo_drive.drive.canopen.eds_tidy import number, tidy
 from fffo_drive.drive.canopen.object_map import MappingError
 
@@ -200,7 +200,7 @@ def test_drive_info_of_a_drive_that_can_be_used(capsys: pytest.CaptureFixture[st
     assert section["rated_torque_nm"] is None  # the file has no rated torque: to fill in
     section["rated_torque_nm"] = 1.5
     read = CanopenDriveSection.model_validate(section)
-    assert (read.node_id, read.resolver_bits, read.velocity_units_per_rps, read.rated_current_a) == (7, 17, 131072, 7.5)
+    assert (read.node_id, read.counts, read.velocity_units_per_rps, read.rated_current_a) == (7, 131072, 131072, 7.5)
 
 
 def test_drive_info_refuses_a_drive_without_cyclic_torque_by_name(capsys: pytest.CaptureFixture[str]) -> None:
@@ -227,3 +227,40 @@ def test_drive_info_of_what_is_no_eds(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_names_of_modes() -> None:
     assert mode_names(1 << 9 | 1 << 3) == ["profile torque", "cyclic synchronous torque"]
     assert mode_names(1 << 20 | 1 << 10) == ["mode 11", "manufacturer's modes"]
+
+
+# --- what a dictionary says of units
+
+RPM = 0x00B44700
+
+
+def test_the_value_of_a_dcf_stands_before_its_default_and_one_to_one_is_no_encoder(tmp_path: Path) -> None:
+    entry = "\n[{0}]\nParameterName=x\nObjectType=7\nDataType=7\nAccessType=rw\nDefaultValue={1}\nParameterValue={2}\n"
+    text = Path(path_of("capitals")).read_text(encoding="latin-1")
+    section = next(line for line in text.splitlines() if line.lower() == "[608fsub1]")
+    for value, wanted in (("2000", 2000.0), ("1", None)):
+        begin = text.index(section) + len(section)
+        end = text.index("\n[", begin)
+        body = [line for line in text[begin:end].splitlines() if "value" not in line.lower()]
+        path = tmp_path / f"counts{value}.dcf"
+        changed = [*body, "DefaultValue=4096", f"ParameterValue={value}"]
+        path.write_text(text[:begin] + "\n".join(changed) + text[end:] + entry.format("60A9", 0, RPM))
+        facts = fitness_of(read_eds(str(path), NODE), NODE).facts
+        assert facts.get("counts_per_rev") == wanted
+        assert facts["velocity_units_per_rps"] == 60
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts", "wanted"),
+    [
+        (RPM, None, 60.0),  # rpm: EPOS4, Nanotec
+        (0xFDB44700, None, 60_000.0),  # thousandths of rpm
+        (0x00B40300, None, 1.0),  # rev/s
+        (0x00B50300, 2000, 2000.0),  # increments a second: e35
+        (0x00B50300, None, None),
+        (0x00410300, 2000, None),  # degrees a second: not known here
+        (0, 2000, None),
+    ],
+)
+def test_a_unit_of_velocity_is_read_as_cia_303_has_it(unit: int, counts: int | None, wanted: float | None) -> None:
+    assert velocity_units_per_rps(unit, counts) == wanted

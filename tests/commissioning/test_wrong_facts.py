@@ -75,8 +75,8 @@ WRONG = [
     ({"velocity": 0.0}, "velocity_sign", "0x606C"),
     ({"position": -1.0}, "position_sign", "0x6064"),
     ({"position": 0.0}, "position_sign", "0x6064"),
-    ({"position": 2.0}, "counts_per_rev", "resolver_bits"),
-    ({"position": 0.5}, "counts_per_rev", "resolver_bits"),
+    ({"position": 2.0}, "counts_per_rev", "drive.counts_per_rev"),
+    ({"position": 0.5}, "counts_per_rev", "drive.counts_per_rev"),
     ({"velocity": 2.0}, "velocity_scale", "velocity_units_per_rps"),
     ({"velocity": 0.5}, "velocity_scale", "velocity_units_per_rps"),
     ({"velocity": 60.0}, "velocity_scale", "velocity_units_per_rps"),  # rpm for rps

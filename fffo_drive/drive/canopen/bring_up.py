@@ -15,6 +15,7 @@ from ..port import DriveIdentity, DriveRefusedError
 from .checked import write_checked, write_if_present
 from .config import CanopenDriveConfig
 from .object_map import MODE, MODE_DISPLAY, TARGET_TORQUE, PdoMap, interpolation_period
+from .sdo_writes import write_phase
 from .service import (
     NMT_RESET_COMMUNICATION,
     NMT_START,
@@ -24,7 +25,6 @@ from .service import (
 )
 
 DEVICE_PROFILE_DRIVE = 402  # low word of 0x1000
-TYPE_SERVO_DRIVE = 1 << 17
 COB_ID_INVALID = 1 << 31
 COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID that clears it: always kept as it was
 COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
@@ -42,11 +42,13 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
         _reset(service, config)
         identity = read_identity(service)
         _check_profile(service)
+        write_phase(service, config.sdo, "before_mapping")
         _check_ratings(service, config)
         _configure_sync(service, config)
         _configure_pdos(service, config)
         _configure_silence(service, config)
         _set_mode(service, config)
+        write_phase(service, config.sdo, "before_enable")
         if service.boot_ups == 1:
             return identity
     raise DriveRefusedError(
@@ -101,10 +103,10 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
 
 def _check_profile(service: Service) -> None:
     device_type = service.read_int(0x1000, 0)
-    if device_type & 0xFFFF != DEVICE_PROFILE_DRIVE or not device_type & TYPE_SERVO_DRIVE:
+    if device_type & 0xFFFF != DEVICE_PROFILE_DRIVE:  # the type word is often 0 or the vendor's own
         raise DriveRefusedError(
-            f"node {service.node_id}: 0x1000:00 says 0x{device_type:08X}, which is no CiA 402 servo drive "
-            "(0x00020192); is the node id right?"
+            f"node {service.node_id}: 0x1000:00 says 0x{device_type:08X}, which is no CiA 402 drive "
+            "(0x0192 in the low word); is the node id right?"
         )
     modes = service.read_optional_int(0x6502, 0)
     if modes is None or not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
@@ -117,19 +119,29 @@ def _check_profile(service: Service) -> None:
 def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
     """0x6071 and 0x6077 count per mille of the rated torque: a wrong one would scale every command."""
     declared = [
-        (0x6076, "rated_torque_nm", config.rated_torque_nm, "Nm"),
-        (0x6075, "rated_current_a", config.rated_current_a, "A"),
+        (0x6076, "rated_torque_nm", config.rated_torque_nm, "Nm", config.rated_torque_unit_nm),
+        (0x6075, "rated_current_a", config.rated_current_a, "A", 1e-3),
     ]
-    for index, key, value, unit in declared:
+    for index, key, value, unit, one in declared:
         if value is None:
             continue
         raw = service.read_optional_int(index, 0)
         if raw is None:
             continue
-        reported = raw / 1000.0  # mNm, mA
+        if raw == 0:
+            raise DriveRefusedError(
+                f"node {service.node_id}: 0x{index:04X}:00 is 0: the drive does not know the rating of its motor; set "
+                f"it to {round(value / one)} with the vendor's tool or by drive.sdo"
+            )
+        reported = raw * one
+        if abs(reported - 1e3 * value) <= RATING_TOLERANCE * 1e3 * value and index == 0x6076:
+            raise DriveRefusedError(
+                f"node {service.node_id}: 0x6076:00 says {reported:.6g} Nm, 1000 times rated_torque_nm: {value}; "
+                "a drive that counts uNm needs rated_torque_unit: uNm"
+            )
         if abs(reported - value) > RATING_TOLERANCE * value:
             raise DriveRefusedError(
-                f"node {service.node_id}: 0x{index:04X}:00 says {reported} {unit}, the configuration {key}: "
+                f"node {service.node_id}: 0x{index:04X}:00 says {reported:.6g} {unit}, the configuration {key}: "
                 f"{value}; make them agree, the torque command is scaled with it"
             )
 
@@ -186,7 +198,7 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
         if not write_if_present(service, communication, 3, inhibit, 2, f"the inhibit time of {purpose}") and inhibit:
             raise DriveRefusedError(
                 f"node {service.node_id} has no inhibit time 0x{communication:04X}:03 for {purpose}: "
-                "set status_event to 0 (with the next SYNC)"
+                "set drive.status_event to 0 (with the next SYNC)"
             )
         write_if_present(service, communication, 5, 0, 2, f"{purpose} without an event timer")
     write_checked(service, mapping, 0, 0, 1, f"changing the mapping of {purpose}")
@@ -211,9 +223,9 @@ def _configure_silence(service: Service, config: CanopenDriveConfig) -> None:
     purpose = "the drive to stop when the PC is silent"
     write_checked(service, 0x6007, 0, config.abort_connection_option, 2, purpose)
     if config.quick_stop_option is not None:
-        write_checked(service, 0x605A, 0, config.quick_stop_option, 2, "a defined quick stop")
+        write_if_present(service, 0x605A, 0, config.quick_stop_option, 2, "a defined quick stop")
     if config.fault_reaction_option is not None:
-        write_checked(service, 0x605E, 0, config.fault_reaction_option, 2, "a defined fault reaction")
+        write_if_present(service, 0x605E, 0, config.fault_reaction_option, 2, "a defined fault reaction")
     if config.max_torque_permille is not None:
         write_checked(service, 0x6072, 0, config.max_torque_permille, 2, "the torque limit in the drive")
 

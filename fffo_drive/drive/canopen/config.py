@@ -27,6 +27,7 @@ from .object_map import (
     feedback_pdos,
     interpolation_period,
 )
+from .sdo_writes import SdoWrite
 
 LISTEN_S = 0.5  # any cyclic master sends SYNC or commands within it, ours a heartbeat; many nodes' heartbeats take 1 s
 ONE_MASTER = (
@@ -39,7 +40,7 @@ ONE_MASTER = (
 class CanopenDriveConfig:
     """A drive on a bus. Raises MappingError, with all problems at once.
 
-    Ratings are declared and compared with the drive's (0x6076 in mNm, 0x6075 in mA) where it has these
+    Ratings are declared and compared with the drive's (0x6076 in its unit, 0x6075 in mA) where it has these
     objects. None for an option code leaves the drive's own setting; None for `rpdo` and `tpdos` is the
     mapping of `object_map`.
     """
@@ -52,6 +53,7 @@ class CanopenDriveConfig:
     torque_constant_nm_per_a: float
     rated_torque_nm: float
     rated_current_a: float | None = None
+    rated_torque_unit_nm: float = 1e-3  # of 0x6076
     inverted: bool = False  # turns the sign of velocity, position and torque together
     bitrate_hz: int = 1_000_000
     master_id: int = 127  # node id of our heartbeat
@@ -68,6 +70,7 @@ class CanopenDriveConfig:
     quick_stop_option: int | None = 2  # 0x605A: ramp, then switch on disabled
     fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
     max_torque_permille: int | None = None  # 0x6072
+    sdo: tuple[SdoWrite, ...] = ()  # what this drive needs beside all this
     # bring-up
     listen_s: float = LISTEN_S  # to the bus, before anything is sent
     answer_timeout_s: float = 0.3  # of one SDO answer

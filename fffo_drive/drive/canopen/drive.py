@@ -24,6 +24,7 @@ from .eds import check_eds, check_identity, load_eds
 from .listening import Listening
 from .object_map import CONTROLWORD, TARGET_TORQUE, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
+from .sdo_writes import write_phase
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
 from .service_queue import ServiceQueue
 
@@ -188,6 +189,8 @@ class CanopenDrive:
                 ):
                     with contextlib.suppress(DriveRefusedError):
                         service.write(index, sub, data)
+                with contextlib.suppress(DriveRefusedError):
+                    write_phase(service, self.config.sdo, "after_disable")
             with contextlib.suppress(BusUnavailableError):
                 service.command_nmt(NMT_PRE_OPERATIONAL)
         self._leave(loop_ended)

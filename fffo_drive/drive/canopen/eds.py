@@ -136,10 +136,12 @@ def supported_modes(dictionary: Any) -> int | None:
 
 
 def default_of(dictionary: Any, index: int, sub: int = 0) -> int | None:
-    """The default of a number; None where the file has none."""
+    """A number as the file has it: the value of a DCF before the default; None where it has none."""
     variable = dictionary.get_variable(index, sub)
-    value = getattr(variable, "default", None)
-    return value if isinstance(value, int) else None
+    for value in (getattr(variable, "value", None), getattr(variable, "default", None)):
+        if isinstance(value, int):
+            return value
+    return None
 
 
 def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:

@@ -30,7 +30,8 @@ WELCOME = {
     (0x60C2, 1): "the drive knows the control period",
 }
 WRITABLE = ("rw", "rww", "rwr", "wo")
-SERVO_DRIVE = 0x20192
+DRIVE_PROFILE = 402  # low word of 0x1000; the type word is often 0 or the vendor's own
+REVOLUTIONS, INCREMENTS, PER_SECOND, PER_MINUTE = 0xB4, 0xB5, 0x03, 0x47  # notations of CiA 303-2
 _STATUS_EVERY = 10
 
 
@@ -75,8 +76,8 @@ def fitness_of(eds: Eds, node_id: int) -> Fitness:
     )
     device_type = default_of(dictionary, 0x1000)
     refusals = []
-    if device_type is not None and device_type & 0x2FFFF != SERVO_DRIVE:
-        refusals.append(f"0x1000 is 0x{device_type:08X}: no CiA 402 servo drive (0x00020192)")
+    if device_type is not None and device_type & 0xFFFF != DRIVE_PROFILE:
+        refusals.append(f"0x1000 is 0x{device_type:08X}: no CiA 402 drive (0x0192 in the low word)")
     refusals += missing_objects(dictionary)
     refusals += [f"{pdo.name}: {problem}" for pdo in pdos for problem in pdo.problems]
     facts = _facts(dictionary)
@@ -86,7 +87,7 @@ def fitness_of(eds: Eds, node_id: int) -> Fitness:
         welcome_missing=tuple(_welcome_missing(dictionary)),
         pdos=pdos,
         facts=facts,
-        unknown=tuple(k for k in ("resolver_bits", "velocity_units_per_rps", "rated_torque_nm") if k not in facts),
+        unknown=tuple(k for k in ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm") if k not in facts),
     )
 
 
@@ -105,14 +106,14 @@ def snippet(eds: Eds, node_id: int, fitness: Fitness) -> str:
     """The drive section of an axis file, as far as the EDS fills it."""
     known = fitness.facts
     comments = {
-        "resolver_bits": "counts of 0x6064 a revolution, as a power of two: see the manual",
+        "counts_per_rev": "increments of 0x6064 in a revolution (quadrature: four times the lines): see the manual",
         "velocity_units_per_rps": "0x606C at one revolution a second: see the manual",
         "rated_torque_nm": "0x6076, from the motor's data sheet",
     }
     lines = [
         "drive:", "  kind: canopen", "  bus: socketcan:can0", f"  node_id: {node_id}", f"  eds: {eds.path}"
     ]  # fmt: skip
-    for key in ("resolver_bits", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a"):
+    for key in ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a"):
         if key in known:
             lines.append(f"  {key}: {known[key]:g}")
         elif key in comments:
@@ -168,13 +169,25 @@ def _facts(dictionary: Any) -> dict[str, float | int]:
         found["rated_torque_nm"] = torque / 1000.0
     if current := default_of(dictionary, 0x6075):
         found["rated_current_a"] = current / 1000.0
-    for index, key in ((0x608F, "resolver_bits"), (0x6090, "velocity_units_per_rps")):
+    for index, key in ((0x608F, "counts_per_rev"), (0x6090, "velocity_units_per_rps")):
         increments, revolutions = default_of(dictionary, index, 1), default_of(dictionary, index, 2)
-        if not increments or not revolutions or increments % revolutions:
-            continue
-        counts = increments // revolutions
-        if key != "resolver_bits":
-            found[key] = counts
-        elif counts & (counts - 1) == 0:
-            found[key] = counts.bit_length() - 1
+        if increments and revolutions and increments % revolutions == 0 and increments > revolutions:
+            found[key] = increments // revolutions  # 1 to 1 is a placeholder: no encoder has one count
+    unit = default_of(dictionary, 0x60A9)
+    if unit and (units := velocity_units_per_rps(unit, found.get("counts_per_rev"))):
+        found["velocity_units_per_rps"] = units
     return found
+
+
+def velocity_units_per_rps(unit: int, counts_per_rev: float | None) -> float | None:
+    """0x606C for one rev/s, by an SI unit of velocity (0x60A9; CiA 303-2): rev or increments, a second or a minute.
+
+    None for another unit, or for increments where nobody says how many make a revolution.
+    """
+    prefix, numerator, denominator = unit >> 24 & 0xFF, unit >> 16 & 0xFF, unit >> 8 & 0xFF
+    exponent = prefix - 256 if prefix > 127 else prefix
+    seconds = {PER_SECOND: 1.0, PER_MINUTE: 60.0}.get(denominator)
+    turns = {REVOLUTIONS: 1.0, INCREMENTS: counts_per_rev}.get(numerator)
+    if seconds is None or turns is None:
+        return None
+    return turns * seconds / 10.0**exponent
