@@ -45,13 +45,15 @@ class Run(NamedTuple):
     motion: Motion
     trip: int  # envelope.TRIP_*
     enabled: bool  # the drive reached Operation Enabled
+    drive_words: str = ""  # what the drive itself said of a fault
 
     @property
     def fault_text(self) -> str | None:
         """Why the profile did not run to its end; None when it did."""
+        said = f" ({self.drive_words})" if self.drive_words else ""
         if self.trip != TRIP_NONE:
-            return TRIP_TEXTS[self.trip]
-        return None if self.enabled else "the drive did not reach Operation Enabled"
+            return TRIP_TEXTS[self.trip] + said
+        return None if self.enabled else "the drive did not reach Operation Enabled" + said
 
 
 class Rig:
@@ -117,7 +119,9 @@ class Runner:
         self._rig.take_time(profile.duration_s)
         motion = self._collect(lambda: self._act(profile, watch_s, meanwhile))
         tripped = motion.trip[motion.trip != TRIP_NONE]
-        return Run(motion, int(tripped[0]) if tripped.size else TRIP_NONE, bool(motion.enabled.any()))
+        enabled = bool(motion.enabled.any())
+        words = self.session.drive.fault_words() if tripped.size or not enabled else ""
+        return Run(motion, int(tripped[0]) if tripped.size else TRIP_NONE, enabled, words)
 
     def _act(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:
         self._profile(profile, watch_s, meanwhile)

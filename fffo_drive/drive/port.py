@@ -171,6 +171,10 @@ class Drive(Protocol):
         """True when the port's clock is the wall's: the loop then needs a thread and a priority of its own."""
         ...
 
+    def fault_words(self) -> str:
+        """What the drive itself says of a fault, or of why it is not enabled; empty where it says nothing."""
+        ...
+
     def close(self, loop_ended: bool = True) -> None:
         """Leave the drive without torque and the bus without traffic of ours. Never raises.
 

@@ -41,13 +41,18 @@ class RunOutcome(NamedTuple):
     exchange: ExchangeCounts  # what the port counted during the run
     recorder: RecorderStatistics
     recorder_ended: bool = True  # False: the disk still holds it up
+    drive_words: str = ""  # what the drive itself said of a fault
 
     @property
     def fault_text(self) -> str | None:
         """Why the run is no good; None when it is."""
         if not self.started:
-            return "the drive did not reach Operation Enabled in time"
-        return None if self.trip == TRIP_NONE else TRIP_TEXTS[self.trip]
+            return "the drive did not reach Operation Enabled in time" + self._said
+        return None if self.trip == TRIP_NONE else TRIP_TEXTS[self.trip] + self._said
+
+    @property
+    def _said(self) -> str:
+        return f" ({self.drive_words})" if self.drive_words else ""
 
     @property
     def gap_text(self) -> str | None:
@@ -191,7 +196,9 @@ def _outcome(session: Session, recorder: Recorder, started: bool, before: Exchan
     trip = session.status(b.TRIP)
     exchange = exchange_counts(session.drive.feedback).since(before)
     statistics = recorder.statistics
-    return RunOutcome(statistics.files, trip, started or trip != TRIP_NONE, exchange, statistics)
+    fault = trip != TRIP_NONE
+    words = session.drive.fault_words() if fault or not started else ""
+    return RunOutcome(statistics.files, trip, started or fault, exchange, statistics, drive_words=words)
 
 
 def simulated_ring_rows(profile: Profile, tail_s: float, stop_s: float = 3.0) -> int:

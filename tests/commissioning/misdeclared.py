@@ -118,6 +118,9 @@ class MisdeclaredDrive:
     def realtime(self):
         return False
 
+    def fault_words(self):
+        return ""
+
     def close(self):
         self.inner.close()
         self.connected -= 1

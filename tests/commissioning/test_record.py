@@ -146,7 +146,7 @@ def test_another_drive_is_refused_and_left(tmp_path, identity):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("resolver_bits: 15", "resolver_bits: 16", "counts_per_rev was 32768.0, is 65536.0"),
+        ("counts_per_rev: 32768 ", "counts_per_rev: 65536 ", "counts_per_rev was 32768.0, is 65536.0"),
         ("velocity_units_per_rps: 32768", "velocity_units_per_rps: 60", "velocity_units_per_rps was 32768.0, is 60.0"),
         ("rated_torque_nm: 1.2284", "rated_torque_nm: 1.3\n  inverted: true", "inverted was False, is True"),
     ],

@@ -21,13 +21,15 @@ from .bring_up import bring_up, start
 from .config import ONE_MASTER, CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
+from .emergency import code_text, emergency_text, statusword_text
 from .listening import Listening
-from .object_map import CONTROLWORD, TARGET_TORQUE, command_payload
+from .object_map import CONTROLWORD, STATUSWORD, TARGET_TORQUE, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .sdo_writes import write_phase
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
 from .service_queue import ServiceQueue
 
+ERROR_CODE = 0x603F
 LOOP_TIMEOUT_PERIODS = 20
 LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
 
@@ -151,6 +153,19 @@ class CanopenDrive:
     def emergencies(self) -> deque[Emergency]:
         """The last EMCY messages with their vendor bytes, oldest first."""
         return self._connected().emergencies
+
+    def fault_words(self) -> str:
+        """The last EMCY with an error, 0x603F, and the state, as far as the drive says them."""
+        service = self._service
+        if service is None:
+            return ""
+        found = [emergency_text(one) for one in service.emergencies if one.code][-1:]
+        with contextlib.suppress(DriveError):
+            if code := service.read_optional_int(ERROR_CODE, 0):
+                found.append(f"0x603F {code_text(code)}")
+        with contextlib.suppress(DriveError):
+            found.append(statusword_text(service.read_int(STATUSWORD, 0)))
+        return "; ".join(found)
 
     def read_object(self, index: int, sub: int) -> bytes:
         """Read an object of the drive by SDO, at any time, from any thread but the loop's.

@@ -250,6 +250,10 @@ class SimulatedDrive:
         self._port.words[FAULT_PRESENT] = 0
         self._port.feedback[0]["emergency_code"] = 0
 
+    def fault_words(self) -> str:
+        """Nothing: its statusword is in every row."""
+        return ""
+
     def close(self, loop_ended: bool = True) -> None:
         """Leave the drive without torque."""
         self._port.words[CONTROLWORD] = 0
