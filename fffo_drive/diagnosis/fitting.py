@@ -49,7 +49,7 @@ STEEPEST = 5.0  # Fs over Fc at most
 LARGEST_GROWTH = 0.02  # of the plain squared residual, that an effect may cost
 LARGEST_LOG = 0.5  # of a positive parameter in one step
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits of the classes of noise, in shares of the top speed
-HIDDEN = 0.1  # of the most that what is too small to be told can bend a number by, as a standard deviation
+HIDDEN = 0.1  # of the most that what is too small to be told can bend a number by, as an sd (calibration.md)
 PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so many 1/K of travel
 
 

@@ -20,8 +20,8 @@ from .scenes import Effect, load_along
 
 Floats = npt.NDArray[np.float64]
 
+NEGLIGIBLE = 0.0025  # of the torque that the axis needs, rms: a sensor leaves as much (ablation_diagnosis_wide.md)
 INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
-NEGLIGIBLE = 0.0025  # of the torque that the axis needs, rms: the steps of a sensor leave as much
 NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
 DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
 AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...

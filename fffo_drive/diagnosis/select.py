@@ -56,7 +56,7 @@ REFITTED = 4  # ... and of those, laws that are refitted ...
 CURVES_REFITTED = 2  # ... and curves
 KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
 LAW_OF_CURVE = 0.75  # of a curve's gain: a law that gains more comes before it
-LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away ...
+LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
 CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve without a name has to take away
 
 

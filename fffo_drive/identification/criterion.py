@@ -170,8 +170,7 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: fl
 
     `negligible`: share of its square that is too small to matter. With it the chance is that noise beside an effect
     of that size looks like this (a minimum-effect test: Murphy and Myors, 1999): no sensor and no model is perfect,
-    and of a long log anything is beyond noise.
-
+    and in a long log anything is beyond noise.
 
     `beside` is what the residual with the effect fitted has of the same columns: the variance is that of the windows
     (White, 1980). `leverage` (W,): how much of the columns lies in each window; the degrees of freedom are the number
