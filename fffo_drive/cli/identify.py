@@ -106,7 +106,7 @@ def _print(result: dict[str, Any]) -> None:
             f"{run['velocity_rms_rps']:.3g} over {run['velocity_window_s']:g} s"
         )
     for doubt in result["doubts"]:
-        print(f"not known: {doubt['symbol']}: {doubt['reason']}; what would tell it: {doubt['excitation']}")
+        print(f"not determined: {doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}")
     for warning in result["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
 

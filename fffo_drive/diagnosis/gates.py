@@ -97,7 +97,7 @@ def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
     if law_of(effect.name).shown_by_current and "current" not in ablate:
         shown = shown_share(data, fitted, effect)
         if shown is None and law_of(effect.name).needs_current:
-            return "it acts on the command, which has the residual in it: a log with the measured current would tell"
+            return "it acts on the command, which has the residual in it: a log with the measured current would decide"
         if shown is not None and shown < SHOWN_SHARE:
             return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
     return ""

@@ -240,7 +240,7 @@ def _confounded(records: Sequence[Record], rows: Rows, looks: Sequence[RunLook])
     elif len(looks) > 1 and all(look.turns_one_way for look in looks if look.rows >= LEAST_ROWS):
         text = (
             "every run turns one way only: direction, run and travel are one thing, so that a constant torque, "
-            "friction that differs by direction and a change between the runs cannot be told apart. Add a run that "
+            "friction that differs by direction and a change between the runs cannot be distinguished. Add a run that "
             "turns both ways"
         )
         found.append(Remark("confounded", ("coulomb_nm", "offset_nm"), names, text))

@@ -25,14 +25,14 @@ from .solver import Solution, huber_weights
 
 Floats = npt.NDArray[np.float64]
 
-UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not tell it
+UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0
 COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is known all the same
 DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
 SINGULAR = 1e-11
 SHARED_ERROR = 0.17  # correlation of the errors of fits of one data set at 1, 3/4 and 1/2 of the bandwidth, 30 seeds
 FEWEST_BLOCKS = 8  # resampled; fewer say nothing about a spread
-FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this speak about is not known, whatever the sandwich says
+FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this bear on is not determined, whatever the sandwich says
 UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
 UNFIT_ADVICE = "no other excitation, but a look at the residuals: an effect is missing"
 ADVICE = {
@@ -50,7 +50,7 @@ ADVICE = {
 
 
 class Doubt(NamedTuple):
-    """A parameter that the data do not tell."""
+    """A parameter that the data do not determine."""
 
     name: str
     reason: str
@@ -74,7 +74,7 @@ class Uncertainty(NamedTuple):
     correlation: Floats  # (p, p)
     inflation: Floats  # variance inflation factors: how much of a parameter's information others take
     windows: int
-    moments: Floats  # how many windows, in effect, speak about each parameter
+    moments: Floats  # how many windows, in effect, bear on each parameter
     doubts: tuple[Doubt, ...]
 
 
@@ -179,8 +179,8 @@ def _doubts(
                 found.append(Doubt(name, UNFIT, UNFIT_ADVICE, partners))
                 continue
             if rare:
-                reason = f"only about {moments[k]:.1f} quarter seconds of the data speak about it ({reason})"
+                reason = f"only about {moments[k]:.1f} quarter seconds of the data bear on it ({reason})"
             elif not unknown:
-                reason = f"hardly told apart from {', '.join(partners)} ({reason})"
+                reason = f"hardly distinguishable from {', '.join(partners)} ({reason})"
             found.append(Doubt(name, reason, excitation, partners))
     return tuple(found)

@@ -225,7 +225,7 @@ def _found(name: str, title: str, note: str, accepted: Sequence[Finding]) -> Tab
         Column(label="held out", unit="nats", group="gain"),
         Column(label="size", unit="% of friction"),
         Column(label="false alarm", unit="p"),
-        Column(label="not told from", words=True),
+        Column(label="not distinguishable from", words=True),
         Column(label="axis", words=True),
         Column(label="feed-forward", words=True),
     ]
@@ -333,7 +333,7 @@ def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
 
 
 def _rivals(accepted: Sequence[Finding]) -> Table:
-    columns = [Column(label="gain in its place", unit="% of its"), Column(label="told apart", words=True)]
+    columns = [Column(label="gain in its place", unit="% of its"), Column(label="distinguished", words=True)]
     rows = [
         Row(
             label=f"{rival.name} for {finding.name}",

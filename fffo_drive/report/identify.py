@@ -102,12 +102,14 @@ def _verdict(results: dict[str, Any]) -> Verdict:
     if worst > LARGE_RESIDUAL_PERCENT:
         headline = f"The model leaves up to {significant(worst, 2)} % of the torque: something that matters is missing."
     elif doubted:
-        headline = f"The data tell {', '.join(told)}. They do not tell {', '.join(doubted)}."
+        headline = f"The data determine {', '.join(told)}. They do not determine {', '.join(doubted)}."
     else:
         left = _span(percent.values())
-        headline = f"The data tell all {len(fitted)} parameters, and the model leaves {left} % of the torque."
+        headline = f"The data determine all {len(fitted)} parameters, and the model leaves {left} % of the torque."
     cautions = [*results["warnings"], *_remaining(results)]
-    cautions += [f"{d['symbol']}: {d['reason']}; what would tell it: {d['excitation']}." for d in results["doubts"]]
+    cautions += [
+        f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
+    ]
     useless = worst > USELESS_RESIDUAL_PERCENT or "J" in doubted
     standing: Standing = "bad" if useless else "caution" if cautions or worst > LARGE_RESIDUAL_PERCENT else "good"
     return Verdict(standing=standing, headline=headline, reasons=_quality(results), cautions=cautions)
@@ -165,7 +167,7 @@ def _parameters(results: dict[str, Any]) -> Table:
     for p in results["parameters"]:
         if not p["fitted"]:
             continue
-        source = "at a bound" if p["sd"] is None else "fitted, not told" if p["name"] in doubted else "fitted"
+        source = "at a bound" if p["sd"] is None else "fitted, not determined" if p["name"] in doubted else "fitted"
         if p["name"] == "offset_nm":
             continue  # it stands among the effects
         source = source if p["of_the_model"] else "beside the model"
@@ -185,9 +187,9 @@ def _parameters(results: dict[str, Any]) -> Table:
     rows.append(Row(label="Kt", unit=unit, cells=[number(constant, 6), *[dash] * 5, Cell(text="declared")]))
     note = (
         f"Below each value its {100 * CONFIDENCE:g} % interval. Standard deviation: from noise (whole windows count "
-        "once, near ones may hang together); from what fits with observers of three bandwidths, whose mean is taken, "
+        "once, neighbours may be correlated); from what fits with observers of three bandwidths, whose mean is taken, "
         "disagree about beyond that, and the bias that the sensor's noise makes. Windows: how many quarter seconds, in "
-        "effect, speak about it. Velocity lag: of the drive's velocity behind its position."
+        "effect, bear on it. Velocity lag: of the drive's velocity behind its position."
     )
     columns = [
         Column(label="value"), Column(label="sd"), Column(label="sd", unit="%"),
@@ -265,11 +267,11 @@ def _doubts(results: dict[str, Any]) -> Table:
         for doubt in results["doubts"]
     ]
     return Table(
-        name="doubts", title="What could not be told", corner="parameter",
-        note="Values of these are in the model file all the same: do not lean on them.",
+        name="doubts", title="What the data do not determine", corner="parameter",
+        note="Values of these are in the model file all the same: do not rely on them.",
         columns=[
             Column(label="why", words=True), Column(label="goes with", words=True),
-            Column(label="excitation that would tell it", words=True),
+            Column(label="excitation that would determine it", words=True),
         ],
         rows=rows,
     )  # fmt: skip

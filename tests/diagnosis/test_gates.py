@@ -108,7 +108,7 @@ def test_without_a_measured_current_nothing_is_said_of_what_it_shows():
 
 def test_a_limit_of_the_voltage_needs_the_measured_current():
     limit = effect("voltage_limit", {"share": 0.5}, stall_nm=0.2, no_load_rps=40.0)
-    assert "a log with the measured current would tell" in judged(limit)
+    assert "a log with the measured current would decide" in judged(limit)
     assert "measured current" not in judged(limit, ablate=frozenset({"current"}))
 
 

@@ -158,7 +158,7 @@ def test_what_is_not_told_stands_first_and_in_a_table(tmp_path):
     fast = on_disk(record_of(current, lsb_rev=2.0**-15, noise_rev=1e-5), tmp_path, "fast")
     _, _, document = reported([fast], tmp_path)
     assert document.verdict.standing in ("caution", "bad")
-    assert "do not tell" in document.verdict.headline
+    assert "do not determine" in document.verdict.headline
     table = next(table for table in document.tables if table.name == "doubts")
     row = next(row for row in table.rows if row.label == "K")
     assert "reversals" in row.cells[0].text
