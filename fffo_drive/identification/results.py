@@ -25,6 +25,7 @@ from .runs import RunLook, look_at_runs
 
 CONFIDENCE = 0.95
 LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
+INERTIA, MASS = "inertia_nm_s2_per_rev", "M"
 LINEAR_UNITS = {
     "Nm": "N",
     "rev": "m",
@@ -42,6 +43,11 @@ LINEAR_UNITS = {
 def unit_of(name: str, facts: DriveFacts) -> str:
     """Unit of a parameter on this kind of axis."""
     return unit_on(PARAMETERS[name][1], facts)
+
+
+def symbol_of(name: str, facts: DriveFacts) -> str:
+    """What a parameter is called: a linear axis has a mass and no inertia."""
+    return MASS if facts.units == "linear" and name == INERTIA else SYMBOLS[name]
 
 
 def unit_on(unit: str, facts: DriveFacts) -> str:
@@ -113,7 +119,7 @@ def report(
         "effects": _effects(fit, records, facts),
         "sensor_delay_s": fit.sensor_delay_s,
         "sensor_delay_sd_s": fit.sensor_delay_sd_s,
-        "doubts": [doubt._asdict() | {"symbol": SYMBOLS[doubt.name]} for doubt in fit.uncertainty.doubts],
+        "doubts": [doubt._asdict() | {"symbol": symbol_of(doubt.name, facts)} for doubt in fit.uncertainty.doubts],
         "warnings": [
             *fit.warnings,
             *(remark.text for remark in looked.remarks),
@@ -205,8 +211,8 @@ def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
         value, sd = float(fit.physical[k]), float(u.sd[k])
         known = sd > 0.0  # not where a bound stopped the fit
         rows.append({
-            "name": name, "symbol": SYMBOLS[name], "unit": unit_of(name, facts), "value": value, "fitted": bool(fitted),
-            "of_the_model": name in MODEL_PARAMETERS, "sd": sd if known else None,
+            "name": name, "symbol": symbol_of(name, facts), "unit": unit_of(name, facts), "value": value,
+            "fitted": bool(fitted), "of_the_model": name in MODEL_PARAMETERS, "sd": sd if known else None,
             "interval_95": ends_of_interval(name, value, reach * sd) if known else None,
             "statistical_sd": float(u.statistical_sd[k]), "specification_sd": float(u.specification_sd[k]),
             "windows_that_tell": float(u.moments[k]), "variance_inflation": float(u.inflation[k]),

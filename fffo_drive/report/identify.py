@@ -15,7 +15,7 @@ from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit
 from ..identification.residuals import RunResidual
-from ..identification.results import CONFIDENCE
+from ..identification.results import CONFIDENCE, INERTIA
 from ..units import inertia_kg_m2
 from . import identify_figures as draw
 from . import response_figures
@@ -110,7 +110,7 @@ def _verdict(results: dict[str, Any]) -> Verdict:
     cautions += [
         f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
     ]
-    useless = worst > USELESS_RESIDUAL_PERCENT or "J" in doubted
+    useless = worst > USELESS_RESIDUAL_PERCENT or INERTIA in [doubt["name"] for doubt in results["doubts"]]
     standing: Standing = "bad" if useless else "caution" if cautions or worst > LARGE_RESIDUAL_PERCENT else "good"
     return Verdict(standing=standing, headline=headline, reasons=_quality(results), cautions=cautions)
 

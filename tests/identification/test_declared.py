@@ -6,6 +6,7 @@ import pytest
 
 from fffo_drive.identification.declared import gravity_remark, wave_size
 from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.identification.results import symbol_of
 
 
 def facts(**declared):
@@ -32,3 +33,9 @@ def test_a_declared_weight_is_compared_and_never_fitted(found, travel_rev, said)
     remark = gravity_remark(facts(load_gravity_nm=0.5, gear_ratio=50.0), found, travel_rev)
     assert (said in remark) if said else remark == ""
     assert gravity_remark(facts(), found, travel_rev) == ""
+
+
+def test_a_linear_axis_has_a_mass_and_no_inertia():
+    assert symbol_of("inertia_nm_s2_per_rev", facts(units="linear")) == "M"
+    assert symbol_of("inertia_nm_s2_per_rev", facts()) == "J"
+    assert symbol_of("coulomb_nm", facts(units="linear")) == "Fc"
