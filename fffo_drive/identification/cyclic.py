@@ -126,7 +126,7 @@ def cyclic_lines(found: CyclicError) -> list[str]:
     """The error in words, for a terminal."""
     lines = [
         f"the position sensor against the reference encoder: {ARCMIN * found.peak_to_peak_rev:.3g} arcmin peak to peak "
-        f"by order, {ARCMIN * found.left_rms_rev:.3g} arcmin rms beside it; {1e3 * found.lag_s:.3g} +- "
+        f"by order, {ARCMIN * found.left_rms_rev:.3g} arcmin rms of other error; {1e3 * found.lag_s:.3g} +- "
         f"{1.96e3 * found.lag_sd_s:.2g} ms behind"
     ]
     lines += [

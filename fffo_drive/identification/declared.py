@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from .facts import DriveFacts
+from .ladder import GRAVITY_PERIODS
 
 WEIGHT = "unbalance"  # the law of it ...
 WEIGHT_PARTS = ("cos_nm", "sin_nm")  # ... and its numbers
 DECLARED_TOLERANCE = 0.1  # of a declared weight: masses and lever arms are hardly known better
-LEAST_OUTPUT_TURNS = 0.25  # less of a turn bends too little to be told from a constant torque
 
 
 def wave_size(cos: float, sin: float, cos_sd: float | None, sin_sd: float | None) -> tuple[float, float]:
@@ -31,10 +31,10 @@ def gravity_remark(facts: DriveFacts, found_nm: tuple[float, float] | None, trav
     said = f"load_gravity_nm declares {declared_nm:.4g} Nm"
     turns = travel_rev / (facts.gear_ratio or 1.0)
     if found_nm is None:
-        if turns < LEAST_OUTPUT_TURNS:
+        if turns < GRAVITY_PERIODS:
             return (
                 f"{said}; the logs travel {turns:.2g} turns of the output, which do not show a weight: record "
-                f"{LEAST_OUTPUT_TURNS:g} turns and more"
+                f"{GRAVITY_PERIODS:g} turns and more"
             )
         return f"{said}, and the data show no weight: another load, another gear_ratio, or a balanced axis"
     amplitude_nm, sd_nm = found_nm
