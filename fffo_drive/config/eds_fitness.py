@@ -7,9 +7,10 @@ same needs.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
 from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, FileObjects, check_device_type, check_modes, needs
 from ..drive.canopen.object_map import EVERY_SYNC, ON_EVENT, PdoMap
@@ -29,6 +30,7 @@ WELCOME = {
     (0x60C2, 1): "the drive knows the control period",
 }
 WRITABLE = ("rw", "rww", "rwr", "wo")
+MOST_SLOTS = 64  # PDOs that are looked at
 # keys that every axis needs, and where their values are found
 TO_FILL_IN = {
     "counts_per_rev": "increments of 0x6064 in a revolution (quadrature: four times the lines): see the manual",
@@ -67,6 +69,13 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
     proposal = propose(objects, base)
     section = {**(base or {}), **proposal.section}
     config = config_of(section, node_id)
+    usual = [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]
+    if "pdo" not in section and any(list(_pdo_problems(dictionary, kind + p.number - 1, p)) for kind, p in usual):
+        slots = _fitting_slots(dictionary, config)
+        if slots is not None:
+            proposal = proposal.with_key("pdo", slots, "the PDOs whose mapping can be what is needed")
+            section["pdo"] = slots
+            config = config_of(section, node_id)
     purposes = [
         "motion with each SYNC",
         f"status and torque with every {config.status_every}th SYNC",
@@ -153,7 +162,9 @@ def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     entries = [dictionary.get_variable(index + 0x200, sub) for sub in range(1, len(pdo.objects) + 1)]
     if count is None or any(entry is None for entry in entries):
         yield f"its mapping 0x{index + 0x200:04X} has too few entries for {len(pdo.objects)} objects"
-    elif any(entry.access_type not in WRITABLE for entry in (count, *entries)):
+    elif count.access_type not in WRITABLE and count.default == len(pdo.objects) and _writable(entries):
+        pass  # only what is mapped can be chosen, and that suffices
+    elif not _writable((count, *entries)):
         fixed = [default_of(dictionary, index + 0x200, sub) for sub in range(1, (count.default or 0) + 1)]
         if fixed != [item.word for item in pdo.objects]:
             shown = ", ".join(f"0x{word:08X}" for word in fixed if word is not None) or "nothing"
@@ -161,6 +172,26 @@ def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     if pdo.inhibit_ns and dictionary.get_variable(index, 3) is None:
         yield f"it has no inhibit time 0x{index:04X}:03 that keeps events apart"
     yield from _type_problems(dictionary, index, pdo)
+
+
+def _writable(variables: Iterable[Any]) -> bool:
+    return all(variable.access_type in WRITABLE for variable in variables)
+
+
+def _fitting_slots(dictionary: Any, config: CanopenDriveConfig) -> dict[str, int | None] | None:
+    """Numbers of PDOs that can carry what we want, where the usual ones cannot; None where there are none."""
+
+    def first(kind: int, pdo: PdoMap, taken: Iterable[int | None] = ()) -> int | None:
+        numbers = [n for n in range(1, MOST_SLOTS + 1) if kind + n - 1 in dictionary and n not in taken]
+        return next((n for n in numbers if not list(_pdo_problems(dictionary, kind + n - 1, pdo))), None)
+
+    motion, status, *event = config.answers
+    found: dict[str, int | None] = {"command": first(0x1400, config.command), "motion": first(0x1800, motion)}
+    found["status"] = first(0x1800, status, (found["motion"],))
+    if None in found.values():
+        return None
+    found["event"] = first(0x1800, event[0], found.values()) if event else None
+    return found
 
 
 def _type_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
