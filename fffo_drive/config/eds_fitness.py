@@ -6,9 +6,11 @@ same needs.
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
+
+import yaml
 
 from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
@@ -94,8 +96,9 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
     )
     modes = supported_modes(dictionary)
     refusals = check_device_type(objects, config) if objects.value(0x1000) is not None else []
-    if not refusals:  # of what is no drive nothing more is asked
-        refusals += check_modes(objects, config) if modes else []
+    if not refusals and modes:
+        refusals += check_modes(objects, config)
+    if not refusals:  # of what is no drive, or has no torque mode, nothing more is asked
         refusals += needs(objects, config)
         refusals += [f"{pdo.name}: {problem}" for pdo in pdos for problem in pdo.problems]
     exponent = dictionary.get_variable(0x60C2, 2)
@@ -137,11 +140,19 @@ def snippet(eds: Eds, node_id: int, fitness: Fitness, profile: str | None = None
     return "\n".join(lines)
 
 
+def _yaml_text(value: Any) -> str:
+    """A value as it stands behind a key, in one line."""
+    if isinstance(value, float):
+        return format(value, ".10g")
+    return (
+        yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=math.inf).removesuffix("\n...\n").strip()
+    )
+
+
 def section_lines(proposal: Proposal) -> list[str]:
     """Keys and values as YAML, each with where it comes from."""
     return [
-        f"  {key}: {json.dumps(value) if not isinstance(value, float) else format(value, '.10g')}"
-        f"   # {proposal.sources.get(key, 'of its profile')}"
+        f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'of its profile')}"
         for key, value in proposal.section.items()
     ]
 
