@@ -79,7 +79,8 @@ class Setpoint:
             self.idle()
             return 0.0
         if self._own_thousandths:
-            demand = min(max(wanted, -min(most, most_current, backward)), min(most, most_current, forward))
+            most = min(most, most_current, self._peak)
+            demand = min(max(wanted, -min(most, backward)), min(most, forward))
         else:
             most = min(most, most_current * self._current_share, self._peak)
             demand = min(max(wanted, -min(most, abs(backward))), min(most, forward))  # some have 0x60E1 with a sign
