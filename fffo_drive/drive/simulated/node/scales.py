@@ -108,6 +108,7 @@ class Scales:
             by_torque = ratings.rated_current_a  # without the rounding of the object
         if number(RATED_CURRENT) == round(ratings.rated_current_a / personality.rated_current_unit_a):
             by_current = ratings.rated_current_a
+        self.as_made = by_torque == by_current == ratings.rated_current_a  # both ratings are those of the motor
         self.a_per_permille = (by_torque or by_current or ratings.rated_current_a) / PERMILLE
         self.current_a_per_permille = (by_current or by_torque or ratings.rated_current_a) / PERMILLE
 
