@@ -337,10 +337,11 @@ def test_types_and_forms_of_an_eds(tmp_path: Path) -> None:
 
 
 OWN_EDS = eds_text(NodeConfig()).splitlines()
-SPOILT = st.sampled_from(("", "=", "DataType=", "DataType=0x99", "DataType=0x1B", "DataType=4", "LowLimit=5", "\0",
-                          "DefaultValue=$NODEID", "HighLimit=-1", "AccessType=wow", "[6041]", "[6041sub1]",
-                          "[1800sub1]", "PDOMapping=9", "ObjectType=0x8", "CompactSubObj=300", "DefaultValue=99999999999",
-                          "ParameterValue=7"))  # fmt: skip
+SPOILT = st.sampled_from(
+    ("", "=", "DataType=", "DataType=0x99", "DataType=0x1B", "DataType=4", "LowLimit=5", "HighLimit=-1", "\0")
+    + ("DefaultValue=$NODEID", "DefaultValue=99999999999", "ParameterValue=7", "AccessType=wow", "PDOMapping=9")
+    + ("[6041]", "[6041sub1]", "[1800sub1]", "ObjectType=0x8", "CompactSubObj=300")
+)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
