@@ -155,6 +155,10 @@ def test_a_node_that_starts_itself() -> None:
     assert Rig().read(0x1F80) == 4
 
 
+def test_a_node_may_start_itself_without_the_object() -> None:
+    assert Rig(NodeConfig(personality=Personality(starts_itself=True))).node.nmt.state == 5
+
+
 @pytest.mark.conformance("CiA 301", "self-starting node: bit 2 of 0x1F80 (CiA 302-2)")
 def test_self_starting_is_stored_and_acts_with_the_next_reset() -> None:
     rig = Rig()

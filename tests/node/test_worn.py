@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from node.node_rig import ENABLE, OPERATION_ENABLED, Rig
 from node.test_node_eds import upload
@@ -242,6 +243,19 @@ def test_the_command_wears_a_drive_and_writes_its_eds(tmp_path: Path, capsys: py
     assert read_dictionary(tmp_path / "again.eds").entries == read_dictionary(other).entries
 
 
+def test_the_command_refuses_a_file_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive, other = tmp_path / "drive.yaml", tmp_path / "other.yaml"
+    drive.write_text("format: fffo_drive/simulated/1\npersonality: {values: {'0x6076:00': 0}}\n")
+    other.write_text("drive: x\nobjects:\n  '0x1000:00': {type: 7}\n")
+    assert main(["sim", str(drive), "--dictionary", str(other)]) == 78
+    assert f"{other}:3: objects.0x1000:00.access: missing" in capsys.readouterr().err
+    assert main(["sim", str(drive), "--dictionary", str(tmp_path / "away.dcf")]) == 78
+    assert "away.dcf: No such file" in capsys.readouterr().err
+    other.write_text("drive: x\nobjects:\n  '0x1000:00': {type: 7, access: ro}\n")
+    assert main(["sim", str(drive), "--dictionary", str(other)]) == 78  # the personality names what it does not have
+    assert "personality.values.0x6076:00: the drive has no such number" in capsys.readouterr().err
+
+
 # --- files that are no dictionary
 
 OBJECT = 'drive: x\nobjects:\n  "0x1000:00": {type: 7, access: ro}\n'
@@ -322,7 +336,43 @@ def test_types_and_forms_of_an_eds(tmp_path: Path) -> None:
     assert read_dictionary(again).entries == rig.config.dictionary.entries  # type: ignore[union-attr]
 
 
+OWN_EDS = eds_text(NodeConfig()).splitlines()
+SPOILT = st.sampled_from(
+    ("", "=", "DataType=", "DataType=0x99", "DataType=0x1B", "DataType=4", "LowLimit=5", "HighLimit=-1", "\0")
+    + ("DefaultValue=$NODEID", "DefaultValue=99999999999", "ParameterValue=7", "AccessType=wow", "PDOMapping=9")
+    + ("[6041]", "[6041sub1]", "[1800sub1]", "ObjectType=0x8", "CompactSubObj=300")
+)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(changes=st.lists(st.tuples(st.integers(0, len(OWN_EDS) - 1), SPOILT), min_size=1, max_size=30))
+def test_a_spoilt_eds_is_refused_or_worn(changes: list[tuple[int, str]], tmp_path: Path) -> None:
+    lines = list(OWN_EDS)
+    for place, text in changes:
+        lines[place] = text
+    path = tmp_path / "spoilt.eds"
+    path.write_text("\n".join(lines))
+    try:
+        dictionary = read_dictionary(path)
+    except DocumentError:
+        return
+    rig = Rig(NodeConfig(dictionary=dictionary))
+    rig.operational()
+    for entry in dictionary.entries:
+        rig.send(f"601#40{entry.index & 0xFF:02X}{entry.index >> 8:02X}{entry.sub:02X}00000000")
+    rig.send("080#")
+    rig.wait(20)
+
+
 # --- whatever the dictionary
+
+
+_PAIRS = (
+    (DataType.INTEGER8, DataType.UNSIGNED8),
+    (DataType.INTEGER16, DataType.UNSIGNED16),
+    (DataType.INTEGER32, DataType.UNSIGNED32),
+)
+OTHER_SIGN = dict(_PAIRS) | {unsigned: signed for signed, unsigned in _PAIRS}
 
 
 def entries_strategy() -> st.SearchStrategy[tuple[Entry, ...]]:
@@ -332,7 +382,12 @@ def entries_strategy() -> st.SearchStrategy[tuple[Entry, ...]]:
         low, high = type_limits(entry) if entry.size else (0, 0)
         default = draw(st.none() | st.integers(low, high)) if entry.size else entry.default
         access = draw(st.sampled_from((entry.access, "rw", "const", "ro", "rww")))
-        return Entry(entry.index, entry.sub, entry.name, entry.data_type, access, default, None, None, True)
+        data_type = entry.data_type
+        if entry.index >= 0x2000 and data_type in OTHER_SIGN:
+            data_type = draw(st.sampled_from((data_type, OTHER_SIGN[data_type])))
+            low, high = type_limits(replace(entry, data_type=data_type))
+            default = draw(st.none() | st.integers(low, high))
+        return Entry(entry.index, entry.sub, entry.name, data_type, access, default, None, None, True)
 
     @st.composite
     def some(draw: st.DrawFn) -> tuple[Entry, ...]:

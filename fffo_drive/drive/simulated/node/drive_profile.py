@@ -301,7 +301,7 @@ class DriveProfile:
 
     def _new_brake(self, kind: int) -> Brake:
         ratings, scales = self.ratings, self.scales
-        limit_permille = min(self.od.number(MAX_TORQUE), scales.peak_permille)
+        limit_permille = min(abs(self.od.number(MAX_TORQUE)), scales.peak_permille)
         settings = BrakeSettings(
             slow_rps2=self._ramp_rps2(SLOW_DOWN, ratings.slow_rps2),
             quick_rps2=self._ramp_rps2(QUICK_STOP, ratings.quick_rps2),
@@ -369,7 +369,7 @@ class DriveProfile:
         elif plant.dc_link_v > ratings.overvoltage_v:
             self.trip(DC_LINK_OVERVOLTAGE)
         elif abs(plant.velocity_rps) > (
-            OVERSPEED_FACTOR * (self.od.values[self._max_speed_slot] or self._highest_rpm) / S_PER_MIN
+            OVERSPEED_FACTOR * (abs(self.od.values[self._max_speed_slot]) or self._highest_rpm) / S_PER_MIN
         ):
             self.trip(OVERSPEED)
         elif abs(plant.current_a) > self._overcurrent_a:

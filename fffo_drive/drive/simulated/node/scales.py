@@ -80,7 +80,7 @@ class Scales:
         believed = _ratio(self.od, ENCODER) or self._encoder
         increments = self._encoder / self.ratings.counts_per_rev
         position = self._per_increment(believed) / gear * (-1 if polarity & REVERSED_POSITION else 1)
-        self.converts_position = (increments, position) != (1, 1)
+        self.converts_position = increments != 1 or position != 1
         self._factors = (*increments.as_integer_ratio(), *position.as_integer_ratio())
         per_rps = float(self._per_rps(believed) / gear)
         self.units_per_rps = per_rps

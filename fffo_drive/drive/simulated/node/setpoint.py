@@ -82,15 +82,15 @@ class Setpoint:
             most = min(most, most_current, self._peak)
             demand = min(max(wanted, -min(most, backward)), min(most, forward))
         else:
-            most = min(most, most_current * self._current_share, self._peak)
-            demand = min(max(wanted, -min(most, abs(backward))), min(most, forward))  # some have 0x60E1 with a sign
-        demand = self._within_speed(demand, velocity_rps, rps_from_rpm(speed_rpm))
+            most = min(abs(most), abs(most_current) * self._current_share, self._peak)
+            demand = min(max(wanted, -min(most, abs(backward))), min(most, abs(forward)))  # 0x60E1 may have a sign
+        demand = self._within_speed(demand, velocity_rps, rps_from_rpm(abs(speed_rpm)))
         self.limited = demand != wanted
         self.od.values[self._demand_slot] = round(demand)
         return demand * self._a_per_permille
 
     def _ramp(self, target: int, slope: int, elapsed_ns: int) -> float:
-        step = slope * elapsed_ns / NS_PER_S if slope else NO_SLOPE
+        step = abs(slope) * elapsed_ns / NS_PER_S if slope else NO_SLOPE
         self.ramped = min(max(float(target), self.ramped - step), self.ramped + step)
         self.reached = self.ramped == target
         return self.ramped
