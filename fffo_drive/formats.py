@@ -57,6 +57,9 @@ NOBODY = "programs of others"
 
 MODEL = Format("model", "model of an axis", f"identify, diagnose, {HAND}", "all that runs or fits an axis")
 AXIS = Format("axis", "an axis: drive, model, law, limits, profile", f"close-the-loop, {HAND}", "all that runs an axis")
+DRIVE_PROFILE = Format(
+    "drive_profile", "what a family of drives needs", f"drive-info, {HAND}", "all that reads an axis"
+)
 SIMULATED = Format("simulated", "a simulated drive", f"close-the-loop, {HAND}", "sim, run, evaluate, close-the-loop")
 SCENARIO = Format("scenario", "what is compared, on which axis", HAND, "evaluate")
 FACTS = Format("facts", "declared facts about a drive", f"close-the-loop, {HAND}", "identify, diagnose, close-the-loop")
@@ -71,8 +74,8 @@ REPORT = Format("report", "report.json of all but diagnose", "identify, tune, ev
 FORMATS: dict[str, Format] = {
     f.kind: f
     for f in (
-        AXIS, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT, IDENTIFICATION, TUNING,
-        CIRCLE,
+        AXIS, DRIVE_PROFILE, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT,
+        IDENTIFICATION, TUNING, CIRCLE,
     )
 }  # fmt: skip
 

@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from ..config.axis import AxisFile, CanopenDriveSection, beside, model_of, read_axis
+from ..config.axis import AxisFile, beside, model_of, read_axis
 from ..config.commissioning import permission
+from ..config.drive_profile import profile_path
+from ..config.drive_section import CanopenDriveSection
 from ..config.plan import Plan, checked_plan, open_drive
 from ..documents import DocumentError, parse, read_text
 from ..drive.port import DriveError
@@ -256,6 +258,8 @@ def write_axis(axis_path: Path, out: Path, sim: Path | None, rate_hz: int | None
     for section, key in ((data, "model"), (data, "commissioning"), (data["drive"], "file"), (data["drive"], "eds")):
         if section.get(key):
             section[key] = str(beside(axis_path.resolve(), section[key]).resolve())
+    if data["drive"].get("profile"):
+        data["drive"]["profile"] = str(profile_path(axis_path.resolve(), data["drive"]["profile"]))
     data["controller"].setdefault("effects", {})["monitor"] = False
     if rate_hz is not None:
         data.setdefault("loop", {})["rate_hz"] = rate_hz

@@ -36,8 +36,9 @@ from ..config.adoption import (
     read_report,
     refused_effects,
 )
-from ..config.axis import AxisFile, CanopenDriveSection, build_profile, model_of, read_axis
+from ..config.axis import AxisFile, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
+from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, services, slope_margin
 from ..config.plan import checked_plan
 from ..config.simulated import read_simulated

@@ -29,9 +29,10 @@ from ..commissioning.record import (
     overall,
     write_record,
 )
-from ..config.axis import CanopenDriveSection, beside, build_profile, model_of, read_axis
+from ..config.axis import beside, build_profile, model_of, read_axis
 from ..config.checks import bus_problems, require
 from ..config.commissioning import declared_facts
+from ..config.drive_section import CanopenDriveSection
 from ..model.parameters import content_hash
 from .drives import Plan, open_drive, plan_session
 from .exits import DriveFaultError

@@ -1,7 +1,8 @@
 """Check files and print what they may hold.
 
 fffo-drive config check AXIS...     every error at once; margins, the sum for the bus; two axes on one bus
-fffo-drive config schema KIND       JSON schema for editors: axis, simulated, model, scenario, facts
+fffo-drive config schema KIND       JSON schema for editors: axis, drive_profile, simulated, model, scenario, facts
+fffo-drive config drives            profiles of drive families that come with the program, and what was tried
 fffo-drive config signals           the table of recorded signals
 fffo-drive config effects           the table of effects that the simulated drive can be given
 """
@@ -14,8 +15,10 @@ from typing import Any
 
 from ..can.load import Step
 from ..config.address import address_of, sandbox_problem
-from ..config.axis import AxisFile, CanopenDriveSection
+from ..config.axis import AxisFile
 from ..config.checks import bus_sum, law_margins, shared_buses
+from ..config.drive_profile import DriveProfile, read_profile, shipped_profiles
+from ..config.drive_section import CanopenDriveSection
 from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
@@ -26,6 +29,7 @@ from .drives import Plan, make_plan, open_drive
 
 SCHEMAS: dict[str, Any] = {
     "axis": AxisFile,
+    "drive_profile": DriveProfile,
     "simulated": SimulatedDriveRecord,
     "model": ModelFile,
     "scenario": ScenarioFile,
@@ -40,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("config", metavar="AXIS", nargs="+", help="axis file (YAML)")
     schema = actions.add_parser("schema", help="JSON schema of a file")
     schema.add_argument("kind", choices=list(SCHEMAS))
+    actions.add_parser("drives", help="profiles of drive families, for drive.profile")
     actions.add_parser("signals", help="table of recorded signals (Markdown)")
     actions.add_parser("effects", help="table of effects of the simulated drive (Markdown)")
 
@@ -54,6 +59,8 @@ def execute(options: argparse.Namespace) -> int:
             print(f"warning: {text}")
     elif options.action == "schema":
         print(json.dumps(SCHEMAS[options.kind].model_json_schema(), indent=2))
+    elif options.action == "drives":
+        print("\n".join(drive_lines()))
     elif options.action == "signals":
         print(signal_table())
     else:
@@ -68,6 +75,15 @@ def signal_table() -> str:
     lines = ["| signal | unit | meaning |", "| --- | --- | --- |"]
     lines += [f"| `{s.name}` | {s.unit} | {s.meaning} |" for s in SIGNALS]
     return "\n".join(lines)
+
+
+def drive_lines() -> list[str]:
+    """Each profile of a drive family: name, family, what was tried on what, what must be known."""
+    lines = []
+    for name, path in shipped_profiles().items():
+        profile = read_profile(path)
+        lines += [f"{name}  {profile.family}", f"  tried: {profile.tried}", *(f"  {text}" for text in profile.remarks)]
+    return lines
 
 
 def _check(plan: Plan) -> None:

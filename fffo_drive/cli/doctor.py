@@ -63,7 +63,8 @@ def wanted_of(path: str | None, bus: str | None) -> Wanted:
     """What an axis file asks of the machine. Raises DocumentError."""
     if path is None:
         return Wanted(bus=bus)
-    from ..config.axis import CanopenDriveSection, loop_config, read_axis, realtime_request
+    from ..config.axis import loop_config, read_axis, realtime_request
+    from ..config.drive_section import CanopenDriveSection
 
     axis = read_axis(path)
     request = realtime_request(axis)
@@ -83,7 +84,8 @@ def bus_masters_of(path: str | None, bus: str | None, seconds: float) -> BusMast
     """Begin to listen to the bus of an axis file; None where it has none. Raises DocumentError, MappingError."""
     if path is None:
         return None
-    from ..config.axis import CanopenDriveSection, read_axis
+    from ..config.axis import read_axis
+    from ..config.drive_section import CanopenDriveSection
     from ..system.bus_masters import BusMasters
     from ..units import NS_PER_S
 

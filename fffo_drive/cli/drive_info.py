@@ -1,6 +1,7 @@
 """Say what we can and cannot do with a drive, from its EDS alone.
 
-fffo-drive drive-info FILE.eds     modes, PDO mappings, objects that are missing, and a drive section for an axis file
+fffo-drive drive-info FILE.eds                 modes, PDO mappings, what is missing, a drive section for an axis file
+fffo-drive drive-info FILE.eds --profile OUT   ... and write the profile of its family, for drive.profile
 
 Nothing is sent. Exit code 0 when the file speaks for the drive or leaves it open, 78 when it speaks against it.
 """
@@ -9,10 +10,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
+from ..config.drive_profile import DriveProfile, profile_for, profile_text, read_profile
+from ..config.eds_fitness import Fitness, fitness_of, mode_names, snippet
 from ..drive.canopen.eds import Eds, default_of, read_eds
-from ..drive.canopen.eds_fitness import Fitness, fitness_of, has_cyclic_torque, mode_names, snippet
+from ..drive.canopen.needs import has_mode, mode_text
 from .exits import EXIT_BAD_INPUT, EXIT_OK
 
 
@@ -20,21 +24,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("file", metavar="EDS", help="electronic data sheet (CiA 306) of the drive: .eds or .dcf")
     parser.add_argument("--node", type=int, default=1, metavar="ID", help="node id (default: %(default)s)")
+    parser.add_argument("--profile", type=Path, metavar="OUT", help="write the profile of the drive's family there")
+    parser.add_argument(
+        "--without-profile", action="store_true", help="take the file alone, also where the program knows the family"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     eds = read_eds(options.file, options.node)
-    fitness = fitness_of(eds, options.node)
+    device = eds.dictionary.device_information
+    known = None if options.without_profile else profile_for(device.vendor_number, device.product_number)
+    fitness = fitness_of(eds, options.node, known[1].keys if known else None)
     if options.json:
-        print(json.dumps(_facts(eds, options.node, fitness), indent=2))
+        print(json.dumps(_facts(eds, options.node, fitness, known), indent=2))
     else:
-        print("\n".join(_lines(eds, options.node, fitness)))
+        print("\n".join(_lines(eds, options.node, fitness, known)))
+    if options.profile is not None and not fitness.refusals:
+        options.profile.write_text(profile_text(eds.drive_name, device, fitness), encoding="utf-8")
+        read_profile(options.profile)
+        if not options.json:
+            print(f"\nwrote {options.profile}: name it in the axis file as drive.profile")
     return EXIT_BAD_INPUT if fitness.refusals else EXIT_OK
 
 
-def _facts(eds: Eds, node_id: int, fitness: Fitness) -> dict[str, Any]:
+Known = tuple[str, DriveProfile] | None
+
+
+def _facts(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> dict[str, Any]:
     device = eds.dictionary.device_information
     return {
         "file": eds.path,
@@ -48,13 +66,19 @@ def _facts(eds: Eds, node_id: int, fitness: Fitness) -> dict[str, Any]:
         "refusals": fitness.refusals,
         "missing": fitness.welcome_missing,
         "pdos": {pdo.name: pdo.problems for pdo in fitness.pdos},
-        "drive_section": fitness.facts,
+        "mode": fitness.mode,
+        "profile": known[0] if known else None,
+        "stand_ins": fitness.proposal.stand_ins,
+        "unit_remarks": fitness.proposal.remarks,
+        "highest_rate_hz": fitness.highest_rate_hz,
+        "drive_section": fitness.section,
+        "to_fill_in": fitness.unknown,
         "remarks": [str(remark) for remark in eds.remarks],
-        "snippet": snippet(eds, node_id, fitness),
+        "snippet": snippet(eds, node_id, fitness, known[0] if known else None),
     }
 
 
-def _lines(eds: Eds, node_id: int, fitness: Fitness) -> list[str]:
+def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
     device = eds.dictionary.device_information
     identity = [
         f"{name} 0x{value:08X}"
@@ -69,6 +93,20 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness) -> list[str]:
     lines += [_verdict(eds, fitness), "", "modes (0x6502):"]
     modes = None if fitness.modes is None else ", ".join(mode_names(fitness.modes)) or "none"
     lines.append(f"  {modes or 'not told by the file; the drive is asked when it is connected'}")
+    lines.append(f"  used: {mode_text(fitness.mode)}")
+    if known is not None:
+        lines += ["", f"profile of its family: {known[0]} ({known[1].family})", f"  tried: {known[1].tried}"]
+        lines += [f"  {remark}" for remark in known[1].remarks]
+    if fitness.proposal.stand_ins:
+        lines += ["", "what stands in for what it lacks:", *(f"  {text}" for text in fitness.proposal.stand_ins)]
+    told = [f"  {text}" for text in fitness.proposal.remarks]
+    section = fitness.section
+    if velocity := section.get("velocity_units_per_rps"):
+        told.append(f"  one unit of velocity is {1.0 / velocity:.3g} rps")
+    if fitness.highest_rate_hz is not None:
+        told.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
+    if told:
+        lines += ["", "units and rate:", *told]
     lines += ["", "PDO mappings that we set up:"]
     for pdo in fitness.pdos:
         state = "; ".join(pdo.problems) or "possible"
@@ -83,16 +121,15 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness) -> list[str]:
         lines += ["", f"the file is not as CiA 306 has it ({len(eds.remarks)}):"]
         lines += [f"  {remark}" for remark in eds.remarks]
     if not fitness.refusals:
-        lines += ["", "for an axis file (`fffo-drive config check` reads it):", "", snippet(eds, node_id, fitness)]
+        text = snippet(eds, node_id, fitness, known[0] if known else None)
+        lines += ["", "for an axis file (`fffo-drive config check` reads it):", "", text]
     return lines
 
 
 def _verdict(eds: Eds, fitness: Fitness) -> str:
     if fitness.refusals:
-        head = f"cannot be used: {eds.drive_name}"
-        if has_cyclic_torque(fitness) is False:
-            head += " has no cyclic synchronous torque mode"
-        return "\n".join([head, *(f"  {text}" for text in fitness.refusals)])
-    if has_cyclic_torque(fitness) is None:
-        return "can be used if it has cyclic synchronous torque: the file does not say"
+        return "\n".join([f"cannot be used: {eds.drive_name}", *(f"  {text}" for text in fitness.refusals)])
+    if fitness.modes is None:
+        return f"can be used if it has mode {mode_text(fitness.mode)}: the file does not say"
+    assert has_mode(fitness.modes, fitness.mode)
     return "can be used, as far as the file says"

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ..config.axis import CanopenDriveSection, recorder_settings
+from ..config.axis import recorder_settings
 from ..config.checks import require
 from ..config.commissioning import Permission
+from ..config.drive_section import CanopenDriveSection
 from ..config.scenario import (
     Scenario,
     axis_of,

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import formats
-from ..config.axis import AxisFile, CanopenDriveSection, SimulatedDriveSection
+from ..config.axis import AxisFile
+from ..config.drive_section import CanopenDriveSection, SimulatedDriveSection
 from ..documents import DocumentError, check, parse
 from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts, read_facts

@@ -42,11 +42,13 @@ class DeclaredFacts(Record):
         default_factory=list
     )
 
+    command: Annotated[str, Field(description="mode and objects, where they are not those of mode 10")] = ""
+
     @model_serializer(mode="wrap")
     def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Records of drives without the list keep their hash."""
+        """Records of drives without these keep their hash."""
         found: dict[str, Any] = dump(self)
-        return found if self.sdo else {key: value for key, value in found.items() if key != "sdo"}
+        return {key: value for key, value in found.items() if value or key not in ("sdo", "command")}
 
     @property
     def digest(self) -> str:

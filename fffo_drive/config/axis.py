@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,9 +23,7 @@ from ..control.reference import (
     piecewise_linear,
     sine,
 )
-from ..documents import Record, load, refuse
-from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig
-from ..drive.canopen.sdo_writes import SdoWrite, WritePhase, reserved_reason
+from ..documents import Record, check, parse, read_text, refuse
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -38,7 +36,9 @@ from ..runtime.realtime import RealtimeRequest
 from ..runtime.records import ModelNote
 from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
-from ..units import NS_PER_S, counts_per_rev
+from ..units import NS_PER_S
+from .drive_profile import with_profile
+from .drive_section import CanopenDriveSection, SimulatedDriveSection
 from .effects import compensation_table
 from .sections import (
     ControllerSection,
@@ -67,147 +67,7 @@ TRIP_NAMES = {
     for name, value in vars(env).items()
     if name.startswith("TRIP_") and isinstance(value, int) and name not in ("TRIP_COUNT", "TRIP_NONE")
 }
-DEFAULT_RESOLVER_BITS = 15
-RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
 REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
-
-Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
-
-
-class SimulatedDriveSection(Record):
-    """The simulated drive, in process: faster than real time, the same run from the same seed."""
-
-    kind: Literal["simulated"]
-    file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
-
-
-class SdoWriteSection(Record):
-    """One object that is written before a drive is enabled, or after it was left."""
-
-    object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, as 0x60A9")]
-    sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
-    value: Annotated[int, Field(ge=-(1 << 63), lt=1 << 64)]
-    bytes: Annotated[Literal[1, 2, 4, 8], Field(description="size of the object in the drive")]
-    when: Annotated[
-        WritePhase,
-        Field(description="before_mapping (and before ratings are compared), before_enable, or after_disable"),
-    ] = "before_mapping"
-    check: Annotated[bool, Field(description="read it back and compare; false for a command such as 0x1010")] = True
-    aborts: Annotated[list[int], Field(description="abort codes that are expected, and no refusal")] = Field(
-        default_factory=list
-    )
-    why: Annotated[str, Field(min_length=3, max_length=200, description="what it is needed for; a refusal says it")]
-
-    @model_validator(mode="after")
-    def _allowed(self) -> SdoWriteSection:
-        low = -(1 << 8 * self.bytes - 1)
-        if not low <= self.value < 1 << 8 * self.bytes:
-            raise ValueError(f"value {self.value} does not fit into {self.bytes} bytes")
-        reason = reserved_reason(self.object)
-        if reason:
-            raise ValueError(f"object 0x{self.object:04X} {reason}")
-        return self
-
-    def write(self) -> SdoWrite:
-        """As the bring-up takes it."""
-        return SdoWrite(
-            self.object, self.sub, self.value, self.bytes, self.when, self.check, tuple(self.aborts), self.why
-        )
-
-
-class CanopenDriveSection(Record):
-    """A CiA 402 drive in cyclic synchronous torque on a CAN bus."""
-
-    kind: Literal["canopen"]
-    bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
-    bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
-    node_id: Annotated[int, Field(ge=1, le=127)]
-    master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
-    counts_per_rev: Annotated[
-        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 in a revolution, any number")
-    ] = None
-    resolver_bits: Annotated[
-        int | None, Field(ge=8, le=31, description="2^bits counts a revolution, in place of counts_per_rev")
-    ] = None
-    velocity_units_per_rps: Annotated[float, Field(gt=0, description="0x606C for one rev/s")] = 32768.0
-    rated_torque_nm: Annotated[float, Field(gt=0, le=1e5, description="0x6076; compared with the drive's")]
-    rated_current_a: Annotated[float | None, Field(gt=0, le=1e4, description="0x6075; compared with the drive's")] = (
-        None
-    )
-    rated_torque_unit: Annotated[
-        Literal["mNm", "uNm"], Field(description="of 0x6076 in this drive; CiA 402 has mNm")
-    ] = "mNm"
-    inverted: bool = False
-    status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
-    heartbeat_ms: Milliseconds = 50
-    heartbeat_timeout_ms: Milliseconds = 150
-    drive_heartbeat_ms: Milliseconds = 50
-    command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
-    abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
-    status_event: Annotated[
-        Literal[0, 254, 255], Field(description="transmission type of the statusword on change; 0: with the next SYNC")
-    ] = 255
-    quick_stop_option: Annotated[int | None, Field(description="0x605A; null: the drive's own")] = 2
-    fault_reaction_option: Annotated[int | None, Field(description="0x605E; null: the drive's own")] = 2
-    max_torque_permille: Annotated[
-        int | None, Field(ge=1, le=65535, description="0x6072, torque limit in the drive; null: the drive's own")
-    ] = None
-    sdo: Annotated[
-        list[SdoWriteSection],
-        Field(default_factory=list, description="objects that this drive needs written, in order"),
-    ]
-    eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
-    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
-    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
-    attempts: Annotated[int, Field(ge=1, le=20, description="of an SDO transfer that is not answered")] = 3
-    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
-    turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
-
-    @model_validator(mode="after")
-    def _one_resolution(self) -> CanopenDriveSection:
-        if self.counts_per_rev is not None and self.resolver_bits is not None:
-            raise ValueError("counts_per_rev and resolver_bits say the same: give one of them")
-        return self
-
-    @property
-    def counts(self) -> int:
-        """Increments of 0x6064 in one revolution."""
-        return self.counts_per_rev or counts_per_rev(self.resolver_bits or DEFAULT_RESOLVER_BITS)
-
-    def drive_config(
-        self, torque_constant_nm_per_a: float, period_ns: int, bus: str | None = None
-    ) -> CanopenDriveConfig:
-        """What the drive's bring-up and exchange need. Raises MappingError."""
-        return CanopenDriveConfig(
-            bus=bus or self.bus,
-            node_id=self.node_id,
-            period_ns=period_ns,
-            counts_per_rev=self.counts,
-            velocity_units_per_rps=self.velocity_units_per_rps,
-            torque_constant_nm_per_a=torque_constant_nm_per_a,
-            rated_torque_nm=self.rated_torque_nm,
-            rated_current_a=self.rated_current_a,
-            rated_torque_unit_nm=RATED_TORQUE_UNITS[self.rated_torque_unit],
-            inverted=self.inverted,
-            bitrate_hz=self.bitrate_hz,
-            master_id=self.master_id,
-            status_every=self.status_every,
-            status_event=self.status_event,
-            heartbeat_ms=self.heartbeat_ms,
-            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
-            drive_heartbeat_ms=self.drive_heartbeat_ms,
-            command_timeout_ms=self.command_timeout_ms,
-            abort_connection_option=self.abort_connection_option,
-            quick_stop_option=self.quick_stop_option,
-            fault_reaction_option=self.fault_reaction_option,
-            max_torque_permille=self.max_torque_permille,
-            sdo=tuple(entry.write() for entry in self.sdo),
-            listen_s=self.listen_s,
-            answer_timeout_s=self.answer_timeout_s,
-            attempts=self.attempts,
-            start_timeout_s=self.start_timeout_s,
-            eds=self.eds,
-        )
 
 
 class AxisFile(Record):
@@ -239,7 +99,9 @@ class AxisFile(Record):
 
 def read_axis(path: str | Path) -> AxisFile:
     """Read and check an axis file. Raises DocumentError with every error in it."""
-    axis = load(path, AxisFile)
+    path = Path(path)
+    data, lines = parse(read_text(path), str(path))
+    axis = check(with_profile(data, path), AxisFile, str(path), lines)
     sections = {"profile": axis.profile, **{f"daemon.profiles.{name}": s for name, s in axis.daemon.profiles.items()}}
     found = [(key, text) for key, section in sections.items() for text in length_problems(section, axis.loop)]
     refuse(path, [(key, text.removeprefix("profile: ")) for key, text in found])

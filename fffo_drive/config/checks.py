@@ -14,7 +14,8 @@ from ..drive.canopen.object_map import MappingError
 from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
-from .axis import AxisFile, CanopenDriveSection
+from .axis import AxisFile
+from .drive_section import CanopenDriveSection
 
 HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 
@@ -106,6 +107,12 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
     except MappingError as error:  # it lists the keys of this section
         return [f"drive: {error}; the period is 1 / loop.rate_hz" if "period" in str(error) else f"drive: {error}"]
     problems = []
+    highest_hz = axis.drive.highest_rate_hz
+    if highest_hz is not None and axis.loop.rate_hz > highest_hz:
+        problems.append(
+            f"loop.rate_hz: {axis.loop.rate_hz} Hz; the drive takes commands at no more than {highest_hz} Hz "
+            "(drive.highest_rate_hz, or its profile)"
+        )
     if load.worst > 1.0:
         problems.append(
             f"loop.rate_hz: {axis.loop.rate_hz} Hz loads the bus to {load.worst:.0%} at drive.bitrate_hz "

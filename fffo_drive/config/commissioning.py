@@ -19,7 +19,8 @@ from ..commissioning.record import (
 from ..documents import refuse
 from ..drive.port import DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
-from .axis import AxisFile, CanopenDriveSection, beside
+from .axis import AxisFile, beside
+from .drive_section import CanopenDriveSection
 
 AGAIN = "commission it again (fffo-drive commission {path}), or give --uncommissioned"
 
@@ -47,7 +48,16 @@ def declared_facts(axis: AxisFile, model: ModelFile) -> DeclaredFacts:
         rated_current_a=section.rated_current_a,
         inverted=section.inverted,
         sdo=[entry.write().text for entry in section.sdo],
+        command=_command_text(section),
     )
+
+
+def _command_text(section: CanopenDriveSection) -> str:
+    """Mode, target and feedback where they are not those of CiA 402's cyclic synchronous torque."""
+    standard = CanopenDriveSection.model_fields
+    keys = ("mode", "target", "torque_feedback")
+    own = {key: getattr(section, key) for key in keys if getattr(section, key) != standard[key].default}
+    return "; ".join(f"{key} {value}" for key, value in own.items())
 
 
 def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissioned: bool = False) -> Permission:

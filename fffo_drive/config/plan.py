@@ -16,19 +16,11 @@ from ..runtime.effect_monitor import EffectMonitor, MonitorConfig
 from ..runtime.runs import run_metadata
 from ..runtime.session import SessionConfig
 from ..units import NS_PER_S
-from .axis import (
-    TOGGLES,
-    AxisFile,
-    CanopenDriveSection,
-    beside,
-    build_profile,
-    deciding_section,
-    model_of,
-    read_axis,
-    session_config,
-)
+from .axis import TOGGLES, AxisFile, beside, build_profile, deciding_section, model_of, read_axis, session_config
 from .checks import bus_problems, law_problems, motion_problems, profile_problems, require
 from .commissioning import Permission, require_identity
+from .drive_profile import profile_path
+from .drive_section import CanopenDriveSection
 from .effects import compensated_names, effect_problems
 from .sections import ProfileSection, length_problems
 
@@ -165,6 +157,9 @@ def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permissi
         (plan.path.name, YAML_TYPE, plan.path.read_bytes()),
         (model_path.name, YAML_TYPE, model_path.read_bytes()),
     )
+    if isinstance(plan.axis.drive, CanopenDriveSection) and plan.axis.drive.profile is not None:
+        profile = profile_path(plan.path, plan.axis.drive.profile)
+        attachments += ((profile.name, YAML_TYPE, profile.read_bytes()),)
     if given is not None and given.file is not None:
         attachments += ((given.file.name, YAML_TYPE, given.file.read_bytes()),)
     return RunHeader(metadata, attachments)

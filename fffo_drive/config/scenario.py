@@ -24,18 +24,9 @@ from ..evaluation.campaign import Candidate, Case
 from ..evaluation.measures import Yardstick
 from ..model.parameters import ModelFile, Quantity
 from ..runtime.runs import simulated_ring_rows
-from .axis import (
-    TOGGLES,
-    AxisFile,
-    SimulatedDriveSection,
-    beside,
-    build_profile,
-    controller_config,
-    model_of,
-    read_axis,
-    session_config,
-)
+from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, model_of, read_axis, session_config
 from .checks import law_problems, profile_problems
+from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
 from .sections import FeedforwardSection, PaperProfile, ProfileSection, length_problems
 from .simulated import read_simulated

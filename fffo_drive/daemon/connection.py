@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config.axis import CanopenDriveSection
+from ..config.drive_section import CanopenDriveSection
 from ..config.plan import Plan, open_drive, plan_session
 from ..control.envelope import TRIP_NONE
 from ..documents import refuse

@@ -363,7 +363,7 @@ CASES = (
     ),
     Case(
         "EDS of a drive without a velocity", RUN_ON_BUS, 78,
-        ("EDS file few.eds: .*: object 0x606C:00/32, mapped in 0x1A00, is missing",),
+        ("EDS file few.eds: .*: object 0x606C:00 is missing .the velocity that is controlled",),
         both(drive_key("eds: few.eds"), added("few.eds", FEW_OBJECTS)), (node(),),
     ),
     Case(
@@ -414,7 +414,7 @@ CASES = (
     ),
     Case(
         "a drive without cyclic synchronous torque", RUN_ON_BUS, 70,
-        ("node 1 has no cyclic synchronous torque mode: 0x6502:00 says 0x00000008, bit 9 is needed",),
+        ("node 1: there is no mode 10 .cyclic synchronous torque.: 0x6502:00 says 0x00000008, bit 9 is needed",),
         visitors=(node(prepare=put(0x6502, 0, 1 << 3)),),
     ),
     Case(

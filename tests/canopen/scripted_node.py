@@ -81,6 +81,7 @@ class ScriptedNode:
         self.objects = dict(servo_dictionary(node_id) if objects is None else objects)
         self.power_on = dict(self.objects)
         self.refuse, self.keep = refuse or {}, keep or {}
+        self.shows_mode = True  # in 0x6061, at once
         self.mute, self.boots, self.starts, self.beats = mute, boots, starts, beats
         self.written = []  # (index, sub, bytes) in order
         self.commands = []  # NMT
@@ -102,6 +103,9 @@ class ScriptedNode:
         self._thread.join(2.0)
         self.link.close()
 
+    def take(self, frame):
+        """For nodes that do something of their own with a frame."""
+
     def number(self, index, sub=0):
         return int.from_bytes(self.objects[index, sub], "little")
 
@@ -115,6 +119,7 @@ class ScriptedNode:
                 continue
             frame = unpack_frame(raw)
             self.heard.append(frame)
+            self.take(frame)
             if self.beats:
                 self.send(0x700 + self.node_id, b"\x7f")
             if frame.can_id == 0 and frame.data[1:] in (bytes([self.node_id]), b"\0"):
@@ -182,6 +187,6 @@ class ScriptedNode:
             if sub and self.number(index, 0):
                 return NOT_MAPPABLE
         self.objects[index, sub] = value
-        if index == 0x6060:
+        if index == 0x6060 and self.shows_mode:
             self.objects[0x6061, 0] = value
         return 0

@@ -59,7 +59,7 @@ def without(*missing):
 def test_a_plain_servo_drive_comes_up(config):
     with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config) as drive:
         assert drive.identity == (0x11, 0x22, 0x33, 0x44, "a drive with a long name", "v1.2")
-        assert node.commands == [0x82, 0x01]
+        assert node.commands == [0x82, 0x80, 0x01]
         assert node.number(0x6060) == 10
         assert node.number(0x1006) == 500
         assert (node.number(0x60C2, 1), struct.unpack("<b", node.objects[0x60C2, 2])) == (5, (-4,))
@@ -123,7 +123,7 @@ def test_closing_without_a_drive_or_a_bus_never_raises(config):
 @pytest.mark.parametrize(
     ("where", "told"),
     [
-        ((0x6060, 0), "refuses cyclic synchronous torque.*0x6060:00"),
+        ((0x6060, 0), r"refuses mode 10 \(cyclic synchronous torque\).*0x6060:00"),
         ((0x1400, 1), r"refuses 0x1400:01 = .*disabling RPDO1"),
         ((0x1600, 2), r"refuses 0x1600:02 = .*0x6071:00/16 in RPDO1"),
         ((0x1800, 2), r"refuses 0x1800:02 = 1 .*transmission type of TPDO1"),
@@ -203,9 +203,9 @@ def test_a_servo_drive_with_further_bits_is_one(config):
 def test_no_cyclic_synchronous_torque(config):
     objects = servo_dictionary(NODE) | {(0x6502, 0): struct.pack("<I", 0xFF)}
     text = refusal(config, ScriptedNode(config.bus, NODE, objects))
-    assert "no cyclic synchronous torque mode: 0x6502:00 says 0x000000FF, bit 9" in text
+    assert "no mode 10 (cyclic synchronous torque): 0x6502:00 says 0x000000FF, bit 9 is needed; it has profile" in text
     text = refusal(config, ScriptedNode(config.bus, NODE, without(0x6502)))
-    assert "0x6502:00 is missing" in text
+    assert "0x6502:00 is missing, bit 9 is needed; a drive that has the mode and does not say so takes" in text
 
 
 def test_the_mode_must_be_displayed(config):

@@ -106,14 +106,14 @@ def test_numbers_that_are_none(config, caplog):
 
 def test_a_drive_without_the_mode(config):
     write(config, text_of(VARIABLES | {0x6502: (U32, 0x7F, 0)}))
-    assert "drive: 0x6502 is 0x0000007F: no cyclic synchronous torque (bit 9)" in refused(config)
+    assert "drive: there is no mode 10 (cyclic synchronous torque): 0x6502:00 says 0x0000007F" in refused(config)
 
 
 def test_all_that_is_missing_comes_at_once(config):
     variables = {index: row for index, row in VARIABLES.items() if index not in (0x6007, 0x1801, 0x606C)}
     write(config, text_of(variables | {0x6077: (I16, 0, 0), 0x6071: (I32, 0, 1)}))
     text = refused(config)
-    for part in ("object 0x6007 is missing", "PDO 0x1801 is missing", "0x606C:00/32, mapped in 0x1A00, is missing",
+    for part in ("object 0x6007:00 is missing", "TPDO2 is missing (0x1801)", "object 0x606C:00 is missing",
                  "0x6077:00/16 cannot be mapped", "0x6071:00/16 has 32 bits"):  # fmt: skip
         assert part in text
 

@@ -64,7 +64,7 @@ def test_scaling():
     scaling = CONFIG.scaling
     assert scaling.position_rev_per_count == 1 / 32768
     assert scaling.velocity_rps_per_unit == 1 / 32768
-    assert scaling.permille_per_a == pytest.approx(50.0)  # 0.2 Nm/A of 4 Nm
+    assert scaling.target_units_per_a == pytest.approx(50.0)  # 0.2 Nm/A of 4 Nm
     assert changed(inverted=True).scaling == tuple(-factor for factor in scaling)
 
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from scripted_node import RANGE, ScriptedNode, servo_dictionary
 from test_bring_up import NODE, config, refusal  # noqa: F401  (a fixture)
 
-from fffo_drive.config.axis import CanopenDriveSection, SdoWriteSection
+from fffo_drive.config.drive_section import CanopenDriveSection, SdoWriteSection
 from fffo_drive.drive.canopen.drive import CanopenDrive
 from fffo_drive.drive.canopen.sdo_writes import SdoWrite, reserved_reason
 

@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.cli import main
-from fffo_drive.config.axis import CanopenDriveSection
+from fffo_drive.config.drive_section import CanopenDriveSection
+from fffo_drive.config.eds_fitness import fitness_of, mode_names
 from fffo_drive.drive.canopen.eds import default_of, read_eds
-from fffo_drive.drive.canopen.eds_fitness import fitness_of, mode_names, velocity_units_per_rps
 from fffo_drive.drive.canopen.eds_tidy import number, tidy
 from fffo_drive.drive.canopen.object_map import MappingError
+from fffo_drive.drive.canopen.units_told import velocity_units_per_rps
 
 FILES = Path(__file__).resolve().parent / "eds"
 NODE = 5
@@ -45,16 +46,14 @@ REMARKS = {
 }
 REFUSALS = {
     "no_torque": [
-        "object 0x1016 is missing (the drive notices that the PC is silent)",
-        "0x6502 is 0x0000006D: no cyclic synchronous torque (bit 9)",
+        "there is no mode 10 (cyclic synchronous torque): 0x6502:00 says 0x00000065, bit 9 is needed",
     ],
     "fixed": [
         "RPDO1: its mapping is fixed to 0x60400010",
         "TPDO1: its mapping is fixed to 0x60410010",
         "TPDO2: object 0x6077:00/16 cannot be mapped to a PDO",
         "TPDO2: its mapping is fixed to 0x60410010",
-        "TPDO3: it has no inhibit time 0x1802:03 that keeps events apart",
-        "TPDO3: its transmission type is 1 to 240, 255 (events) is needed",
+        "TPDO3: its transmission type is 1 to 240, 0 (SYNC) is needed",
     ],
 }
 
@@ -206,7 +205,7 @@ def test_drive_info_of_a_drive_that_can_be_used(capsys: pytest.CaptureFixture[st
 def test_drive_info_refuses_a_drive_without_cyclic_torque_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drive-info", path_of("no_torque")]) == 78
     text = capsys.readouterr().out
-    assert "cannot be used: Altwerk Positionierer 3 has no cyclic synchronous torque mode" in text
+    assert "cannot be used: Altwerk Positionierer 3\n  there is no mode 10 (cyclic synchronous torque)" in text
     assert "drive:\n" not in text
 
 
@@ -245,7 +244,7 @@ def test_the_value_of_a_dcf_stands_before_its_default_and_one_to_one_is_no_encod
         path = tmp_path / f"counts{value}.dcf"
         changed = [*body, "DefaultValue=4096", f"ParameterValue={value}"]
         path.write_text(text[:begin] + "\n".join(changed) + text[end:] + entry.format("60A9", 0, RPM))
-        facts = fitness_of(read_eds(str(path), NODE), NODE).facts
+        facts = fitness_of(read_eds(str(path), NODE), NODE).section
         assert facts.get("counts_per_rev") == wanted
         assert facts["velocity_units_per_rps"] == 60
 
@@ -258,7 +257,8 @@ def test_the_value_of_a_dcf_stands_before_its_default_and_one_to_one_is_no_encod
         (0x00B40300, None, 1.0),  # rev/s
         (0x00B50300, 2000, 2000.0),  # increments a second: e35
         (0x00B50300, None, None),
-        (0x00410300, 2000, None),  # degrees a second: not known here
+        (0xFF410300, 2000, 3600.0),  # tenths of a degree a second: Nanotec
+        (0x00010300, 2000, None),  # metres a second
         (0, 2000, None),
     ],
 )

@@ -13,6 +13,7 @@ from fffo_drive.cli import main
 from fffo_drive.commissioning.record import read_record
 from fffo_drive.config.adoption import read_history, read_report
 from fffo_drive.config.axis import read_axis
+from fffo_drive.config.drive_profile import read_profile
 from fffo_drive.config.plan import make_plan
 from fffo_drive.config.scenario import read_scenario
 from fffo_drive.config.simulated import read_simulated
@@ -37,6 +38,13 @@ def test_there_is_a_file_of_every_format_that_is_read():
         kinds.add(kind_of(json.loads((release / "diagnosis.json").read_text())))
         assert {kind for kind, one in FORMATS.items() if one.read_by != formats.NOBODY} <= kinds
         assert all(path.stat().st_size < LARGEST_BYTES for path in release.iterdir())
+
+
+def test_the_profile_of_a_family():
+    profile = read_profile(FIRST / "drive_profile.yaml")
+    assert (profile.vendor_id, profile.product_codes, profile.keys["mode"]) == (0x1A3, [0x42], -5)
+    assert profile.keys["target"] == {"object": 0x201C, "bits": 32}
+    assert profile.keys["sdo"][0]["when"] == "before_enable"
 
 
 def test_the_axis_in_process():

@@ -8,29 +8,35 @@ drive is not enabled here.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from ...can import frame as can
-from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE
 from ..port import DriveIdentity, DriveRefusedError
+from . import silence
 from .checked import write_checked, write_if_present
 from .config import CanopenDriveConfig
-from .object_map import MODE, MODE_DISPLAY, TARGET_TORQUE, PdoMap, interpolation_period
+from .needs import BusObjects, check_device_type, check_modes, mode_text, needs
+from .object_map import MODE, MODE_DISPLAY, PdoMap, interpolation_period
 from .sdo_writes import write_phase
 from .service import (
+    NMT_PRE_OPERATIONAL,
     NMT_RESET_COMMUNICATION,
     NMT_START,
     STATE_OPERATIONAL,
     SdoRefusedError,
     Service,
+    object_name,
 )
 
-DEVICE_PROFILE_DRIVE = 402  # low word of 0x1000
 COB_ID_INVALID = 1 << 31
 COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID that clears it: always kept as it was
 COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
 SYNC_PRODUCER = 1 << 30
 RATING_TOLERANCE = 0.01
-PDO_SLOTS = 4
+PDO_SLOTS = 4  # that every drive has; a drive may have as many as 512
+MOST_PDO_SLOTS = 512
+TORQUE_SLOPE = 0x6087  # per mille of the rated torque a second
+SYNC_DISTANCE_S = 0.002  # of the few that are sent before the loop runs, for a mode that follows with SYNC
 
 
 def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
@@ -41,12 +47,12 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
     for _ in range(2):  # a drive that is switched on at this very moment sends two boot-ups, once
         _reset(service, config)
         identity = read_identity(service)
-        _check_profile(service)
+        _check_drive(service, config)
         write_phase(service, config.sdo, "before_mapping")
         _check_ratings(service, config)
         _configure_sync(service, config)
         _configure_pdos(service, config)
-        _configure_silence(service, config)
+        _configure_reactions(service, config)
         _set_mode(service, config)
         write_phase(service, config.sdo, "before_enable")
         if service.boot_ups == 1:
@@ -61,11 +67,15 @@ def start(service: Service, config: CanopenDriveConfig) -> None:
     """NMT start, confirmed by the drive's heartbeat. Raises DriveRefusedError."""
     service.check_one_node()
     service.command_nmt(NMT_START)
+    if config.silence_detection == silence.LIFE_GUARDING:  # a guarded node tells its state when it is asked
+        service.send_message(can.HEARTBEAT + config.node_id, bytes(1), remote=True)
     if not service.wait_until(lambda: service.nmt_state == STATE_OPERATIONAL, config.start_timeout_s):
         raise DriveRefusedError(
             f"{config.bus}: node {config.node_id} does not report NMT state operational (heartbeat says "
             f"{service.nmt_state:#x}) within {config.start_timeout_s} s; see its error history 0x1003"
         )
+    if config.mode_display == "with_sync":
+        _await_mode(service, config, lambda: _send_sync(service))
 
 
 def read_identity(service: Service) -> DriveIdentity:
@@ -99,21 +109,15 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
             f"{config.bus}: node {config.node_id} answers SDO but sends no boot-up message after an NMT "
             f"reset (waited {config.start_timeout_s} s, CiA 301 7.2.8.3.3)"
         )
+    service.command_nmt(NMT_PRE_OPERATIONAL)  # a node may start itself (0x1F80, bit 2): mappings change before that
 
 
-def _check_profile(service: Service) -> None:
-    device_type = service.read_int(0x1000, 0)
-    if device_type & 0xFFFF != DEVICE_PROFILE_DRIVE:  # the type word is often 0 or the vendor's own
-        raise DriveRefusedError(
-            f"node {service.node_id}: 0x1000:00 says 0x{device_type:08X}, which is no CiA 402 drive "
-            "(0x0192 in the low word); is the node id right?"
-        )
-    modes = service.read_optional_int(0x6502, 0)
-    if modes is None or not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
-        shown = "is missing" if modes is None else f"says 0x{modes:08X}"
-        raise DriveRefusedError(
-            f"node {service.node_id} has no cyclic synchronous torque mode: 0x6502:00 {shown}, bit 9 is needed"
-        )
+def _check_drive(service: Service, config: CanopenDriveConfig) -> None:
+    """The list of needs that `drive-info` reads a file against, here against the drive itself."""
+    objects = BusObjects(service)
+    problems = [*check_device_type(objects, config), *check_modes(objects, config), *needs(objects, config)]
+    if problems:
+        raise DriveRefusedError(f"node {service.node_id}: {'; '.join(problems)}")
 
 
 def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
@@ -147,7 +151,8 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
-    if service.read_int(0x1005, 0) & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
+    told = service.read_optional_int(0x1005, 0)  # without the object it is the predefined one
+    if told is not None and told & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
         write_checked(service, 0x1005, 0, can.SYNC, 4, "receiving our SYNC", mask=SYNC_PRODUCER | can.STANDARD_MASK)
     if service.read_optional_int(0x1019, 0):  # a counter would need a byte in SYNC
         write_if_present(service, 0x1006, 0, 0, 4, "changing 0x1019")
@@ -167,10 +172,12 @@ def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
     for pdo in config.answers:
         _configure_pdo(service, 0x1800, pdo)
     used = {pdo.number for pdo in config.answers}
-    for number in set(range(1, PDO_SLOTS + 1)) - used:  # nothing that we do not need may take time on the bus
+    for number in range(1, MOST_PDO_SLOTS + 1):  # nothing that we do not need may take time on the bus
         index = 0x1800 + number - 1
         cob_id = service.read_optional_int(index, 1)
-        if cob_id is not None and not cob_id & COB_ID_INVALID:
+        if cob_id is None and number > PDO_SLOTS:
+            break
+        if number not in used and cob_id is not None and not cob_id & COB_ID_INVALID:
             write_checked(
                 service,
                 index,
@@ -208,20 +215,13 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
     write_checked(service, communication, 1, cob_id, 4, f"enabling {purpose}", mask=COB_ID_MASK)
 
 
-def _configure_silence(service: Service, config: CanopenDriveConfig) -> None:
+def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
     """What the drive does when we, or it, fall silent: all of this is refused with the drive not enabled."""
     emergency = can.EMERGENCY + config.node_id
-    if service.read_int(0x1014, 0) & COB_ID_MASK != emergency:
+    told = service.read_optional_int(0x1014, 0)  # without the object it is the predefined one
+    if told is not None and told & COB_ID_MASK != emergency:
         write_checked(service, 0x1014, 0, emergency, 4, "EMCY messages", mask=COB_ID_MASK)
-    write_checked(service, 0x1017, 0, config.drive_heartbeat_ms, 2, "the drive's heartbeat")
-    consumer = config.master_id << 16 | config.heartbeat_timeout_ms
-    write_checked(service, 0x1016, 1, consumer, 4, "the drive to notice that the PC is silent")
-    if config.command_timeout_ms:
-        deadline = 0x1400 + config.command.number - 1
-        purpose = "the drive to notice that commands stay away"
-        write_if_present(service, deadline, 5, config.command_timeout_ms, 2, purpose)
-    purpose = "the drive to stop when the PC is silent"
-    write_checked(service, 0x6007, 0, config.abort_connection_option, 2, purpose)
+    silence.configure(service, config)
     if config.quick_stop_option is not None:
         write_if_present(service, 0x605A, 0, config.quick_stop_option, 2, "a defined quick stop")
     if config.fault_reaction_option is not None:
@@ -231,18 +231,37 @@ def _configure_silence(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
-    """Cyclic synchronous torque with a target of zero; the display may follow a little later."""
-    mode = MODE_CYCLIC_SYNCHRONOUS_TORQUE
+    """The mode with a target of zero; the display may follow a little later."""
+    target, name = config.target, mode_text(config.mode)
+    size = target.bits // 8
     try:
-        service.write(MODE, 0, bytes([mode]))
-        service.write(TARGET_TORQUE, 0, bytes(2))
+        service.write(MODE, 0, config.mode.to_bytes(1, "little", signed=True))
+        service.write(target.index, target.sub, bytes(size))
     except SdoRefusedError as refusal:
-        raise DriveRefusedError(f"node {service.node_id} refuses cyclic synchronous torque: {refusal}") from refusal
+        raise DriveRefusedError(f"node {service.node_id} refuses mode {name}: {refusal}") from refusal
+    if config.mode_display == "at_once":
+        _await_mode(service, config, lambda: None)
+    if config.torque_slope is not None:
+        purpose = "a target torque that acts at once (drive.torque_slope)"
+        write_checked(service, TORQUE_SLOPE, 0, config.torque_slope, 4, purpose)
+    if service.read_optional_int(target.index, target.sub):
+        shown = object_name(target.index, target.sub)
+        raise DriveRefusedError(f"node {service.node_id}: {shown} (target torque) cannot be set to zero")
+
+
+def _await_mode(service: Service, config: CanopenDriveConfig, meanwhile: Callable[[], None]) -> None:
+    """Until 0x6061 shows the mode. Raises DriveRefusedError."""
     deadline_s = time.monotonic() + config.start_timeout_s
-    while (shown := service.read_int(MODE_DISPLAY, 0, signed=True)) != mode:
+    while (shown := service.read_int(MODE_DISPLAY, 0, signed=True)) != config.mode:
         if time.monotonic() > deadline_s:
             raise DriveRefusedError(
-                f"node {service.node_id}: mode 10 (cyclic synchronous torque) was set, but 0x6061:00 says {shown}"
+                f"node {service.node_id}: mode {mode_text(config.mode)} was set, but 0x6061:00 says {shown}; "
+                "a drive that shows it later takes drive.mode_display: with_sync or not_checked"
             )
-    if service.read_int(TARGET_TORQUE, 0, signed=True) != 0:
-        raise DriveRefusedError(f"node {service.node_id}: 0x6071:00 (target torque) cannot be set to zero")
+        meanwhile()
+
+
+def _send_sync(service: Service) -> None:
+    """One SYNC before the loop sends its own; the drive is not enabled."""
+    service.send_message(can.SYNC, b"")
+    service.wait_until(lambda: False, SYNC_DISTANCE_S)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 from ...can import frame as can
 from ...can.load import Chain, Load, Traffic, bus_load, period_chain
 from ...units import permille_per_a
+from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE
 from .object_map import (
     COMMAND_OBJECTS,
     CONTROLWORD,
@@ -16,18 +18,24 @@ from .object_map import (
     MAX_SYNC_TYPE,
     ON_EVENT,
     POSITION,
+    STANDARD_SLOTS,
+    STANDARD_TARGET,
+    STANDARD_TORQUE,
     STATUSWORD,
-    TARGET_TORQUE,
-    TORQUE,
     VELOCITY,
+    MappedObject,
     MappingError,
     PdoMap,
+    PdoSlots,
     Scaling,
     command_pdo,
     feedback_pdos,
     interpolation_period,
 )
 from .sdo_writes import SdoWrite
+from .silence import HEARTBEAT, LIFE_GUARDING, RPDO_TIMER, Detection, Reaction
+
+ModeDisplay = Literal["at_once", "with_sync", "not_checked"]
 
 LISTEN_S = 0.5  # any cyclic master sends SYNC or commands within it, ours a heartbeat; many nodes' heartbeats take 1 s
 ONE_MASTER = (
@@ -61,6 +69,20 @@ class CanopenDriveConfig:
     status_event: int = ON_EVENT
     rpdo: PdoMap | None = None
     tpdos: tuple[PdoMap, ...] | None = None
+    slots: PdoSlots = STANDARD_SLOTS
+    # what is commanded
+    mode: int = MODE_CYCLIC_SYNCHRONOUS_TORQUE  # 0x6060; 4 profile torque, a negative one the vendor's
+    target: MappedObject = STANDARD_TARGET
+    target_units_per_a: float | None = None  # None: per mille of the rated torque
+    torque: MappedObject = STANDARD_TORQUE  # feedback
+    torque_units_per_a: float | None = None  # None: as the target's default
+    torque_slope: int | None = None  # 0x6087; None: the drive's own
+    mode_display: ModeDisplay = "at_once"  # when 0x6061 shows the mode
+    device_profile: int | None = 402  # low word of 0x1000; None: any
+    modes_told: bool = True  # 0x6502 names the mode
+    # what stands between the axis and a silent PC
+    silence_detection: Detection = HEARTBEAT
+    silence_reaction: Reaction = "abort_connection"
     # reactions to silence
     heartbeat_ms: int = 50  # ours, sent by the loop
     heartbeat_timeout_ms: int = 150  # after which the drive reacts to its absence (0x1016)
@@ -86,21 +108,25 @@ class CanopenDriveConfig:
     @property
     def command(self) -> PdoMap:
         """The RPDO in use."""
-        return command_pdo(self.node_id) if self.rpdo is None else self.rpdo
+        return command_pdo(self.node_id, self.target, self.slots) if self.rpdo is None else self.rpdo
 
     @property
     def answers(self) -> tuple[PdoMap, ...]:
         """The TPDOs in use."""
-        return feedback_pdos(self.node_id, self.status_every, self.status_event) if self.tpdos is None else self.tpdos
+        if self.tpdos is not None:
+            return self.tpdos
+        return feedback_pdos(self.node_id, self.status_every, self.status_event, self.torque, self.slots)
 
     @property
     def scaling(self) -> Scaling:
         """Factors between the wire and the units of signals.py."""
         sign = -1.0 if self.inverted else 1.0
+        permille = permille_per_a(self.torque_constant_nm_per_a, self.rated_torque_nm)
         return Scaling(
             sign / self.velocity_units_per_rps,
             sign / self.counts_per_rev,
-            sign * permille_per_a(self.torque_constant_nm_per_a, self.rated_torque_nm),
+            sign * (self.target_units_per_a or permille),
+            sign * (self.torque_units_per_a or permille),
         )
 
 
@@ -113,8 +139,10 @@ def traffic(config: CanopenDriveConfig) -> list[Traffic]:
         if 1 <= pdo.transmission <= MAX_SYNC_TYPE:
             name = f"TPDO{pdo.number}"
             frames.append(Traffic(name, pdo.cob_id, pdo.data_bytes, rate_hz / pdo.transmission))
-    frames.append(Traffic("heartbeat", can.HEARTBEAT + config.master_id, 1, 1e3 / config.heartbeat_ms))
-    frames.append(Traffic("drive heartbeat", can.HEARTBEAT + config.node_id, 1, 1e3 / config.drive_heartbeat_ms))
+    guarded = config.silence_detection == LIFE_GUARDING  # a question and its answer, in place of two heartbeats
+    ours, theirs = (config.node_id, config.heartbeat_ms) if guarded else (config.master_id, config.drive_heartbeat_ms)
+    frames.append(Traffic("heartbeat", can.HEARTBEAT + ours, 1, 1e3 / config.heartbeat_ms))
+    frames.append(Traffic("drive heartbeat", can.HEARTBEAT + config.node_id, 1, 1e3 / theirs))
     return frames
 
 
@@ -158,6 +186,12 @@ def _problems(config: CanopenDriveConfig) -> Iterator[str]:
         )
     if config.abort_connection_option not in (1, 2, 3):
         yield (f"abort_connection_option {config.abort_connection_option}: 1 fault, 2 disable voltage, 3 quick stop")
+    if config.silence_detection == RPDO_TIMER and not config.command_timeout_ms:
+        yield "command_timeout_ms 0: silence_detection rpdo_timer needs it"
+    for name in ("target_units_per_a", "torque_units_per_a"):
+        if (value := getattr(config, name)) is not None and not value > 0:
+            yield f"{name} {value}: must be above 0"
+            return
     if not 1 <= config.status_every <= MAX_SYNC_TYPE:
         yield f"status_every {config.status_every}: 1 to {MAX_SYNC_TYPE} SYNCs"
         return
@@ -179,14 +213,16 @@ def _pdo_problems(config: CanopenDriveConfig) -> Iterator[str]:
             yield f"{name} maps {sum(i.bits for i in pdo.objects)} bits: whole bytes, 1 to 8 of them"
         if not (0 <= pdo.transmission <= MAX_SYNC_TYPE or pdo.transmission in (254, 255)):
             yield f"{name} transmission type {pdo.transmission}: 0 to 240, 254 or 255"
-        known = COMMAND_OBJECTS if kind == "RPDO" else {i: (o[1],) for i, o in FEEDBACK_OBJECTS.items()}
+        own = config.target if kind == "RPDO" else config.torque
+        known = COMMAND_OBJECTS if kind == "RPDO" else {index: bits for index, (_, bits, _) in FEEDBACK_OBJECTS.items()}
+        known = {**known, own.index: own.bits}
         for item in pdo.objects:
-            if item.index in known and item.bits != known[item.index][0]:
-                yield f"{name} maps {item}: 0x{item.index:04X} has {known[item.index][0]} bits"
+            if item.index in known and item.bits != known[item.index]:
+                yield f"{name} maps {item}: 0x{item.index:04X} has {known[item.index]} bits"
             if kind == "RPDO" and item.index not in known:
                 allowed = ", ".join(f"0x{index:04X}" for index in known)
                 yield f"{name} maps {item}: the loop can command {allowed} only"
-    for index in (CONTROLWORD, TARGET_TORQUE):
+    for index in (CONTROLWORD, config.target.index):
         if command.offset_of(index) < 0:
             yield f"RPDO{command.number} lacks 0x{index:04X}"
     if command.transmission > MAX_SYNC_TYPE:
@@ -194,6 +230,6 @@ def _pdo_problems(config: CanopenDriveConfig) -> Iterator[str]:
     for index in (VELOCITY, POSITION):
         if not any(p.offset_of(index) >= 0 and p.transmission == EVERY_SYNC for p in answers):
             yield f"no TPDO of transmission type 1 maps 0x{index:04X}"
-    for index in (STATUSWORD, TORQUE):
+    for index in (STATUSWORD, config.torque.index):
         if not any(p.offset_of(index) >= 0 for p in answers):
             yield f"no TPDO maps 0x{index:04X}"

@@ -47,17 +47,16 @@ __all__ = ["CanopenPort"]  # the kernels below are reached through the functions
 
 MAX_DRAINED = 1 << 14  # frames read before one SYNC, so that a flood cannot hold the loop
 FLOOD_CHECK = 32  # frames between two looks at the clock while receiving
-TORQUE_LIMIT = 32767.0
 
 
 @njit
-def _send_command(port: CanopenPort, controlword: int, permille: int) -> int:
+def _send_command(port: CanopenPort, controlword: int, target: int) -> int:
     """Send the RPDO. Returns 0, or -errno."""
     frame = port.command_frame
     frame[port.controlword_at] = controlword & 0xFF
     frame[port.controlword_at + 1] = (controlword >> 8) & 0xFF
-    frame[port.torque_at] = permille & 0xFF
-    frame[port.torque_at + 1] = (permille >> 8) & 0xFF
+    for i in range(port.target_bytes):
+        frame[port.target_at + i] = (target >> (8 * i)) & 0xFF
     return send_frame(port, frame.ctypes.data)
 
 
@@ -126,13 +125,14 @@ def _receive(port: CanopenPort, tick: int, cutoff_ns: int) -> int:
 def _command(port: CanopenPort, tick: int, controlword: int, current_a: float) -> float:
     if port.feedback[0]["bus_off"] != 0:
         return 0.0
-    permille = 0
+    target = 0
     if current_a == current_a:  # no torque for a NaN
-        limited = min(max(current_a * port.scaling.permille_per_a, -TORQUE_LIMIT), TORQUE_LIMIT)
-        permille = math.floor(limited + 0.5)
-    if _send_command(port, controlword, permille) != 0 or permille == 0:
+        limit = float((1 << (8 * port.target_bytes - 1)) - 1)
+        limited = min(max(current_a * port.scaling.target_units_per_a, -limit), limit)
+        target = math.floor(limited + 0.5)
+    if _send_command(port, controlword, target) != 0 or target == 0:
         return 0.0
-    return permille / port.scaling.permille_per_a
+    return target / port.scaling.target_units_per_a
 
 
 @port_housekeeping.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]

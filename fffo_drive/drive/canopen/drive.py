@@ -23,11 +23,12 @@ from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
 from .emergency import code_text, emergency_text, statusword_text
 from .listening import Listening
-from .object_map import CONTROLWORD, STATUSWORD, TARGET_TORQUE, command_payload
+from .object_map import CONTROLWORD, STATUSWORD, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .sdo_writes import write_phase
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
 from .service_queue import ServiceQueue
+from .silence import release
 
 ERROR_CODE = 0x603F
 LOOP_TIMEOUT_PERIODS = 20
@@ -194,16 +195,20 @@ class CanopenDrive:
             service.send_directly()
             if link is not None:
                 with contextlib.suppress(LinkError):
-                    link.send(pack_frame(self.config.command.cob_id, command_payload(self.config.command)))
+                    link.send(
+                        pack_frame(self.config.command.cob_id, command_payload(self.config.command, self.config.mode))
+                    )
                     link.send(pack_frame(can.SYNC))
             with contextlib.suppress(BusUnavailableError):  # do not ask a silent drive three times
+                target = self.config.target
                 for index, sub, data in (
-                    (TARGET_TORQUE, 0, bytes(2)),
+                    (target.index, target.sub, bytes(target.bits // 8)),
                     (CONTROLWORD, 0, CONTROL_DISABLE_VOLTAGE.to_bytes(2, "little")),
-                    (0x1016, 1, bytes(4)),
                 ):
                     with contextlib.suppress(DriveRefusedError):
                         service.write(index, sub, data)
+                with contextlib.suppress(DriveRefusedError):
+                    release(service, self.config)
                 with contextlib.suppress(DriveRefusedError):
                     write_phase(service, self.config.sdo, "after_disable")
             with contextlib.suppress(BusUnavailableError):

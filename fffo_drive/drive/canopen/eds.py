@@ -16,22 +16,12 @@ from typing import Any, NamedTuple
 from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 
 from ...can.frame import NODE_IDS
-from ..cia402 import SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE
 from ..port import DriveIdentity, DriveRefusedError
 from .config import CanopenDriveConfig
 from .eds_tidy import Remark, decode, tidy
-from .object_map import MODE, MODE_DISPLAY, MappingError, PdoMap
+from .needs import FileObjects, check_modes, needs
+from .object_map import MappingError, PdoMap
 
-# objects without which bring-up refuses a drive, and what each is for
-NEEDED = {
-    0x1005: "SYNC",
-    0x1016: "the drive notices that the PC is silent",
-    0x1017: "the PC notices that the drive is silent",
-    0x6007: "what the drive does when the PC is silent",
-    MODE: "choosing the mode",
-    MODE_DISPLAY: "the mode that is in force",
-    0x6502: "the modes that the drive has",
-}
 SHOWN_REMARKS = 10
 
 _log = logging.getLogger(__name__)
@@ -120,16 +110,6 @@ def check_identity(dictionary: Any, identity: DriveIdentity, path: str) -> None:
             )
 
 
-def missing_objects(dictionary: Any) -> Iterator[str]:
-    """What a drive lacks whatever its PDOs are: objects, and the mode."""
-    for index in NEEDED:
-        if index not in dictionary:
-            yield f"object 0x{index:04X} is missing ({NEEDED[index]})"
-    modes = supported_modes(dictionary)
-    if modes is not None and not modes & SUPPORTS_CYCLIC_SYNCHRONOUS_TORQUE:
-        yield f"0x6502 is 0x{modes:08X}: no cyclic synchronous torque (bit 9)"
-
-
 def supported_modes(dictionary: Any) -> int | None:
     """0x6502 as far as the file tells it; 0 and empty are what files say that leave it to the drive."""
     return default_of(dictionary, 0x6502) or None
@@ -137,28 +117,35 @@ def supported_modes(dictionary: Any) -> int | None:
 
 def default_of(dictionary: Any, index: int, sub: int = 0) -> int | None:
     """A number as the file has it: the value of a DCF before the default; None where it has none."""
-    variable = dictionary.get_variable(index, sub)
-    for value in (getattr(variable, "value", None), getattr(variable, "default", None)):
-        if isinstance(value, int):
-            return value
-    return None
+    return FileObjects(dictionary).value(index, sub)
 
 
 def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
-    yield from missing_objects(dictionary)
+    objects = FileObjects(dictionary)
+    if supported_modes(dictionary):
+        yield from check_modes(objects, config)
+    yield from needs(objects, config)
     for first, pdo in [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]:
         yield from missing_in_pdo(dictionary, first + pdo.number - 1, pdo)
 
 
+def mapping_told(dictionary: Any) -> bool:
+    """False for a file that calls no object mappable: it leaves that to the drive."""
+    return any(
+        variable.pdo_mappable
+        for found in dictionary.values()
+        for variable in (found.values() if hasattr(found, "values") else (found,))
+    )
+
+
 def missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     """Why a PDO with these communication parameters cannot carry what we want of it."""
-    if index not in dictionary:
-        yield f"PDO 0x{index:04X} is missing"
+    told = mapping_told(dictionary)
     for item in pdo.objects:
         variable = dictionary.get_variable(item.index, item.sub)
         if variable is None:
-            yield f"object {item}, mapped in 0x{index + 0x200:04X}, is missing"
-        elif not variable.pdo_mappable:
+            continue  # `needs` names it
+        if told and not variable.pdo_mappable:
             yield f"object {item} cannot be mapped to a PDO"
         elif len(variable) != item.bits:
             yield f"object {item} has {len(variable)} bits"

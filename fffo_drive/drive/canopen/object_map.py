@@ -24,20 +24,14 @@ TARGET_TORQUE, TORQUE, TORQUE_OFFSET = 0x6071, 0x6077, 0x60B2
 
 # fields of the feedback that a TPDO object fills; the layout table holds these numbers
 FIELD_VELOCITY, FIELD_POSITION, FIELD_TORQUE, FIELD_STATUSWORD = range(4)
-# object -> (field, bits, signed)
+# object -> (field, bits, signed); torque beside them is the drive's own object
 FEEDBACK_OBJECTS = {
     VELOCITY: (FIELD_VELOCITY, 32, True),
     POSITION: (FIELD_POSITION, 32, True),
-    TORQUE: (FIELD_TORQUE, 16, True),
     STATUSWORD: (FIELD_STATUSWORD, 16, False),
 }
-# object -> (bits, what stands in it when we do not command it)
-COMMAND_OBJECTS = {
-    CONTROLWORD: (16, 0),
-    TARGET_TORQUE: (16, 0),
-    TORQUE_OFFSET: (16, 0),
-    MODE: (8, MODE_CYCLIC_SYNCHRONOUS_TORQUE),
-}
+# object -> bits; the target beside them is the drive's own object
+COMMAND_OBJECTS = {CONTROLWORD: 16, TARGET_TORQUE: 16, TORQUE_OFFSET: 16, MODE: 8}
 
 EVERY_SYNC = 1
 ON_EVENT = 255
@@ -94,29 +88,54 @@ class PdoMap(NamedTuple):
 
 
 class Scaling(NamedTuple):
-    """The one place where counts and per mille become revolutions and amperes; negative when inverted."""
+    """The one place where a drive's units become revolutions and amperes; negative when inverted."""
 
     velocity_rps_per_unit: float
     position_rev_per_count: float
-    permille_per_a: float
+    target_units_per_a: float  # of the object that is commanded; of 0x6071 per mille of the rated torque
+    feedback_units_per_a: float  # of the torque or current that comes back
 
 
-def command_pdo(node_id: int) -> PdoMap:
-    """RPDO1 with each SYNC: controlword, target torque."""
-    objects = (MappedObject(CONTROLWORD, 0, 16), MappedObject(TARGET_TORQUE, 0, 16))
-    return PdoMap(1, can.RPDO1 + node_id, EVERY_SYNC, objects)
+STANDARD_TARGET = MappedObject(TARGET_TORQUE, 0, 16)
+STANDARD_TORQUE = MappedObject(TORQUE, 0, 16)
 
 
-def feedback_pdos(node_id: int, status_every: int, status_event: int = ON_EVENT) -> tuple[PdoMap, ...]:
-    """TPDO1 motion with each SYNC, TPDO2 status and torque with every n-th, TPDO3 status on event."""
+class PdoSlots(NamedTuple):
+    """Numbers of the PDOs in use. `event` None: no TPDO on a change of the statusword."""
+
+    command: int = 1
+    motion: int = 1
+    status: int = 2
+    event: int | None = 3
+
+
+STANDARD_SLOTS = PdoSlots()
+
+
+def command_pdo(node_id: int, target: MappedObject = STANDARD_TARGET, slots: PdoSlots = STANDARD_SLOTS) -> PdoMap:
+    """An RPDO with each SYNC: controlword, target torque."""
+    objects = (MappedObject(CONTROLWORD, 0, 16), target)
+    return PdoMap(slots.command, can.RPDO1 + node_id, EVERY_SYNC, objects)
+
+
+def feedback_pdos(
+    node_id: int,
+    status_every: int,
+    status_event: int = ON_EVENT,
+    torque: MappedObject = STANDARD_TORQUE,
+    slots: PdoSlots = STANDARD_SLOTS,
+) -> tuple[PdoMap, ...]:
+    """Motion with each SYNC, status and torque with every n-th, status on event."""
     status = MappedObject(STATUSWORD, 0, 16)
     motion = (MappedObject(VELOCITY, 0, 32), MappedObject(POSITION, 0, 32))
     inhibit_ns = DEFAULT_STATUS_INHIBIT_NS if status_event == ON_EVENT else 0
-    return (
-        PdoMap(1, can.TPDO1 + node_id, EVERY_SYNC, motion),
-        PdoMap(2, can.TPDO2 + node_id, status_every, (status, MappedObject(TORQUE, 0, 16))),
-        PdoMap(3, can.TPDO3 + node_id, status_event, (status,), inhibit_ns),
+    cyclic = (
+        PdoMap(slots.motion, can.TPDO1 + node_id, EVERY_SYNC, motion),
+        PdoMap(slots.status, can.TPDO2 + node_id, status_every, (status, torque)),
     )
+    if slots.event is None:
+        return cyclic
+    return (*cyclic, PdoMap(slots.event, can.TPDO3 + node_id, status_event, (status,), inhibit_ns))
 
 
 def pdo_table(answers: Sequence[PdoMap]) -> Table:
@@ -124,24 +143,26 @@ def pdo_table(answers: Sequence[PdoMap]) -> Table:
     return np.array([(p.cob_id, p.data_bytes, int(p.transmission == EVERY_SYNC)) for p in answers], np.int64)
 
 
-def field_table(answers: Sequence[PdoMap]) -> Table:
+def field_table(answers: Sequence[PdoMap], torque: MappedObject = STANDARD_TORQUE) -> Table:
     """One row an object that we use, shape (n, 5): row of its TPDO, byte offset, bytes, signed, FIELD_*."""
     rows = []
+    known = {(index, 0): (field, signed) for index, (field, _, signed) in FEEDBACK_OBJECTS.items()}
+    known[torque.index, torque.sub] = (FIELD_TORQUE, True)
     for slot, pdo in enumerate(answers):
         offset = 0
         for item in pdo.objects:
-            if item.index in FEEDBACK_OBJECTS and item.sub == 0:
-                field, _, signed = FEEDBACK_OBJECTS[item.index]
+            if (item.index, item.sub) in known:
+                field, signed = known[item.index, item.sub]
                 rows.append((slot, offset // 8, item.bits // 8, int(signed), field))
             offset += item.bits
     return np.array(rows, np.int64)
 
 
-def command_payload(pdo: PdoMap) -> bytes:
+def command_payload(pdo: PdoMap, mode: int = MODE_CYCLIC_SYNCHRONOUS_TORQUE) -> bytes:
     """The RPDO's data with everything at rest: no voltage, no torque, the mode kept."""
     payload = b""
     for item in pdo.objects:
-        payload += COMMAND_OBJECTS[item.index][1].to_bytes(item.bits // 8, "little")
+        payload += (mode if item.index == MODE else 0).to_bytes(item.bits // 8, "little", signed=True)
     return payload
 
 

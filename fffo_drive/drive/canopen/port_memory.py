@@ -10,8 +10,9 @@ from ...can import frame as can
 from ...can.link import Link
 from ..port import NMT_OPERATIONAL, new_feedback
 from .config import CanopenDriveConfig
-from .object_map import CONTROLWORD, TARGET_TORQUE, Scaling, command_payload, field_table, pdo_table
+from .object_map import CONTROLWORD, Scaling, command_payload, field_table, pdo_table
 from .service_queue import QueueMemory
+from .silence import LIFE_GUARDING
 
 # words of the port's memory
 ANSWERED = 0  # TPDOs that answered this tick's SYNC, one bit each
@@ -41,7 +42,8 @@ class CanopenPort(NamedTuple):
     heartbeat_period_ns: int
     answer_mask: int  # bits of the TPDOs that answer every SYNC
     controlword_at: int  # byte in the command frame
-    torque_at: int
+    target_at: int
+    target_bytes: int
     scaling: Scaling
     pdos: Words  # object_map.pdo_table
     fields: Words  # object_map.field_table
@@ -72,7 +74,10 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
     received = np.zeros(can.FRAME_SIZE, np.uint8)
     memory = np.zeros(MEMORY_WORDS, np.int64)
     command = config.command
-    heartbeat = can.pack_frame(can.HEARTBEAT + config.master_id, bytes([NMT_OPERATIONAL]))
+    if config.silence_detection == LIFE_GUARDING:  # the question takes the place of our heartbeat
+        heartbeat = can.pack_frame(can.HEARTBEAT + config.node_id, bytes(1), remote=True)
+    else:
+        heartbeat = can.pack_frame(can.HEARTBEAT + config.master_id, bytes([NMT_OPERATIONAL]))
     return CanopenPort(
         rx_fd=link.rx_fd,
         tx_fd=link.tx_fd,
@@ -80,17 +85,18 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
         heartbeat_period_ns=config.heartbeat_ms * 1_000_000,
         answer_mask=int(sum(1 << slot for slot in range(len(pdos)) if pdos[slot, 2])),
         controlword_at=can.DATA_OFFSET + command.offset_of(CONTROLWORD),
-        torque_at=can.DATA_OFFSET + command.offset_of(TARGET_TORQUE),
+        target_at=can.DATA_OFFSET + command.offset_of(config.target.index),
+        target_bytes=config.target.bits // 8,
         scaling=config.scaling,
         pdos=pdos,
-        fields=field_table(config.answers),
+        fields=field_table(config.answers, config.torque),
         feedback=new_feedback(),
         memory=memory,
         scratch=np.zeros(8, np.int64),
         received=received,
         received_words=received.view(np.uint32),
         sync_frame=_frame_array(can.pack_frame(can.SYNC)),
-        command_frame=_frame_array(can.pack_frame(command.cob_id, command_payload(command))),
+        command_frame=_frame_array(can.pack_frame(command.cob_id, command_payload(command, config.mode))),
         heartbeat_frame=_frame_array(heartbeat),
         queue=queue,
     )

@@ -48,7 +48,7 @@ def _decode(port: CanopenPort, slot: int, tick: int) -> int:
         elif field == FIELD_POSITION:
             feedback["position_rev"] = _unwrap(port.memory, raw) * port.scaling.position_rev_per_count
         elif field == FIELD_TORQUE:
-            feedback["current_a"] = raw / port.scaling.permille_per_a
+            feedback["current_a"] = raw / port.scaling.feedback_units_per_a
         elif field == FIELD_STATUSWORD:
             feedback["statusword"] = raw
             feedback["status_tick"] = tick

@@ -1,0 +1,165 @@
+"""Profiles of drive families: what one family needs in the drive section of an axis file, as data.
+
+A profile holds keys of the drive section. They are the defaults of an axis file that names it, so the file can override
+each; entries of `sdo` are joined, and an entry of the file replaces that of the same object, sub-index and phase. What
+belongs to one axis (bus, node id, ratings of the motor) is no part of a profile.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, create_model
+
+from .. import formats
+from ..documents import DocumentError, Record, load
+from ..system.service_files import sources
+from .drive_section import CanopenDriveSection
+from .eds_fitness import Fitness, section_lines
+
+OF_ONE_AXIS = frozenset({
+    "kind", "bus", "bitrate_hz", "node_id", "master_id", "profile", "eds", "inverted", "rated_torque_nm",
+    "rated_current_a",
+})  # fmt: skip
+OF_THE_MOTOR = frozenset({"counts_per_rev"})  # of its encoder; a family takes many
+SUFFIX = ".yaml"
+
+
+def _optional_fields() -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, field in CanopenDriveSection.model_fields.items():
+        if name not in OF_ONE_AXIS:
+            changed = copy.copy(field)
+            changed.default, changed.default_factory = None, None
+            found[name] = (field.annotation, changed)
+    return found
+
+
+ProfileKeys: type[Record] = create_model(
+    "ProfileKeys",
+    __base__=Record,
+    __doc__="Keys of an axis file's drive section that a family of drives has in common.",
+    **_optional_fields(),
+)
+
+
+class DriveProfile(Record):
+    """A family of drives."""
+
+    format: Annotated[str, formats.DRIVE_PROFILE.key] = formats.DRIVE_PROFILE.word
+    family: Annotated[str, Field(description="vendor and series, as people know them")]
+    vendor_id: Annotated[int | None, Field(ge=0, lt=1 << 32, description="0x1018:1; null: not known")] = None
+    product_codes: Annotated[
+        list[int], Field(description="0x1018:2 of its members; none: every drive of the vendor")
+    ] = Field(default_factory=list)
+    tried: Annotated[str, Field(min_length=3, description="what was tried on what, and never more")]
+    remarks: Annotated[list[str], Field(description="what whoever wires such a drive must know, one sentence each")] = (
+        Field(default_factory=list)
+    )
+    drive: Annotated[ProfileKeys, Field(description="keys of the drive section")]  # type: ignore[valid-type]
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys that it sets, as a file has them."""
+        found: dict[str, Any] = self.drive.model_dump(exclude_unset=True)  # type: ignore[attr-defined]
+        return found
+
+
+def read_profile(path: Path) -> DriveProfile:
+    """Read and check a profile. Raises DocumentError."""
+    return load(path, DriveProfile)
+
+
+@functools.cache
+def shipped_profiles() -> dict[str, Path]:
+    """Names and files of the profiles that come with the program."""
+    try:
+        folder = sources()[1] / "drives"
+    except FileNotFoundError:
+        return {}
+    return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
+
+
+def profile_path(axis_path: Path, name: str) -> Path:
+    """The file of a profile: as named, relative to the axis file, else one that comes with the program.
+
+    Raises DocumentError naming those that there are.
+    """
+    given = Path(name if name.endswith(SUFFIX) else name + SUFFIX)
+    for path in (axis_path.parent / given, axis_path.parent / given.name):  # the second: what a recording carries
+        if path.is_file():
+            return path
+    if given.stem in shipped_profiles() and given.name == str(given):
+        return shipped_profiles()[given.stem]
+    raise DocumentError(
+        f"{axis_path}: drive.profile: '{name}' is neither a file beside this one nor a profile that comes with the "
+        f"program: {', '.join(shipped_profiles())}"
+    )
+
+
+def profile_for(vendor_id: int | None, product_code: int | None) -> tuple[str, DriveProfile] | None:
+    """Name and profile of the family that a drive says it belongs to (0x1018); None where none is known."""
+    if not vendor_id:
+        return None
+    found = None
+    for name, path in shipped_profiles().items():
+        profile = read_profile(path)
+        if profile.vendor_id != vendor_id:
+            continue
+        if product_code in profile.product_codes:
+            return name, profile
+        if not profile.product_codes:
+            found = found or (name, profile)
+    return found
+
+
+def with_profile(data: Any, axis_path: Path) -> Any:
+    """A parsed axis file with the keys of the profile that it names. Raises DocumentError."""
+    section = data.get("drive") if isinstance(data, Mapping) else None
+    if not isinstance(section, Mapping) or not isinstance(section.get("profile"), str):
+        return data
+    keys = read_profile(profile_path(axis_path, section["profile"])).keys
+    return {**data, "drive": merged(keys, section)}
+
+
+def merged(keys: Mapping[str, Any], section: Mapping[str, Any]) -> dict[str, Any]:
+    """A drive section over the keys of a profile."""
+    own = section.get("sdo")
+    writes = {_place(write): write for write in keys.get("sdo", [])}
+    if isinstance(own, list) and all(isinstance(write, Mapping) for write in own):
+        writes |= {_place(write): write for write in own}
+    found = {**keys, **section}
+    for key, value in keys.items():  # of a mapping in it the file may give single keys
+        if isinstance(value, Mapping) and isinstance(section.get(key), Mapping):
+            found[key] = {**value, **section[key]}
+    if "resolver_bits" in section and "counts_per_rev" not in section:
+        found.pop("counts_per_rev", None)
+    if writes and (own is None or isinstance(own, list)):
+        found["sdo"] = list(writes.values())
+    return found
+
+
+def _place(write: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    return write.get("object"), write.get("sub", 0), write.get("when", "before_mapping")
+
+
+def profile_text(family: str, device: Any, fitness: Fitness) -> str:
+    """A profile as a file, of what an EDS tells (`device`: its DeviceInfo); what belongs to one axis is left out."""
+    shared = fitness.proposal._replace(
+        section={key: value for key, value in fitness.section.items() if key not in OF_ONE_AXIS | OF_THE_MOTOR}
+    )
+    lines = [
+        f"format: {formats.DRIVE_PROFILE.word}",
+        f"family: {json.dumps(family)}",
+        f"vendor_id: {f'0x{device.vendor_number:X}' if device.vendor_number else 'null'}",
+        f"product_codes: [{f'0x{device.product_number:X}' if device.product_number else ''}]",
+        "tried: nothing yet; made from the EDS by drive-info",
+        "drive:" if shared.section else "drive: {}",
+        *section_lines(shared),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,262 @@
+"""The drive section of an axis file: a drive on a bus, or the simulated one in process."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ..documents import Record
+from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
+from ..drive.canopen.object_map import (
+    STANDARD_SLOTS,
+    TARGET_TORQUE,
+    TORQUE,
+    MappedObject,
+    PdoSlots,
+)
+from ..drive.canopen.sdo_writes import SdoWrite, WritePhase, reserved_reason
+from ..drive.canopen.silence import HEARTBEAT, Detection, Reaction
+from ..drive.cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
+from ..units import counts_per_rev
+
+DEFAULT_RESOLVER_BITS = 15
+RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
+
+Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
+
+
+class SimulatedDriveSection(Record):
+    """The simulated drive, in process: faster than real time, the same run from the same seed."""
+
+    kind: Literal["simulated"]
+    file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
+
+
+class SdoWriteSection(Record):
+    """One object that is written before a drive is enabled, or after it was left."""
+
+    object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, as 0x60A9")]
+    sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
+    value: Annotated[int, Field(ge=-(1 << 63), lt=1 << 64)]
+    bytes: Annotated[Literal[1, 2, 4, 8], Field(description="size of the object in the drive")]
+    when: Annotated[
+        WritePhase,
+        Field(description="before_mapping (and before ratings are compared), before_enable, or after_disable"),
+    ] = "before_mapping"
+    check: Annotated[bool, Field(description="read it back and compare; false for a command such as 0x1010")] = True
+    aborts: Annotated[list[int], Field(description="abort codes that are expected, and no refusal")] = Field(
+        default_factory=list
+    )
+    why: Annotated[str, Field(min_length=3, max_length=200, description="what it is needed for; a refusal says it")]
+
+    @model_validator(mode="after")
+    def _allowed(self) -> SdoWriteSection:
+        low = -(1 << 8 * self.bytes - 1)
+        if not low <= self.value < 1 << 8 * self.bytes:
+            raise ValueError(f"value {self.value} does not fit into {self.bytes} bytes")
+        reason = reserved_reason(self.object)
+        if reason:
+            raise ValueError(f"object 0x{self.object:04X} {reason}")
+        return self
+
+    def write(self) -> SdoWrite:
+        """As the bring-up takes it."""
+        return SdoWrite(
+            self.object, self.sub, self.value, self.bytes, self.when, self.check, tuple(self.aborts), self.why
+        )
+
+
+class TargetSection(Record):
+    """The object that is commanded with each SYNC."""
+
+    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6071")] = TARGET_TORQUE
+    sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
+    bits: Annotated[Literal[16, 32], Field(description="size of the object, signed")] = 16
+    units_per_a: Annotated[
+        float | None, Field(gt=0, description="of torque-forming current; null: per mille of the rated torque")
+    ] = None
+
+
+class TorqueFeedbackSection(TargetSection):
+    """The object in which torque or current comes back."""
+
+    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6077")] = TORQUE
+
+
+class PdoSection(Record):
+    """Numbers of the PDOs that are used; the others are switched off."""
+
+    command: Annotated[int, Field(ge=1, le=512, description="RPDO")] = STANDARD_SLOTS.command
+    motion: Annotated[int, Field(ge=1, le=512, description="TPDO with each SYNC")] = STANDARD_SLOTS.motion
+    status: Annotated[int, Field(ge=1, le=512, description="TPDO with every status_every-th")] = STANDARD_SLOTS.status
+    event: Annotated[int | None, Field(ge=1, le=512, description="TPDO on a change of the statusword; null: none")] = (
+        STANDARD_SLOTS.event
+    )
+
+    @model_validator(mode="after")
+    def _different(self) -> PdoSection:
+        used = [number for number in (self.motion, self.status, self.event) if number is not None]
+        if len(set(used)) < len(used):
+            raise ValueError("motion, status and event are three TPDOs")
+        return self
+
+
+class CanopenDriveSection(Record):
+    """A CiA 402 drive with a torque mode on a CAN bus."""
+
+    kind: Literal["canopen"]
+    bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
+    bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    node_id: Annotated[int, Field(ge=1, le=127)]
+    master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
+    counts_per_rev: Annotated[
+        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 in a revolution, any number")
+    ] = None
+    resolver_bits: Annotated[
+        int | None, Field(ge=8, le=31, description="2^bits counts a revolution, in place of counts_per_rev")
+    ] = None
+    velocity_units_per_rps: Annotated[float, Field(gt=0, description="0x606C for one rev/s")] = 32768.0
+    rated_torque_nm: Annotated[float, Field(gt=0, le=1e5, description="0x6076; compared with the drive's")]
+    rated_current_a: Annotated[float | None, Field(gt=0, le=1e4, description="0x6075; compared with the drive's")] = (
+        None
+    )
+    rated_torque_unit: Annotated[
+        Literal["mNm", "uNm"], Field(description="of 0x6076 in this drive; CiA 402 has mNm")
+    ] = "mNm"
+    inverted: bool = False
+    status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
+    heartbeat_ms: Milliseconds = 50
+    heartbeat_timeout_ms: Milliseconds = 150
+    drive_heartbeat_ms: Milliseconds = 50
+    command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
+    abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
+    status_event: Annotated[
+        Literal[0, 254, 255], Field(description="transmission type of the statusword on change; 0: with the next SYNC")
+    ] = 255
+    quick_stop_option: Annotated[int | None, Field(description="0x605A; null: the drive's own")] = 2
+    fault_reaction_option: Annotated[int | None, Field(description="0x605E; null: the drive's own")] = 2
+    max_torque_permille: Annotated[
+        int | None, Field(ge=1, le=65535, description="0x6072, torque limit in the drive; null: the drive's own")
+    ] = None
+    sdo: Annotated[
+        list[SdoWriteSection],
+        Field(default_factory=list, description="objects that this drive needs written, in order"),
+    ]
+    profile: Annotated[
+        str | None,
+        Field(
+            description="of the drive's family: a name that `fffo-drive config drives` lists, or a file relative to "
+            "this one; what it says is the default of the keys here"
+        ),
+    ] = None
+    mode: Annotated[
+        int,
+        Field(
+            ge=-128,
+            le=127,
+            description="0x6060: 10 cyclic synchronous torque, 4 profile torque, -1 to -128 the vendor's",
+        ),
+    ] = MODE_CYCLIC_SYNCHRONOUS_TORQUE
+    modes_told: Annotated[bool, Field(description="0x6502 names the mode; false: the drive is known to have it")] = True
+    mode_display: Annotated[
+        ModeDisplay, Field(description="when 0x6061 shows the mode: at_once, with_sync, or not_checked")
+    ] = "at_once"
+    device_profile: Annotated[int | None, Field(ge=0, le=0xFFFF, description="low word of 0x1000; null: any")] = 402
+    target: TargetSection = TargetSection()
+    torque_feedback: TorqueFeedbackSection = TorqueFeedbackSection()
+    torque_slope: Annotated[
+        int | None, Field(ge=1, lt=1 << 32, description="0x6087 in per mille a second; null: the drive's own")
+    ] = None
+    pdo: PdoSection = PdoSection()
+    silence_detection: Annotated[
+        Detection,
+        Field(
+            description="how the drive notices that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
+            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts that it does not)"
+        ),
+    ] = HEARTBEAT
+    silence_reaction: Annotated[
+        Reaction,
+        Field(
+            description="what says how it stops then: abort_connection (0x6007), error_behaviour (0x1029), vendor "
+            "(set by sdo), none (accepts that nothing does)"
+        ),
+    ] = "abort_connection"
+    highest_rate_hz: Annotated[
+        int | None, Field(ge=1, description="that the drive takes commands at; null: not known")
+    ] = None
+    eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
+    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
+    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
+    attempts: Annotated[int, Field(ge=1, le=20, description="of an SDO transfer that is not answered")] = 3
+    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
+    turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
+
+    @model_validator(mode="after")
+    def _one_resolution(self) -> CanopenDriveSection:
+        if self.counts_per_rev is not None and self.resolver_bits is not None:
+            raise ValueError("counts_per_rev and resolver_bits say the same: give one of them")
+        if "vendor" in (self.silence_detection, self.silence_reaction) and not self.sdo:
+            raise ValueError("silence_detection or silence_reaction is vendor: the objects that set it belong in sdo")
+        standard = (MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE)
+        for key, one, standard_object in (
+            ("target", self.target, TARGET_TORQUE), ("torque_feedback", self.torque_feedback, TORQUE)
+        ):  # fmt: skip
+            if one.object != standard_object and one.units_per_a is None:
+                raise ValueError(f"{key}.units_per_a: 0x{one.object:04X} counts in units of its own, give them")
+        if self.mode not in standard and self.mode >= 0:
+            raise ValueError(f"mode {self.mode}: 10, 4, or a negative one of the vendor's; others command no torque")
+        return self
+
+    @property
+    def counts(self) -> int:
+        """Increments of 0x6064 in one revolution."""
+        return self.counts_per_rev or counts_per_rev(self.resolver_bits or DEFAULT_RESOLVER_BITS)
+
+    def drive_config(
+        self, torque_constant_nm_per_a: float, period_ns: int, bus: str | None = None
+    ) -> CanopenDriveConfig:
+        """What the drive's bring-up and exchange need. Raises MappingError."""
+        return CanopenDriveConfig(
+            bus=bus or self.bus,
+            node_id=self.node_id,
+            period_ns=period_ns,
+            counts_per_rev=self.counts,
+            velocity_units_per_rps=self.velocity_units_per_rps,
+            torque_constant_nm_per_a=torque_constant_nm_per_a,
+            rated_torque_nm=self.rated_torque_nm,
+            rated_current_a=self.rated_current_a,
+            rated_torque_unit_nm=RATED_TORQUE_UNITS[self.rated_torque_unit],
+            inverted=self.inverted,
+            bitrate_hz=self.bitrate_hz,
+            master_id=self.master_id,
+            status_every=self.status_every,
+            status_event=self.status_event,
+            heartbeat_ms=self.heartbeat_ms,
+            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
+            drive_heartbeat_ms=self.drive_heartbeat_ms,
+            command_timeout_ms=self.command_timeout_ms,
+            abort_connection_option=self.abort_connection_option,
+            quick_stop_option=self.quick_stop_option,
+            fault_reaction_option=self.fault_reaction_option,
+            max_torque_permille=self.max_torque_permille,
+            sdo=tuple(entry.write() for entry in self.sdo),
+            listen_s=self.listen_s,
+            answer_timeout_s=self.answer_timeout_s,
+            attempts=self.attempts,
+            start_timeout_s=self.start_timeout_s,
+            eds=self.eds,
+            mode=self.mode,
+            modes_told=self.modes_told,
+            mode_display=self.mode_display,
+            device_profile=self.device_profile,
+            target=MappedObject(self.target.object, self.target.sub, self.target.bits),
+            target_units_per_a=self.target.units_per_a,
+            torque=MappedObject(self.torque_feedback.object, self.torque_feedback.sub, self.torque_feedback.bits),
+            torque_units_per_a=self.torque_feedback.units_per_a,
+            torque_slope=self.torque_slope,
+            slots=PdoSlots(**self.pdo.model_dump()),
+            silence_detection=self.silence_detection,
+            silence_reaction=self.silence_reaction,
+        )

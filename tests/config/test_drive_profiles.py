@@ -1,0 +1,167 @@
+"""Profiles of drive families: what ships is valid, an axis file overrides it, and a refusal names key and choice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fffo_drive.cli import main
+from fffo_drive.config.axis import read_axis
+from fffo_drive.config.commissioning import declared_facts
+from fffo_drive.config.drive_profile import (
+    OF_ONE_AXIS,
+    ProfileKeys,
+    merged,
+    profile_for,
+    profile_path,
+    read_profile,
+    shipped_profiles,
+)
+from fffo_drive.config.drive_section import CanopenDriveSection
+from fffo_drive.documents import DocumentError
+from fffo_drive.model.parameters import read_model
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+MODEL = read_model(CONFIGS / "models" / "table1.yaml")
+BUS = {"kind": "canopen", "bus": "loopback:0", "node_id": 1, "rated_torque_nm": 1.0}
+IPOS_UNITS = {"target": {"units_per_a": 65536 * 3276}, "torque_feedback": {"units_per_a": 3276}}
+
+
+def axis_file(folder: Path, **drive: object) -> Path:
+    """The shipped axis file with another drive section."""
+    data = yaml.safe_load((CONFIGS / "axis_canopen.yaml").read_text())
+    data["drive"] = {**BUS, **drive}
+    data["model"] = str(CONFIGS / "models" / "table1.yaml")
+    path = folder / "axis.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+@pytest.mark.parametrize("name", sorted(shipped_profiles()))
+def test_every_profile_that_ships_makes_a_drive_section(tmp_path: Path, name: str) -> None:
+    own = IPOS_UNITS if name == "technosoft_ipos" else {}
+    axis = read_axis(axis_file(tmp_path, profile=name, **own))
+    keys = read_profile(shipped_profiles()[name]).keys
+    for key, value in keys.items():
+        if key not in ("sdo", *IPOS_UNITS):
+            assert getattr(axis.drive, key) == value
+    config = axis.drive.drive_config(0.1, 1_000_000)
+    assert config.command.objects[1] == config.target
+
+
+def test_seven_families_ship() -> None:
+    assert set(shipped_profiles()) == {
+        "amd_foc_mc", "e35", "elmo_gold", "maxon_epos4", "nanotec_cl4e", "roboteq", "technosoft_ipos",
+    }  # fmt: skip
+
+
+def test_a_profile_holds_what_a_family_has_in_common_and_nothing_of_one_axis() -> None:
+    assert set(ProfileKeys.model_fields) == set(CanopenDriveSection.model_fields) - OF_ONE_AXIS
+
+
+def test_the_axis_file_overrides_each_key(tmp_path: Path) -> None:
+    axis = read_axis(
+        axis_file(tmp_path, profile="nanotec_cl4e", velocity_units_per_rps=6000, silence_reaction="none",
+                  resolver_bits=12)
+    )  # fmt: skip
+    drive = axis.drive
+    assert (drive.velocity_units_per_rps, drive.silence_reaction, drive.counts) == (6000, "none", 4096)
+    assert drive.max_torque_permille == 1000  # of the profile
+
+
+def test_of_a_mapping_single_keys_are_overridden() -> None:
+    found = merged({"target": {"object": 0x201C, "bits": 32}}, {"target": {"units_per_a": 5}})
+    assert found == {"target": {"object": 0x201C, "bits": 32, "units_per_a": 5}}
+
+
+def test_sdo_writes_are_joined_and_the_files_own_replaces_the_same_place() -> None:
+    first = {"object": 0x60A9, "value": 1, "bytes": 4, "why": "rpm"}
+    second = {"object": 0x3000, "value": 2, "bytes": 2, "why": "a setting"}
+    changed = {**first, "sub": 0, "when": "before_mapping", "value": 7}
+    assert merged({"sdo": [first, second]}, {"sdo": [changed]})["sdo"] == [changed, second]
+    assert merged({"sdo": [first]}, {})["sdo"] == [first]
+    later = {**first, "when": "after_disable"}
+    assert merged({"sdo": [first]}, {"sdo": [later]})["sdo"] == [first, later]
+
+
+def test_a_profile_beside_the_axis_file_stands_before_one_that_ships(tmp_path: Path) -> None:
+    own = tmp_path / "maxon_epos4.yaml"
+    text = (
+        shipped_profiles()["maxon_epos4"]
+        .read_text()
+        .replace("velocity_units_per_rps: 60 ", "velocity_units_per_rps: 7 ")
+    )
+    own.write_text(text)
+    assert read_axis(axis_file(tmp_path, profile="maxon_epos4")).drive.velocity_units_per_rps == 7
+    assert profile_path(tmp_path / "axis.yaml", "../elsewhere/maxon_epos4.yaml") == own  # what a recording carries
+
+
+def test_a_name_that_is_no_profile_is_told_those_that_are(tmp_path: Path) -> None:
+    with pytest.raises(DocumentError, match=r"drive.profile: 'epos' is neither a file.*maxon_epos4"):
+        read_axis(axis_file(tmp_path, profile="epos"))
+
+
+def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("family: x\ntried: nothing\ndrive:\n  silence_detektion: heartbeat\n")
+    with pytest.raises(DocumentError, match=r"mine.yaml:4: drive.silence_detektion: unknown key; did you mean"):
+        read_axis(axis_file(tmp_path, profile="mine.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C counts in units of its own"),
+        ({"torque_feedback": {"object": 0x207E}}, "torque_feedback.units_per_a: 0x207E"),
+        ({"silence_detection": "vendor"}, "the objects that set it belong in sdo"),
+        ({"mode": 8}, "mode 8: 10, 4, or a negative one"),
+        ({"pdo": {"motion": 2}}, "motion, status and event are three TPDOs"),
+        ({"silence_detection": "hope"}, "silence_detection"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, object], told: str) -> None:
+    with pytest.raises(DocumentError, match=told):
+        read_axis(axis_file(tmp_path, **keys))
+
+
+def test_a_rate_beyond_the_drives_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = axis_file(tmp_path, profile="nanotec_cl4e")
+    assert main(["config", "check", str(path)]) == 78
+    assert "loop.rate_hz: 2000 Hz; the drive takes commands at no more than 1000 Hz" in capsys.readouterr().err
+
+
+def test_a_drive_is_known_by_its_identity() -> None:
+    known = profile_for(0x26C, 0x5B)
+    assert known is not None
+    assert known[0] == "nanotec_cl4e"
+    assert profile_for(0x26C, 0x5C) is None  # another product of the vendor
+    every = profile_for(0xFB, 0x1234)
+    assert every is not None
+    assert every[0] == "maxon_epos4"
+    assert profile_for(None, None) is profile_for(0, 1) is None
+
+
+def test_a_commissioning_stands_for_mode_and_target(tmp_path: Path) -> None:
+    plain = declared_facts(read_axis(axis_file(tmp_path)), MODEL)
+    other = declared_facts(read_axis(axis_file(tmp_path, mode=4)), MODEL)
+    assert plain.command == ""
+    assert "mode 4" in other.command
+    assert plain.digest != other.digest
+
+
+def test_the_list_of_profiles_says_what_was_tried(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "drives"]) == 0
+    text = capsys.readouterr().out
+    assert text.count("tried:") == len(shipped_profiles())
+
+
+def test_drive_info_writes_a_profile_that_is_read_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    eds = Path(__file__).resolve().parents[1] / "canopen" / "eds" / "capitals.eds"
+    out = tmp_path / "cap.yaml"
+    assert main(["drive-info", str(eds), "--profile", str(out)]) == 0
+    profile = read_profile(out)
+    assert (profile.vendor_id, profile.product_codes) == (0xFEED, [0x42])
+    assert profile.keys == {"velocity_units_per_rps": 131072}  # counts are the encoder's, ratings the motor's
+    axis = read_axis(axis_file(tmp_path, profile="cap"))
+    assert axis.drive.velocity_units_per_rps == 131072
