@@ -2,9 +2,9 @@
 
 fffo-drive bring-up socketcan:can0 --out axis.yaml
 
-Listens whether somebody else commands on the bus, scans it (nodes without an id too, by LSS), reads what the drive tells,
-says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow (SYNC and
-feedback, the drive stays disabled), and writes the axis file and a first model, each value with where it came from.
+Listens whether somebody else commands on the bus, scans it (nodes without an id too, by LSS), reads what the drive
+tells, says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow
+(SYNC and feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
 
 What no drive tells is asked on a terminal, or given by options. The drive's PDOs and monitoring are set up for the
 measurement, as for a run, and nothing is stored in it. The next step is `fffo-drive commission`, which moves the axis.
@@ -23,8 +23,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..system.findings import Finding, Level
-from ..workflows.axis_draft import OPTIONS, Answers
 from ..workflows.bring_up import Report, Wishes, bring_up_axis
+from ..workflows.drive_facts import OPTIONS, Answers
 from ..workflows.rate_trial import Trial
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_OK, EXIT_UNAVAILABLE
 
@@ -102,7 +102,10 @@ class Terminal:
         if not self._quiet:
             self._wipe()
             indent = len(text) - len(text.lstrip())
-            print(textwrap.fill(text, WIDTH, subsequent_indent=" " * (indent + 2)), file=sys.stderr)
+            print(
+                textwrap.fill(text, WIDTH, subsequent_indent=" " * (indent + 2), break_on_hyphens=False),
+                file=sys.stderr,
+            )
 
     def progress(self, share: float) -> None:
         """Beside it, on a terminal."""
@@ -155,8 +158,13 @@ def report_lines(report: Report) -> Iterator[str]:
         yield ""
         yield "what is known:"
         for name, fact in report.facts.items():
-            shown = f"{fact.value:g}" if isinstance(fact.value, int | float) else str(fact.value)
+            shown = f"{fact.value:.10g}" if isinstance(fact.value, int | float) else str(fact.value)
             yield from _wrapped(f"  {name}: {shown}   ({fact.source})", 4)
+    if report.notes:
+        yield ""
+        yield from _wrapped(f"profile {report.profile} of its family:", 2)
+        for note in report.notes:
+            yield from _wrapped(f"  {note}", 4)
     fine = [one for one in report.findings if one.level is Level.OK]
     if fine:
         yield ""
@@ -196,4 +204,4 @@ def _trial(trial: Trial) -> Iterator[str]:
 
 
 def _wrapped(text: str, indent: int = 0) -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent=" " * indent) or [""]
+    return textwrap.wrap(text, WIDTH, subsequent_indent=" " * indent, break_on_hyphens=False) or [""]

@@ -24,19 +24,8 @@ from ..drive.canopen.scan import NodeName, Roll, Sign, ask_every_node, name_node
 from ..drive.canopen.service import Emergency, service_filters
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
 from ..system.findings import Finding, Level, failure, warning
-from .axis_draft import (
-    OPTIONS,
-    Answers,
-    Draft,
-    Fact,
-    Facts,
-    Place,
-    drive_facts,
-    make_draft,
-    missing_facts,
-    model_file_of,
-    written_objects,
-)
+from .axis_draft import Draft, Place, make_draft, model_file_of
+from .drive_facts import OPTIONS, Answers, DriveFacts, Fact, drive_facts
 from .rate_trial import (
     RATES_HZ,
     Choice,
@@ -99,6 +88,8 @@ class Report(NamedTuple):
     objects: dict[str, int] = {}  # noqa: RUF012  # of a NamedTuple: nobody changes it
     unreadable: dict[str, str] = {}  # noqa: RUF012
     facts: dict[str, Fact] = {}  # noqa: RUF012
+    profile: str | None = None  # of the drive's family
+    notes: tuple[str, ...] = ()  # of the profile
     missing: tuple[str, ...] = ()  # options that would tell what is not known
     adapter: RoundTrip | None = None
     trials: tuple[Trial, ...] = ()
@@ -135,23 +126,20 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
     """
     refuse_overwriting(wishes)
     with _alone_on(wishes.bus, talk):
-        signs = _scan(wishes.bus, talk)
+        signs, nodes = _scan(wishes.bus, talk)
         without_id = _search_without_id(wishes.bus, talk)
         if without_id and (assigned := _assign(wishes, without_id, signs, talk)) is not None:
-            signs, without_id = _scan(wishes.bus, talk), ()
+            (signs, nodes), without_id = _scan(wishes.bus, talk), ()
             wishes = wishes._replace(node_id=wishes.node_id or assigned)
-        nodes = tuple(name_node(sign, lambda node: _service_link(wishes.bus, node)) for sign in signs)
-        for node in nodes:
-            talk.tell(f"  {node.text}")
         found = Report(wishes.bus, "", False, nodes, without_id)
         chosen = _choose(wishes, nodes, talk)
         if isinstance(chosen, str):
             return found._replace(verdict=chosen)
         found = found._replace(node_id=chosen.node_id)
-        objects, emergencies = _read(wishes.bus, chosen, talk)
+        objects, facts, emergencies = _read(wishes, chosen, talk)
         emergencies = [*next(sign.emergencies for sign in signs if sign.node_id == chosen.node_id), *emergencies]
         adapter = round_trip(wishes.bus, chosen.node_id) if wishes.measure else None
-    return _propose(wishes, found._replace(adapter=adapter), chosen, objects, emergencies, talk)
+    return _propose(wishes, found._replace(adapter=adapter), chosen, objects, facts, emergencies, talk)
 
 
 def refuse_overwriting(wishes: Wishes) -> None:
@@ -185,7 +173,7 @@ def _alone_on(bus: str, talk: Talk) -> Any:
         lease.close()
 
 
-def _scan(bus: str, talk: Talk) -> list[Sign]:
+def _scan(bus: str, talk: Talk) -> tuple[list[Sign], tuple[NodeName, ...]]:
     talk.tell("asking node ids 1 to 127 for their type")
     roll = Roll()
     kinds = (can.SDO_RESPONSE, can.HEARTBEAT, can.EMERGENCY)
@@ -196,7 +184,10 @@ def _scan(bus: str, talk: Talk) -> list[Sign]:
             ask_every_node(link, roll, told=lambda node: talk.progress(node / count))
     except LinkError as error:
         raise BusUnavailableError(str(error)) from error
-    return roll.signs
+    nodes = tuple(name_node(sign, lambda node: _service_link(bus, node)) for sign in roll.signs)
+    for node in nodes:
+        talk.tell(f"  {node.text}")
+    return roll.signs, nodes
 
 
 def _service_link(bus: str, node_id: int) -> Link:
@@ -269,8 +260,8 @@ def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName |
         if not usable:
             said = "; ".join(node.text for node in nodes)
             return said or (
-                f"nobody answers on {wishes.bus}: look at power, wiring, termination (60 ohm between CAN_H and CAN_L) and "
-                "bit rate; nodes that are stopped and send no heartbeat are not seen: switch the drive off and on"
+                f"nobody answers on {wishes.bus}: look at power, wiring, termination (60 ohm between CAN_H and CAN_L) "
+                "and bit rate; nodes that are stopped and send no heartbeat are not seen: switch the drive off and on"
             )
         chosen = usable[0]
         if len(usable) > 1:
@@ -283,33 +274,36 @@ def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName |
     return f"node {chosen.node_id}: {chosen.remark}" if chosen.remark else chosen
 
 
-def _read(bus: str, node: NodeName, talk: Talk) -> tuple[ToldObjects, list[Emergency]]:
+def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, DriveFacts, list[Emergency]]:
     talk.tell(f"reading what node {node.node_id} tells")
-    service = open_service(_service_link(bus, node.node_id), node.node_id)
+    service = open_service(_service_link(wishes.bus, node.node_id), node.node_id)
     try:
         objects = ToldObjects(service.read)
         objects.ask_all(talk.progress)
-        return objects, list(service.emergencies)
+        facts = _facts(objects, wishes.answers, node, talk)
+        objects.ask_no_more()
+        return objects, facts, list(service.emergencies)
     finally:
         service.close()
 
 
 def _propose(
-    wishes: Wishes, found: Report, node: NodeName, objects: ToldObjects, emergencies: Sequence[Emergency], talk: Talk
-) -> Report:
-    """Facts, trials, findings, files."""
-    facts = _facts(objects, wishes.answers, talk)
-    written = written_objects(facts, objects)
-    missing = missing_facts(facts)
-    found = found._replace(objects=objects.told, unreadable=dict(objects.unreadable), facts=facts)
-    if missing:
-        findings = stands_between(objects, emergencies, False, written)
-        options = tuple(OPTIONS[name][0] for name in missing)
-        asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in missing)
+    wishes: Wishes, found: Report, node: NodeName, objects: ToldObjects, facts: DriveFacts,
+    emergencies: Sequence[Emergency], talk: Talk,
+) -> Report:  # fmt: skip
+    """Trials, findings, files."""
+    found = found._replace(
+        objects=objects.told, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
+        profile=facts.profile, notes=facts.profile_remarks,
+    )  # fmt: skip
+    if facts.missing:
+        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, tuple(facts.writes))]
+        asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
         findings.insert(0, failure("not known", f"the drive does not tell: {asked}", "give these options"))
+        options = tuple(OPTIONS[name][0] for name in facts.missing)
         text = _verdict(node, findings, None, "no axis file was written")
-        return found._replace(verdict=text, findings=tuple(findings), missing=options)
-    place = _place(wishes, found, node)
+        return found._replace(verdict=text, findings=_in_order(findings), missing=options)
+    place = _place(wishes, found, node, facts)
     draft = make_draft(place, facts, objects)
     trials: list[Trial] = []
     operational = False
@@ -317,10 +311,11 @@ def _propose(
         trials = _try_rates(wishes, draft, objects, talk)
         operational = any(not trial.refused for trial in trials)
     choice = choose_rate(trials, draft.axis.loop) if trials else None
-    findings = stands_between(objects, emergencies, operational, written)
-    findings += velocity_step(facts["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps)
+    findings = [*_of_facts(facts), *stands_between(objects, emergencies, operational, tuple(facts.writes))]
+    findings += velocity_step(
+        facts.scales["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps
+    )
     findings += _of_trials(trials, choice)
-    findings.sort(key=lambda one: (one.level is not Level.FAILURE, one.level is Level.OK))
     draft = make_draft(_measured(place, trials, choice, found.adapter, draft), facts, objects)
     model_file = model_file_of(wishes.out)
     wishes.out.write_text(draft.axis_text, encoding="utf-8")
@@ -328,30 +323,42 @@ def _propose(
     ready = not any(one.level is Level.FAILURE for one in findings)
     return found._replace(
         verdict=_verdict(node, findings, choice, f"{wishes.out} was written"),
-        ready=ready, objects=objects.told, unreadable=dict(objects.unreadable), findings=tuple(findings),
+        ready=ready, objects=objects.told, unreadable=dict(objects.unreadable), findings=_in_order(findings),
         trials=tuple(trials), choice=choice, axis_file=wishes.out, model_file=model_file,
         next_command=f"fffo-drive commission {wishes.out}",
     )  # fmt: skip
 
 
-def _facts(objects: ToldObjects, answers: Answers, talk: Talk) -> Facts:
+def _in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """What stands in the way first."""
+    return tuple(sorted(findings, key=lambda one: (one.level is not Level.FAILURE, one.level is Level.OK)))
+
+
+def _of_facts(facts: DriveFacts) -> list[Finding]:
+    """What the drive lacks, what stands in for it, and what of its units must be known."""
+    found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
+    found += [warning("stands in", text, "written to the axis file") for text in facts.stand_ins]
+    found += [warning("units", text, "") for text in facts.remarks if not text.startswith("0x6076")]
+    return found
+
+
+def _facts(objects: ToldObjects, answers: Answers, node: NodeName, talk: Talk) -> DriveFacts:
     """What the drive tells, completed by asking for what it does not; assumptions are put to whoever can be asked."""
-    facts = drive_facts(objects, answers)
     asked: set[str] = set()
     while True:
-        open_ones = [name for name in missing_facts(facts) if name not in asked]
-        assumed = [name for name in OPTIONS if name in facts and facts[name].source.startswith("assumed")]
-        name = next((one for one in [*open_ones, *assumed] if one not in asked), None)
+        facts = drive_facts(objects, answers, node.node_id, node.vendor_id, node.product_code)
+        scales = facts.scales
+        wanted = [*facts.missing, *(name for name in OPTIONS if name in scales and scales[name].assumed)]
+        name = next((one for one in wanted if one not in asked), None)
         if name is None:
             return facts
         asked.add(name)
-        proposal = f"{facts[name].value:g}" if name in facts else ""
-        why = f" ({facts[name].source})" if name in facts else ""
+        proposal = f"{scales[name].value:g}" if name in scales else ""
+        why = f" ({scales[name].source})" if name in scales else ""
         answer = talk.ask(f"{OPTIONS[name][1]}?{why}", proposal)
         value = _number(answer)
         if value is not None and answer != proposal:
             answers = answers._replace(**{name: round(value) if name == "counts_per_rev" else value})
-            facts = drive_facts(objects, answers)
 
 
 def _number(text: str | None) -> float | None:
@@ -363,14 +370,16 @@ def _number(text: str | None) -> float | None:
     return value if 0.0 < value < float("inf") else None
 
 
-def _place(wishes: Wishes, found: Report, node: NodeName) -> Place:
+def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> Place:
     name = re.sub(r"[^\w.-]", "_", wishes.out.stem)
-    shown = "".join(letter for letter in f"{node.device_name or 'a drive'} ({node.vendor})" if letter.isprintable())
+    shown = "".join(letter for letter in f"{node.device_name or 'a drive'}{f', {node.vendor}' if node.vendor_id else ''}" if letter.isprintable())
     bitrate = Fact(1_000_000, "assumed" if not wishes.bus.startswith(LOOPBACK) else "a loopback bus has none")
     if wishes.bitrate_hz is not None:
         bitrate = Fact(wishes.bitrate_hz, "given (--bitrate)")
     others = tuple(one.node_id for one in found.nodes if one.node_id != node.node_id)
-    return Place(name, model_file_of(wishes.out).name, wishes.bus, bitrate, node.node_id, shown, others)
+    highest_hz = min(RATES_HZ[-1], facts.profile_keys.get("highest_rate_hz") or RATES_HZ[-1])
+    rate = Fact(max(rate for rate in RATES_HZ if rate <= highest_hz), "assumed: not measured yet")
+    return Place(name, model_file_of(wishes.out).name, wishes.bus, bitrate, node.node_id, shown, others, rate)
 
 
 def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -> list[Trial]:
@@ -392,19 +401,16 @@ def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -
 
 
 def _look_again(objects: ToldObjects, drive: CanopenDrive) -> None:
-    """What changes, while the drive is operational; its answers may be late beside a loop, and old ones will do then."""
-    try:
-        objects.ask_again(drive.read_object)
-    except BusUnavailableError:
-        return
+    """What changes, while the drive is operational."""
+    objects.ask_again(drive.read_object)
 
 
 def _of_trials(trials: Sequence[Trial], choice: Choice | None) -> list[Finding]:
     if not trials or choice is None:
         return []
     found = [warning("real time", refusal, "fffo-drive doctor says what to type") for refusal in trials[0].refusals]
-    if all(trial.refused for trial in trials):
-        return [*found, failure("rate", choice.reason, "mend it, then bring up again")]
+    if trials[0].refused:
+        return [*found, failure("bring-up", trials[0].refused, "mend it, then bring up again")]
     if choice.rate_hz is None:
         remedy = "the axis file has the lowest rate; expect late ticks, and look at `fffo-drive doctor`"
         return [*found, warning("rate", choice.reason, remedy)]

@@ -1,4 +1,4 @@
-"""How fast a loop this drive, this bus and this machine allow: measured with SYNC and feedback, the drive never enabled.
+"""How fast a loop this drive, this bus and this machine allow: measured with SYNC and feedback, without voltage.
 
 The loop is the one that will run later: its session, its port, its cut-off. Asked is no torque; the drive is brought up
 as for a run and left without voltage.
@@ -21,10 +21,11 @@ from ..can.link import LinkError, open_link
 from ..config.axis import AxisFile, CanopenDriveSection, session_config
 from ..config.checks import bus_problems
 from ..config.sections import LoopSection
-from ..drive.canopen.config import load_of
+from ..drive.canopen.config import CanopenDriveConfig, load_of
 from ..drive.canopen.drive import CanopenDrive
 from ..drive.canopen.object_map import MappingError
 from ..drive.canopen.scan import READ_DEVICE_TYPE
+from ..drive.canopen.silence import RPDO_TIMER
 from ..drive.port import BusUnavailableError, DriveError
 from ..model.parameters import ModelFile
 from ..recording.ring_reader import RingReader
@@ -37,6 +38,7 @@ from ..units import NS_PER_S
 
 RATES_HZ = (500, 1000, 2000)
 LISTEN_S = 0.1  # again, before each rate: the bus has been listened to already
+PATIENCE_MS = 1000  # of the drive with a silent PC, while it is measured
 SETTLE_S = 0.3  # the first ticks of a loop are not those of its day
 MOST_MISSING = 0.001  # share of SYNCs without an answer in time
 TURNAROUND_SHARE = 0.8  # of the cut-off: 99 % of the answers come within it
@@ -160,14 +162,14 @@ class Choice(NamedTuple):
 
 
 def choose_rate(trials: list[Trial], loop: LoopSection) -> Choice:
-    """The highest rate that fits below the first that does not."""
-    best: int | None = None
-    for trial in sorted(trials, key=lambda one: one.rate_hz):
-        against = objections(trial, loop)
-        if against:
-            return Choice(best, f"{trial.rate_hz} Hz does not fit: {'; '.join(against)}")
-        best = trial.rate_hz
-    return Choice(best, f"{best} Hz is the highest that is tried")
+    """The highest rate that fits, and what speaks against the next one."""
+    ordered = sorted(trials, key=lambda one: one.rate_hz)
+    against = [objections(trial, loop) for trial in ordered]
+    best = max((k for k, reasons in enumerate(against) if not reasons), default=-1)
+    rate_hz = ordered[best].rate_hz if best >= 0 else None
+    if best + 1 == len(ordered):
+        return Choice(rate_hz, "the highest that is tried")
+    return Choice(rate_hz, f"{ordered[best + 1].rate_hz} Hz does not fit: {'; '.join(against[best + 1])}")
 
 
 def try_rate(
@@ -186,7 +188,7 @@ def try_rate(
     if too_slow := adapter_problem(section.bus, rate_hz, section.bitrate_hz, host):
         return Trial(rate_hz, too_slow)
     config = section.drive_config(model.torque_constant_nm_per_a, NS_PER_S // rate_hz)
-    config = dataclasses.replace(config, listen_s=LISTEN_S)
+    config = _patient(config)
     ticks = round((SETTLE_S + seconds) * rate_hz)
     session_settings = session_config(axis, model, 2, 2 * ticks)._replace(realtime_required=False)
     try:
@@ -208,6 +210,16 @@ def try_rate(
         rows = reader.read().rows
         meanwhile(drive)
     return trial_of(rows, rate_hz, load_of(config).worst, report.refusals)
+
+
+def _patient(config: CanopenDriveConfig) -> CanopenDriveConfig:
+    """A drive that nobody enables need not notice each moment of silence: each would be an error in its history."""
+    return dataclasses.replace(
+        config,
+        listen_s=LISTEN_S,
+        heartbeat_timeout_ms=max(config.heartbeat_timeout_ms, PATIENCE_MS),
+        command_timeout_ms=PATIENCE_MS if config.silence_detection == RPDO_TIMER else 0,
+    )
 
 
 class _OnPaper(NamedTuple):

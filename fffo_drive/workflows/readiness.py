@@ -52,7 +52,6 @@ def stands_between(
         lambda: _inputs(objects, word),
         lambda: _brake(objects),
         lambda: _motor(objects, written),
-        lambda: _signs(objects),
         lambda: _unreadable(objects),
     ):  # fmt: skip
         look: Callable[[], Iterator[Finding]] = part
@@ -94,7 +93,7 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
     elif state == STATE_NOT_READY:
         yield failure("state", text, "the drive starts, tests itself or has no supply: wait, then look at the supply")
     elif state == STATE_UNKNOWN:
-        yield failure("state", f"{text} (no state of CiA 402)", "is this the drive's statusword?")
+        yield failure("state", f"{text} (no state of CiA 402)", "is this the drive's statusword (0x6041)?")
     else:
         yield ok("state", text)
     if word & STATUS_WARNING:
@@ -200,7 +199,7 @@ def _brake(objects: ToldObjects) -> Iterator[Finding]:
         return
     yield warning(
         "brake", "the brake is set (0x60FE:01, bit 0)",
-        "the drive must release it by itself when it is enabled: set its brake control and times with the vendor's tool",
+        "the drive must release it when it is enabled: set its brake control and times with the vendor's tool",
     )  # fmt: skip
 
 
@@ -218,16 +217,6 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[Finding]:
     elif limit is not None and limit < LOWEST_TORQUE_LIMIT:
         text = f"0x6072 limits the torque to {limit / TORQUE_LIMIT_PERMILLE:.0%} of the rated torque"
         yield warning("torque limit", text, "set drive.max_torque_permille if that is too little")
-
-
-def _signs(objects: ToldObjects) -> Iterator[Finding]:
-    polarity = objects.value(0x607E) or 0
-    turned = [name for bit, name in ((7, "position"), (6, "velocity")) if polarity >> bit & 1]
-    if turned:
-        yield warning(
-            "signs", f"0x607E turns the sign of {' and '.join(turned)}",
-            "torque does not follow in every drive: `fffo-drive commission` shows whether the signs agree",
-        )  # fmt: skip
 
 
 def _unreadable(objects: ToldObjects) -> Iterator[Finding]:

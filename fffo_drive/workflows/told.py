@@ -9,6 +9,7 @@ from ..drive.port import BusUnavailableError
 
 Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
 
+NO_DATA = 0x08000024  # abort code of an object that is there and empty, such as 0x1003:01 without errors
 MOST_SILENCES = 3  # objects in a row without an answer: then the drive has gone
 # what is read of a drive before anything is asked of it (CiA 301, CiA 402-2)
 WANTED: tuple[tuple[int, int], ...] = (
@@ -27,7 +28,7 @@ class ToldObjects:
     """What a drive tells, as `DriveObjects` of the list of needs has it."""
 
     def __init__(self, read: Read) -> None:
-        self._read = read
+        self._read: Read | None = read
         self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
         self._silences = 0
         self.unreadable: dict[str, str] = {}  # objects that are there, or may be, and tell nothing: the reason
@@ -52,13 +53,21 @@ class ToldObjects:
             told(k / len(WANTED))
 
     def ask_again(self, read: Read, indices: Iterable[int] = CHANGING) -> None:
-        """Read by another way from now on, and these objects anew."""
-        self._read = read
+        """Read these objects anew, by another way; what does not answer then stays as it was."""
         wanted = set(indices)
-        self._known = {where: found for where, found in self._known.items() if where[0] not in wanted}
-        for index, sub in WANTED:
-            if index in wanted:
-                self._ask(index, sub)
+        before = dict(self._known)
+        self._read, self._silences = read, 0
+        try:
+            for where in [where for where in before if where[0] in wanted]:
+                del self._known[where]
+                self._ask(*where)
+        except BusUnavailableError:
+            self._known = {**before, **self._known}
+        self._read = None
+
+    def ask_no_more(self) -> None:
+        """The way to the drive is closed: what was not asked yet is not there."""
+        self._read = None
 
     @property
     def told(self) -> dict[str, int]:
@@ -67,6 +76,8 @@ class ToldObjects:
 
     def _ask(self, index: int, sub: int) -> tuple[bool, int | None]:
         where = index, sub
+        if self._read is None:
+            return self._known.get(where, (False, None))
         if where not in self._known:
             self.unreadable.pop(object_name(*where), None)
             try:
@@ -76,7 +87,7 @@ class ToldObjects:
             except SdoRefusedError as refusal:
                 self._known[where] = not refusal.absent, None
                 self._silences = 0
-                if not refusal.absent:
+                if not refusal.absent and refusal.code != NO_DATA:
                     self.unreadable[object_name(*where)] = f"abort 0x{refusal.code:08X}"
             except BusUnavailableError:
                 self._silences += 1

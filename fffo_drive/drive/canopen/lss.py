@@ -65,7 +65,7 @@ class LssMaster:
         return found
 
     def assign(self, address: LssAddress, node_id: int) -> bool:
-        """Give a node an id; it boots with it. True when the node keeps it beyond its power. Raises DriveRefusedError."""
+        """Give a node an id, with which it boots. True when the node has stored it. Raises DriveRefusedError."""
         if node_id not in can.NODE_IDS:
             raise DriveRefusedError(f"node id {node_id}: 1 to 127")
         try:

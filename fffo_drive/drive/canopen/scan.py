@@ -1,8 +1,8 @@
 """Which nodes are on a bus, and what they call themselves.
 
-Every node id is asked once for its device type (0x1000, mandatory in CiA 301); heartbeats and boot-ups that come meanwhile
-tell of nodes that do not answer SDO (STOPPED). Nothing is reset and nothing is written. A node without an id answers
-LSS alone (`lss`).
+Every node id is asked once for its device type (0x1000, mandatory in CiA 301); heartbeats and boot-ups that come
+meanwhile tell of nodes that do not answer SDO (STOPPED). Nothing is reset and nothing is written. A node without an id
+answers LSS alone (`lss`).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveError
 from .bring_up import read_identity
 from .listening import NODE_ID_MASK, STATE_NAMES
+from .needs import DRIVE_PROFILE
 from .service import Emergency, SdoRefusedError, Service
 from .service_queue import ServiceQueue
 
 READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0])  # SDO upload of 0x1000:00 (CiA 301 7.2.4.3.5)
 UPLOAD_ANSWER, ABORT = 2, 4  # command specifiers of a server
-DEVICE_PROFILE_DRIVE = 402
 PACE_S = 0.002  # between two requests: a CAN controller's queue holds ten frames or so
 ANSWER_S = 0.3  # after the last request
 NAME_TIMEOUT_S = 0.3
@@ -60,7 +60,7 @@ class Sign:
     @property
     def is_drive(self) -> bool:
         """0x1000 names CiA 402 in its low word."""
-        return self.device_type is not None and self.device_type & 0xFFFF == DEVICE_PROFILE_DRIVE
+        return self.device_type is not None and self.device_type & 0xFFFF == DRIVE_PROFILE
 
     @property
     def state_name(self) -> str:
@@ -151,7 +151,7 @@ class NodeName(NamedTuple):
     @property
     def is_drive(self) -> bool:
         """0x1000 names CiA 402."""
-        return self.device_type is not None and self.device_type & 0xFFFF == DEVICE_PROFILE_DRIVE
+        return self.device_type is not None and self.device_type & 0xFFFF == DRIVE_PROFILE
 
     @property
     def vendor(self) -> str:

@@ -1,0 +1,167 @@
+"""What is known of a drive before it has moved: from its objects, the profile of its family, and people.
+
+Each value says where it came from. What the drive itself tells of its units stands before its profile, which knows how
+the family leaves the factory; what people say stands before both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from ..config.drive_profile import profile_for
+from ..config.drive_proposal import config_of, propose
+from ..drive.canopen.needs import check_device_type, check_modes, needs
+from ..drive.canopen.object_map import MappingError
+from ..drive.canopen.units_told import units_told
+from .told import ToldObjects
+
+TORQUE_UNITS_NM = {"mNm": 1e-3, "uNm": 1e-6}  # of one of 0x6076
+MILLI = 1e-3
+SAME = 0.01  # ratings that agree
+ASSUMED = "assumed: "
+
+
+class Answers(NamedTuple):
+    """What people know and no drive tells; None: not said."""
+
+    torque_constant_nm_per_a: float | None = None
+    counts_per_rev: int | None = None
+    velocity_units_per_rps: float | None = None
+    rated_torque_nm: float | None = None
+    rated_current_a: float | None = None
+    inertia_kg_m2: float | None = None
+
+
+OPTIONS = {  # field of `Answers` -> (option, what is asked)
+    "counts_per_rev": ("--counts", "counts of 0x6064 in a revolution (encoder: four times its lines)"),
+    "velocity_units_per_rps": ("--velocity-units", "0x606C at one revolution a second"),
+    "rated_torque_nm": ("--rated-torque", "rated torque of the motor in Nm"),
+    "torque_constant_nm_per_a": ("--torque-constant", "torque constant of the motor in Nm/A"),
+    "rated_current_a": ("--rated-current", "rated current of the motor in A"),
+}
+OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
+class Fact(NamedTuple):
+    """One value and where it came from."""
+
+    value: Any
+    source: str
+
+    @property
+    def assumed(self) -> bool:
+        """Nobody in the know has said it."""
+        return self.source.startswith(ASSUMED)
+
+
+class DriveFacts(NamedTuple):
+    """Everything."""
+
+    scales: dict[str, Fact]  # by the names of `Answers`
+    section: dict[str, Fact]  # keys of the drive section that are not the profile's
+    profile: str | None  # its name
+    family: str
+    profile_keys: dict[str, Any]
+    profile_remarks: tuple[str, ...]  # of whoever wrote it, what was tried first
+    stand_ins: tuple[str, ...]  # what takes the place of what the drive lacks
+    remarks: tuple[str, ...]  # about units
+    problems: tuple[str, ...]  # what we need and the drive lacks
+    writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
+
+    @property
+    def missing(self) -> list[str]:
+        """What must be known, and is not, in the order in which it is asked. Torque constant or current will do."""
+        found = [name for name in OPTIONS if name not in self.scales]
+        return found[:-1] if "torque_constant_nm_per_a" in found and "rated_current_a" in found else found
+
+
+def drive_facts(
+    objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0
+) -> DriveFacts:
+    """Ask the drive for what is needed, and put together what is known. Raises BusUnavailableError."""
+    known = profile_for(vendor_id, product_code)
+    base = dict(known[1].keys) if known else {}
+    section = {
+        key: Fact(value, f"given ({OPTIONS[key][0]})")
+        for key, value in answers._asdict().items()
+        if key in OF_SECTION and value is not None
+    }
+    raw = objects.value(0x6076)
+    unit = _torque_unit(raw, answers.rated_torque_nm, base.get("rated_torque_unit", "mNm"))
+    if unit != base.get("rated_torque_unit", "mNm"):
+        section["rated_torque_unit"] = Fact(unit, "0x6076 then says what was given")
+    if raw:
+        section.setdefault("rated_torque_nm", Fact(raw * TORQUE_UNITS_NM[unit], f"read: 0x6076 in {unit}"))
+    told = units_told(objects)
+    for key, index in (("counts_per_rev", 0x60A8), ("velocity_units_per_rps", 0x60A9)):
+        if key in told and key in base and objects.value(index) and told[key] != base[key]:
+            section.setdefault(key, Fact(told[key], f"read: 0x{index:04X}; the profile has {base[key]:g}"))
+    proposal = propose(objects, {**base, **{key: fact.value for key, fact in section.items()}})
+    for key, value in proposal.section.items():
+        section.setdefault(key, Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}"))
+    section = {key: section[key] for key in (*OF_SECTION, *section) if key in section}
+    scales = _scales(section, base, known[0] if known else "", answers)
+    return DriveFacts(
+        scales, section, known[0] if known else None, known[1].family if known else "", base,
+        (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
+        tuple(_problems(objects, {**base, **{key: fact.value for key, fact in section.items()}}, node_id)),
+        _writes(objects, section, unit),
+    )  # fmt: skip
+
+
+def _source(objects: ToldObjects, key: str) -> str:
+    """The object in which the drive tells a scale; empty for other keys."""
+    if key == "counts_per_rev":
+        return f"0x60A8 is 0x{objects.value(0x60A8):08X}" if objects.value(0x60A8) else "0x608F"
+    if key == "velocity_units_per_rps":
+        return f"0x60A9 is 0x{objects.value(0x60A9):08X}" if objects.value(0x60A9) else "0x6090"
+    return {"rated_torque_nm": "0x6076", "rated_current_a": "0x6075"}.get(key, "")
+
+
+def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
+    """Unit of 0x6076: the one in which it says what was given, else what is expected of the family."""
+    if not raw or given_nm is None:
+        return expected
+    fitting = [name for name, one in TORQUE_UNITS_NM.items() if abs(raw * one - given_nm) <= SAME * given_nm]
+    return fitting[0] if fitting else expected
+
+
+def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, answers: Answers) -> dict[str, Fact]:
+    found = {key: section[key] for key in OF_SECTION if key in section}
+    for key in OF_SECTION:
+        if key in base:
+            found.setdefault(key, Fact(base[key], f"profile {profile}"))
+    if answers.torque_constant_nm_per_a is not None:
+        option = OPTIONS["torque_constant_nm_per_a"][0]
+        found["torque_constant_nm_per_a"] = Fact(answers.torque_constant_nm_per_a, f"given ({option})")
+    if answers.inertia_kg_m2 is not None:
+        found["inertia_kg_m2"] = Fact(answers.inertia_kg_m2, "given (--inertia)")
+    torque, current = found.get("rated_torque_nm"), found.get("rated_current_a")
+    if torque is not None and current is not None:
+        constant = float(f"{torque.value / current.value:.6g}")
+        source = f"{ASSUMED}rated torque over rated current; see the data sheet"
+        found.setdefault("torque_constant_nm_per_a", Fact(constant, source))
+    elif torque is not None and "torque_constant_nm_per_a" in found:
+        value = float(f"{torque.value / found['torque_constant_nm_per_a'].value:.6g}")
+        found["rated_current_a"] = Fact(value, f"{ASSUMED}rated torque over torque constant")
+    return found
+
+
+def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) -> list[str]:
+    """What bring-up would refuse: the list that `drive-info` reads a file against."""
+    try:
+        config = config_of(section, node_id)
+    except (MappingError, ValidationError) as error:
+        return [" ".join(str(error).split())]
+    found = check_device_type(objects, config)
+    return found or [*check_modes(objects, config), *needs(objects, config)]
+
+
+def _writes(objects: ToldObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:
+    """Ratings that the drive has not been told, where people have said them."""
+    found = {}
+    for index, key, one in ((0x6076, "rated_torque_nm", TORQUE_UNITS_NM[unit]), (0x6075, "rated_current_a", MILLI)):
+        if objects.value(index) == 0 and key in section:
+            found[f"0x{index:04X}:00"] = round(section[key].value / one)
+    return found
