@@ -32,6 +32,7 @@ from .rate_trial import (
     RoundTrip,
     Trial,
     choose_rate,
+    problems_at,
     round_trip,
     try_rate,
     turnaround_of_drive_us,
@@ -304,19 +305,34 @@ def _propose(
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings), missing=options)
     place = _place(wishes, found, node, facts)
-    draft = make_draft(place, facts, objects)
+    try:
+        draft = make_draft(place, facts, objects)
+    except DocumentError as error:
+        findings = [
+            failure("values", text, "what the drive tells cannot be: give the right value by an option")
+            for text in str(error).splitlines()
+        ]
+        text = _verdict(node, findings, None, "no axis file was written")
+        return found._replace(verdict=text, findings=tuple(findings))
     trials: list[Trial] = []
     operational = False
     if wishes.measure:
         trials = _try_rates(wishes, draft, objects, talk)
         operational = any(not trial.refused for trial in trials)
-    choice = choose_rate(trials, draft.axis.loop) if trials else None
+    turnaround_us = turnaround_of_drive_us(trials, found.adapter, draft.axis)
+    choice = (
+        choose_rate(
+            trials, draft.axis.loop, lambda rate_hz: problems_at(draft.axis, draft.model, rate_hz, turnaround_us)
+        )
+        if trials
+        else None
+    )
     findings = [*_of_facts(facts), *stands_between(objects, emergencies, operational, tuple(facts.writes))]
     findings += velocity_step(
         facts.scales["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps
     )
     findings += _of_trials(trials, choice)
-    draft = make_draft(_measured(place, trials, choice, found.adapter, draft), facts, objects)
+    draft = make_draft(_measured(place, trials, choice, turnaround_us), facts, objects)
     model_file = model_file_of(wishes.out)
     wishes.out.write_text(draft.axis_text, encoding="utf-8")
     model_file.write_text(draft.model_text, encoding="utf-8")
@@ -372,7 +388,11 @@ def _number(text: str | None) -> float | None:
 
 def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> Place:
     name = re.sub(r"[^\w.-]", "_", wishes.out.stem)
-    shown = "".join(letter for letter in f"{node.device_name or 'a drive'}{f', {node.vendor}' if node.vendor_id else ''}" if letter.isprintable())
+    shown = "".join(
+        letter
+        for letter in f"{node.device_name or 'a drive'}{f', {node.vendor}' if node.vendor_id else ''}"
+        if letter.isprintable()
+    )
     bitrate = Fact(1_000_000, "assumed" if not wishes.bus.startswith(LOOPBACK) else "a loopback bus has none")
     if wishes.bitrate_hz is not None:
         bitrate = Fact(wishes.bitrate_hz, "given (--bitrate)")
@@ -417,9 +437,7 @@ def _of_trials(trials: Sequence[Trial], choice: Choice | None) -> list[Finding]:
     return found
 
 
-def _measured(
-    place: Place, trials: Sequence[Trial], choice: Choice | None, adapter: RoundTrip | None, draft: Draft
-) -> Place:
+def _measured(place: Place, trials: Sequence[Trial], choice: Choice | None, turnaround_us: float | None) -> Place:
     """The place with what the trials say of it."""
     tried = [trial for trial in trials if not trial.refused]
     if not tried or choice is None:
@@ -428,12 +446,11 @@ def _measured(
         rate = Fact(tried[0].rate_hz, "the lowest that was tried: none fits on this machine")
     else:
         rate = Fact(choice.rate_hz, "measured: the highest that fits")
-    turnaround = turnaround_of_drive_us(tried, adapter, draft.axis)
     gap = max(trial.longest_gap for trial in tried)
     loopback = place.bus.startswith(LOOPBACK)
     return place._replace(
         rate_hz=rate,
-        turnaround_us=None if turnaround is None else Fact(float(f"{turnaround:.3g}"), "measured"),
+        turnaround_us=None if turnaround_us is None else Fact(float(f"{turnaround_us:.3g}"), "measured"),
         realtime_refused=bool(tried[0].refusals),
         patience_ticks=max(LEAST_PATIENCE_TICKS, FEEDBACK_GAP_FACTOR * gap) if loopback else 0,
     )

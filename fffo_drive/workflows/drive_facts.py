@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from ..config.drive_profile import profile_for
+from ..config.drive_profile import merged, profile_for
 from ..config.drive_proposal import config_of, propose
 from ..drive.canopen.needs import check_device_type, check_modes, needs
-from ..drive.canopen.object_map import MappingError
+from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
 from ..drive.canopen.units_told import units_told
 from .told import ToldObjects
 
@@ -32,6 +32,8 @@ class Answers(NamedTuple):
     velocity_units_per_rps: float | None = None
     rated_torque_nm: float | None = None
     rated_current_a: float | None = None
+    target_units_per_a: float | None = None
+    feedback_units_per_a: float | None = None
     inertia_kg_m2: float | None = None
 
 
@@ -40,9 +42,17 @@ OPTIONS = {  # field of `Answers` -> (option, what is asked)
     "velocity_units_per_rps": ("--velocity-units", "0x606C at one revolution a second"),
     "rated_torque_nm": ("--rated-torque", "rated torque of the motor in Nm"),
     "torque_constant_nm_per_a": ("--torque-constant", "torque constant of the motor in Nm/A"),
+    "target_units_per_a": ("--target-units", "units of the vendor's own object of the torque command for one ampere"),
+    "feedback_units_per_a": ("--feedback-units", "units of the vendor's own object of the torque that comes back"),
     "rated_current_a": ("--rated-current", "rated current of the motor in A"),
 }
+OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, the standard's object)
+    "target_units_per_a": ("target", TARGET_TORQUE),
+    "feedback_units_per_a": ("torque_feedback", TORQUE),
+}
 OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
+
+
 class Fact(NamedTuple):
     """One value and where it came from."""
 
@@ -72,7 +82,8 @@ class DriveFacts(NamedTuple):
     @property
     def missing(self) -> list[str]:
         """What must be known, and is not, in the order in which it is asked. Torque constant or current will do."""
-        found = [name for name in OPTIONS if name not in self.scales]
+        asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in _own_units(self.profile_keys)]
+        found = [name for name in asked if name not in self.scales]
         return found[:-1] if "torque_constant_nm_per_a" in found and "rated_current_a" in found else found
 
 
@@ -87,6 +98,10 @@ def drive_facts(
         for key, value in answers._asdict().items()
         if key in OF_SECTION and value is not None
     }
+    own = _own_units(base)
+    for name in own:
+        if (units := getattr(answers, name)) is not None:
+            section[OWN_OBJECTS[name][0]] = Fact({"units_per_a": units}, f"given ({OPTIONS[name][0]})")
     raw = objects.value(0x6076)
     unit = _torque_unit(raw, answers.rated_torque_nm, base.get("rated_torque_unit", "mNm"))
     if unit != base.get("rated_torque_unit", "mNm"):
@@ -101,13 +116,23 @@ def drive_facts(
     for key, value in proposal.section.items():
         section.setdefault(key, Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}"))
     section = {key: section[key] for key in (*OF_SECTION, *section) if key in section}
+    merged_section = merged(base, {key: fact.value for key, fact in section.items()})
     scales = _scales(section, base, known[0] if known else "", answers)
     return DriveFacts(
         scales, section, known[0] if known else None, known[1].family if known else "", base,
         (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
-        tuple(_problems(objects, {**base, **{key: fact.value for key, fact in section.items()}}, node_id)),
+        tuple(_problems(objects, merged_section, node_id)),
         _writes(objects, section, unit),
     )  # fmt: skip
+
+
+def _own_units(keys: Mapping[str, Any]) -> list[str]:
+    """What must be answered where a profile names an object of the vendor's, and not in which units it counts."""
+    return [
+        name
+        for name, (key, standard) in OWN_OBJECTS.items()
+        if (one := keys.get(key)) and one.get("object", standard) != standard and one.get("units_per_a") is None
+    ]
 
 
 def _source(objects: ToldObjects, key: str) -> str:
@@ -132,9 +157,9 @@ def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, 
     for key in OF_SECTION:
         if key in base:
             found.setdefault(key, Fact(base[key], f"profile {profile}"))
-    if answers.torque_constant_nm_per_a is not None:
-        option = OPTIONS["torque_constant_nm_per_a"][0]
-        found["torque_constant_nm_per_a"] = Fact(answers.torque_constant_nm_per_a, f"given ({option})")
+    for key in ("torque_constant_nm_per_a", *OWN_OBJECTS):
+        if (value := getattr(answers, key)) is not None:
+            found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
     if answers.inertia_kg_m2 is not None:
         found["inertia_kg_m2"] = Fact(answers.inertia_kg_m2, "given (--inertia)")
     torque, current = found.get("rated_torque_nm"), found.get("rated_current_a")
@@ -143,8 +168,8 @@ def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, 
         source = f"{ASSUMED}rated torque over rated current; see the data sheet"
         found.setdefault("torque_constant_nm_per_a", Fact(constant, source))
     elif torque is not None and "torque_constant_nm_per_a" in found:
-        value = float(f"{torque.value / found['torque_constant_nm_per_a'].value:.6g}")
-        found["rated_current_a"] = Fact(value, f"{ASSUMED}rated torque over torque constant")
+        rated_a = float(f"{torque.value / found['torque_constant_nm_per_a'].value:.6g}")
+        found["rated_current_a"] = Fact(rated_a, f"{ASSUMED}rated torque over torque constant")
     return found
 
 
@@ -152,8 +177,10 @@ def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) ->
     """What bring-up would refuse: the list that `drive-info` reads a file against."""
     try:
         config = config_of(section, node_id)
-    except (MappingError, ValidationError) as error:
-        return [" ".join(str(error).split())]
+    except MappingError as error:
+        return [str(error)]
+    except ValidationError as error:
+        return [one["msg"].removeprefix("Value error, ") for one in error.errors()]
     found = check_device_type(objects, config)
     return found or [*check_modes(objects, config), *needs(objects, config)]
 

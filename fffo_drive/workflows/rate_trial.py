@@ -45,6 +45,7 @@ TURNAROUND_SHARE = 0.8  # of the cut-off: 99 % of the answers come within it
 ROUND_TRIPS = 100
 ROUND_TRIP_TIMEOUT_S = 0.3
 SDO_BYTES = 8
+NO_SCALE = 1.0  # identifiers and lengths are asked for alone
 PERCENTILES = (50.0, 99.0, 100.0)
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
@@ -161,15 +162,27 @@ class Choice(NamedTuple):
     reason: str
 
 
-def choose_rate(trials: list[Trial], loop: LoopSection) -> Choice:
-    """The highest rate that fits, and what speaks against the next one."""
+def choose_rate(
+    trials: list[Trial], loop: LoopSection, problems: Callable[[int], list[str]] = lambda rate_hz: []
+) -> Choice:
+    """The highest rate that fits, and what speaks against the next one. `problems`: of the sum for the bus."""
     ordered = sorted(trials, key=lambda one: one.rate_hz)
-    against = [objections(trial, loop) for trial in ordered]
+    against = [objections(trial, loop) or problems(trial.rate_hz) for trial in ordered]
     best = max((k for k, reasons in enumerate(against) if not reasons), default=-1)
     rate_hz = ordered[best].rate_hz if best >= 0 else None
     if best + 1 == len(ordered):
-        return Choice(rate_hz, "the highest that is tried")
+        return Choice(rate_hz, "It is the highest that is tried")
     return Choice(rate_hz, f"{ordered[best + 1].rate_hz} Hz does not fit: {'; '.join(against[best + 1])}")
+
+
+def problems_at(axis: AxisFile, model: ModelFile, rate_hz: int, turnaround_us: float | None = None) -> list[str]:
+    """What the sum for the bus has against a rate, with a turnaround that was measured (None: that of the file)."""
+    section = axis.drive
+    if turnaround_us is not None:
+        section = section.model_copy(update={"turnaround_us": turnaround_us})
+    loop = axis.loop.model_copy(update={"rate_hz": rate_hz})
+    found = bus_problems(axis.model_copy(update={"loop": loop, "drive": section}), model)
+    return [text.partition(": ")[2] for text in found]
 
 
 def try_rate(
@@ -183,8 +196,8 @@ def try_rate(
     section = axis.drive
     assert isinstance(section, CanopenDriveSection)
     axis = axis.model_copy(update={"loop": axis.loop.model_copy(update={"rate_hz": rate_hz})})
-    if problems := bus_problems(axis, model):
-        return Trial(rate_hz, problems[0].partition(": ")[2])
+    if problems := problems_at(axis, model, rate_hz):
+        return Trial(rate_hz, problems[0])
     if too_slow := adapter_problem(section.bus, rate_hz, section.bitrate_hz, host):
         return Trial(rate_hz, too_slow)
     config = section.drive_config(model.torque_constant_nm_per_a, NS_PER_S // rate_hz)
@@ -257,16 +270,20 @@ def round_trip(bus: str, node_id: int, count: int = ROUND_TRIPS) -> RoundTrip | 
 
 
 def turnaround_of_drive_us(trials: list[Trial], trip: RoundTrip | None, axis: AxisFile) -> float | None:
-    """The drive's own share of the time from SYNC to feedback: without adapter, kernel and wire. None: unknown.
+    """The drive's own share of the time from SYNC to feedback: without adapter, kernel and wire.
 
-    On a loopback bus nothing is on a wire: what is left there is the machine's.
+    None where it is not known: on a loopback bus, which has no wire, all times are the machine's.
     """
     section = axis.drive
     measured = [trial.turnaround_us.median for trial in trials if not trial.refused]
-    if not measured or trip is None or not isinstance(section, CanopenDriveSection):
+    if not measured or trip is None or not isinstance(section, CanopenDriveSection) or _is_loopback(section.bus):
         return None
-    config = section.drive_config(1.0, NS_PER_S // axis.loop.rate_hz)
-    bit_us = 0.0 if section.bus.startswith("loopback:") else 1e6 / section.bitrate_hz
+    config = section.drive_config(NO_SCALE, NS_PER_S // axis.loop.rate_hz)
+    bit_us = 1e6 / section.bitrate_hz
     wire_us = bit_us * (longest_bits(0) + longest_bits(config.answers[0].data_bytes))
     adapter_us = max(0.0, trip.adapter_us.median - bit_us * longest_bits(SDO_BYTES))
     return max(0.0, statistics.median(measured) - wire_us - adapter_us)
+
+
+def _is_loopback(bus: str) -> bool:
+    return bus.startswith("loopback:")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -99,7 +101,7 @@ def test_every_id_is_asked_once_with_time_between_and_the_slowest_node_is_waited
     assert [can_id for _, can_id, _ in link.sent] == list(range(0x601, 0x680))
     assert {data for _, _, data in link.sent} == {bytes.fromhex("4000100000000000")}
     times = [time_s for time_s, _, _ in link.sent]
-    assert min(b - a for a, b in zip(times, times[1:], strict=False)) == pytest.approx(scan.PACE_S)
+    assert min(b - a for a, b in itertools.pairwise(times)) == pytest.approx(scan.PACE_S)
     assert [(sign.node_id, sign.is_drive) for sign in roll.signs] == [(1, True), (127, False)]
 
 
