@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ def execute(options: argparse.Namespace) -> int:
     return EXIT_BAD_INPUT if fitness.refusals else EXIT_OK
 
 
+WIDTH = 80  # columns of a terminal
 Known = tuple[str, DriveProfile] | None
 
 
@@ -92,21 +94,24 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
     lines = [f"{eds.path}: {eds.drive_name}", f"  {', '.join(identity) or 'no identity'}", ""]
     lines += [_verdict(eds, fitness), "", "modes (0x6502):"]
     modes = None if fitness.modes is None else ", ".join(mode_names(fitness.modes)) or "none"
-    lines.append(f"  {modes or 'not told by the file; the drive is asked when it is connected'}")
+    told = modes or "not told by the file; the drive is asked when it is connected"
+    lines += textwrap.wrap(told, WIDTH, initial_indent="  ", subsequent_indent="  ")
+    if fitness.refusals:
+        return lines + _remarks(eds)
     lines.append(f"  used: {mode_text(fitness.mode)}")
     if known is not None:
         lines += ["", f"profile of its family: {known[0]} ({known[1].family})", f"  tried: {known[1].tried}"]
         lines += [f"  {remark}" for remark in known[1].remarks]
     if fitness.proposal.stand_ins:
         lines += ["", "what stands in for what it lacks:", *(f"  {text}" for text in fitness.proposal.stand_ins)]
-    told = [f"  {text}" for text in fitness.proposal.remarks]
+    units = [f"  {text}" for text in fitness.proposal.remarks]
     section = fitness.section
     if velocity := section.get("velocity_units_per_rps"):
-        told.append(f"  one unit of velocity is {1.0 / velocity:.3g} rps")
+        units.append(f"  one unit of velocity is {1.0 / velocity:.3g} rps")
     if fitness.highest_rate_hz is not None:
-        told.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
-    if told:
-        lines += ["", "units and rate:", *told]
+        units.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
+    if units:
+        lines += ["", "units and rate:", *units]
     lines += ["", "PDO mappings that we set up:"]
     for pdo in fitness.pdos:
         state = "; ".join(pdo.problems) or "possible"
@@ -117,13 +122,16 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
             "objects that we would use, and that it lacks:",
             *(f"  {text}" for text in fitness.welcome_missing),
         ]
-    if eds.remarks:
-        lines += ["", f"the file is not as CiA 306 has it ({len(eds.remarks)}):"]
-        lines += [f"  {remark}" for remark in eds.remarks]
-    if not fitness.refusals:
-        text = snippet(eds, node_id, fitness, known[0] if known else None)
-        lines += ["", "for an axis file (`fffo-drive config check` reads it):", "", text]
-    return lines
+    text = snippet(eds, node_id, fitness, known[0] if known else None)
+    return lines + _remarks(eds) + ["", "for an axis file (`fffo-drive config check` reads it):", "", text]
+
+
+def _remarks(eds: Eds) -> list[str]:
+    """What of the file is not as the standard has it."""
+    if not eds.remarks:
+        return []
+    head = f"the file is not as CiA 306 has it ({len(eds.remarks)}):"
+    return ["", head, *(f"  {remark}" for remark in eds.remarks)]
 
 
 def _verdict(eds: Eds, fitness: Fitness) -> str:

@@ -29,6 +29,10 @@ class Proposal(NamedTuple):
     stand_ins: tuple[str, ...]  # what takes the place of something that the drive lacks, one sentence each
     remarks: tuple[str, ...]
 
+    def with_key(self, key: str, value: Any, source: str) -> Proposal:
+        """With one key more."""
+        return self._replace(section={**self.section, key: value}, sources={**self.sources, key: source})
+
 
 def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Proposal:
     """`base`: keys of the drive section that its profile sets; they are taken as they are."""

@@ -6,10 +6,13 @@ same needs.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+import yaml
+
+from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
 from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, FileObjects, check_device_type, check_modes, needs
 from ..drive.canopen.object_map import EVERY_SYNC, ON_EVENT, PdoMap
@@ -29,6 +32,7 @@ WELCOME = {
     (0x60C2, 1): "the drive knows the control period",
 }
 WRITABLE = ("rw", "rww", "rwr", "wo")
+MOST_SLOTS = 64  # PDOs that are looked at
 # keys that every axis needs, and where their values are found
 TO_FILL_IN = {
     "counts_per_rev": "increments of 0x6064 in a revolution (quadrature: four times the lines): see the manual",
@@ -67,6 +71,13 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
     proposal = propose(objects, base)
     section = {**(base or {}), **proposal.section}
     config = config_of(section, node_id)
+    usual = [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]
+    if "pdo" not in section and any(list(_pdo_problems(dictionary, kind + p.number - 1, p)) for kind, p in usual):
+        slots = _fitting_slots(dictionary, config)
+        if slots is not None:
+            proposal = proposal.with_key("pdo", slots, "the PDOs whose mapping can be what is needed")
+            section["pdo"] = slots
+            config = config_of(section, node_id)
     purposes = [
         "motion with each SYNC",
         f"status and torque with every {config.status_every}th SYNC",
@@ -85,8 +96,9 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
     )
     modes = supported_modes(dictionary)
     refusals = check_device_type(objects, config) if objects.value(0x1000) is not None else []
-    if not refusals:  # of what is no drive nothing more is asked
-        refusals += check_modes(objects, config) if modes else []
+    if not refusals and modes:
+        refusals += check_modes(objects, config)
+    if not refusals:  # of what is no drive, or has no torque mode, nothing more is asked
         refusals += needs(objects, config)
         refusals += [f"{pdo.name}: {problem}" for pdo in pdos for problem in pdo.problems]
     exponent = dictionary.get_variable(0x60C2, 2)
@@ -128,11 +140,19 @@ def snippet(eds: Eds, node_id: int, fitness: Fitness, profile: str | None = None
     return "\n".join(lines)
 
 
+def _yaml_text(value: Any) -> str:
+    """A value as it stands behind a key, in one line."""
+    if isinstance(value, float):
+        return format(value, ".10g")
+    return (
+        yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=math.inf).removesuffix("\n...\n").strip()
+    )
+
+
 def section_lines(proposal: Proposal) -> list[str]:
     """Keys and values as YAML, each with where it comes from."""
     return [
-        f"  {key}: {json.dumps(value) if not isinstance(value, float) else format(value, '.10g')}"
-        f"   # {proposal.sources.get(key, 'of its profile')}"
+        f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'of its profile')}"
         for key, value in proposal.section.items()
     ]
 
@@ -153,7 +173,9 @@ def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     entries = [dictionary.get_variable(index + 0x200, sub) for sub in range(1, len(pdo.objects) + 1)]
     if count is None or any(entry is None for entry in entries):
         yield f"its mapping 0x{index + 0x200:04X} has too few entries for {len(pdo.objects)} objects"
-    elif any(entry.access_type not in WRITABLE for entry in (count, *entries)):
+    elif count.access_type not in WRITABLE and count.default == len(pdo.objects) and _writable(entries):
+        pass  # only what is mapped can be chosen, and that suffices
+    elif not _writable((count, *entries)):
         fixed = [default_of(dictionary, index + 0x200, sub) for sub in range(1, (count.default or 0) + 1)]
         if fixed != [item.word for item in pdo.objects]:
             shown = ", ".join(f"0x{word:08X}" for word in fixed if word is not None) or "nothing"
@@ -161,6 +183,26 @@ def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     if pdo.inhibit_ns and dictionary.get_variable(index, 3) is None:
         yield f"it has no inhibit time 0x{index:04X}:03 that keeps events apart"
     yield from _type_problems(dictionary, index, pdo)
+
+
+def _writable(variables: Iterable[Any]) -> bool:
+    return all(variable.access_type in WRITABLE for variable in variables)
+
+
+def _fitting_slots(dictionary: Any, config: CanopenDriveConfig) -> dict[str, int | None] | None:
+    """Numbers of PDOs that can carry what we want, where the usual ones cannot; None where there are none."""
+
+    def first(kind: int, pdo: PdoMap, taken: Iterable[int | None] = ()) -> int | None:
+        numbers = [n for n in range(1, MOST_SLOTS + 1) if kind + n - 1 in dictionary and n not in taken]
+        return next((n for n in numbers if not list(_pdo_problems(dictionary, kind + n - 1, pdo))), None)
+
+    motion, status, *event = config.answers
+    found: dict[str, int | None] = {"command": first(0x1400, config.command), "motion": first(0x1800, motion)}
+    found["status"] = first(0x1800, status, (found["motion"],))
+    if None in found.values():
+        return None
+    found["event"] = first(0x1800, event[0], found.values()) if event else None
+    return found
 
 
 def _type_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:

@@ -106,6 +106,14 @@ class ScriptedNode:
     def take(self, frame):
         """For nodes that do something of their own with a frame."""
 
+    def keeps_count(self, index):
+        """For nodes whose mappings have a fixed number of entries."""
+        return False
+
+    def check(self, index, sub, value):
+        """For nodes that refuse a write for a reason of their own: its abort code."""
+        return 0
+
     def number(self, index, sub=0):
         return int.from_bytes(self.objects[index, sub], "little")
 
@@ -174,17 +182,19 @@ class ScriptedNode:
             return self.refuse[index, sub]
         if (index, sub) not in self.objects:
             return NO_OBJECT
+        if code := self.check(index, sub, value):
+            return code
         number = int.from_bytes(value, "little")
         group = index & 0xFE00
         if group in (0x1400, 0x1800) and sub == 1:
             if not self.number(index, 1) >> 31 and not number >> 31:
                 return RANGE
-            if group == 0x1800 and not number & 1 << 30:
+            if group == 0x1800 and self.number(index, 1) & 1 << 30 and not number & 1 << 30:
                 return RANGE  # this drive insists on "no RTR"
         if group in (0x1600, 0x1A00):
             if not self.number(index - 0x200, 1) >> 31:
                 return STATE_REASON
-            if sub and self.number(index, 0):
+            if sub and self.number(index, 0) and not self.keeps_count(index):
                 return NOT_MAPPABLE
         self.objects[index, sub] = value
         if index == 0x6060 and self.shows_mode:

@@ -29,6 +29,7 @@ from .service import (
 )
 
 COB_ID_INVALID = 1 << 31
+READ_ONLY = 0x06010002  # abort code
 COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID that clears it: always kept as it was
 COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
 SYNC_PRODUCER = 1 << 30
@@ -208,11 +209,25 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
                 "set drive.status_event to 0 (with the next SYNC)"
             )
         write_if_present(service, communication, 5, 0, 2, f"{purpose} without an event timer")
-    write_checked(service, mapping, 0, 0, 1, f"changing the mapping of {purpose}")
+    fixed_count = _count_is_fixed(service, mapping, len(pdo.objects), purpose)
     for sub, item in enumerate(pdo.objects, 1):
         write_checked(service, mapping, sub, item.word, 4, f"{item} in {purpose}")
-    write_checked(service, mapping, 0, len(pdo.objects), 1, f"the mapping of {purpose}")
+    if not fixed_count:
+        write_checked(service, mapping, 0, len(pdo.objects), 1, f"the mapping of {purpose}")
     write_checked(service, communication, 1, cob_id, 4, f"enabling {purpose}", mask=COB_ID_MASK)
+
+
+def _count_is_fixed(service: Service, mapping: int, wanted: int, purpose: str) -> bool:
+    """Empty a mapping, so that it can change. True for a drive that keeps its number of entries, where that fits."""
+    try:
+        write_checked(service, mapping, 0, 0, 1, f"changing the mapping of {purpose}")
+    except DriveRefusedError as error:
+        refusal = error.__cause__
+        read_only = isinstance(refusal, SdoRefusedError) and refusal.code == READ_ONLY
+        if not read_only or service.read_int(mapping, 0) != wanted:
+            raise
+        return True
+    return False
 
 
 def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
