@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.parameters import ModelFile
+from ..units import inertia_kg_m2
 from .estimate import GainFit, ScaleFit
 from .judge import Range, factor, graded, told, within
 from .motion import Motion, Response
@@ -35,6 +36,8 @@ class Beliefs(NamedTuple):
     sensor_delay_s: float
     static_nm: float
     torque_constant_nm_per_a: float
+    inertia_assumed: bool = False  # then its check measures it, and cannot fail
+    delay_assumed: bool = False
 
 
 def beliefs_of(model: ModelFile) -> Beliefs:
@@ -47,6 +50,8 @@ def beliefs_of(model: ModelFile) -> Beliefs:
         model.sensor_delay_s.value,
         axis.friction.static_nm,
         constant,
+        model.inertia_kg_m2.assumed,
+        model.delay_s.assumed,
     )
 
 
@@ -235,6 +240,13 @@ def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
         "drive.rated_torque_nm is; or the scales of position and velocity are wrong by one factor"
     )
     limits = factor(expected, GAIN_OK, GAIN_WARNING)
+    if beliefs.inertia_assumed and gain_rps2_per_a > 0.0:
+        measured_kg_m2 = inertia_kg_m2(beliefs.torque_constant_nm_per_a / gain_rps2_per_a)
+        limits = limits._replace(least=0.0, most=math.inf)
+        remedy = (
+            f"the inertia was assumed: set inertia_kg_m2: {{value: {measured_kg_m2:.3g}, source: commissioning}} in the "
+            "model, if torque_constant_nm_per_a is right"
+        )
     return graded("torque_per_inertia", gain_rps2_per_a, expected, limits, "rps2/A", text, remedy)
 
 
@@ -242,6 +254,8 @@ def delay(measured_s: float, period_s: float, beliefs: Beliefs) -> CheckRecord:
     """The margins are computed with the model's delay."""
     expected_s = beliefs.delay_s
     limits = within(expected_s, max(period_s, 0.2 * expected_s), max(3.0 * period_s, 0.6 * expected_s))
+    if beliefs.delay_assumed:
+        limits = limits._replace(least=0.0, most=math.inf)
     text = f"{measured_s * 1e3:.2f} ms, the model says {expected_s * 1e3:.2f} ms (both without the hold of a command)"
     remedy = (
         f"set delay_s: {{value: {measured_s:.5f}, source: commissioning}} in the model and check the margins again "

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_profile import with_profile
 from ..documents import check, parse
@@ -116,7 +117,7 @@ def _axis_text(place: Place, facts: DriveFacts, objects: ToldObjects) -> str:
     lines = _lines(
         "",
         [
-            ("format", Fact("fffo_drive/axis/1", "")),
+            ("format", Fact(formats.AXIS.word, "")),
             ("name", Fact(place.name, "")),
         ],
     )
@@ -196,7 +197,7 @@ def _model_text(place: Place, facts: DriveFacts) -> str:
     lines = [
         "# The first model of an axis that nobody has measured yet. `fffo-drive commission` measures delay and Kt/J,",
         "# `fffo-drive identify` inertia and friction; then this file is replaced.",
-        "format: fffo_drive/model/1",
+        f"format: {formats.MODEL.word}",
         f"name: {place.name}",
         f"torque_constant_nm_per_a: {_rounded(constant.value, 6)}   # {constant.source}",
         f'inertia_kg_m2: {{value: {_rounded(inertia.value, 6)}, source: "{inertia.source}"}}',

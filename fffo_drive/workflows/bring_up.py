@@ -317,7 +317,8 @@ def _propose(
     trials: list[Trial] = []
     operational = False
     if wishes.measure:
-        trials = _try_rates(wishes, draft, objects, talk)
+        trials, later = _try_rates(wishes, draft, objects, talk)
+        emergencies = [*emergencies, *later]
         operational = any(not trial.refused for trial in trials)
     turnaround_us = turnaround_of_drive_us(trials, found.adapter, draft.axis)
     choice = (
@@ -402,13 +403,19 @@ def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> 
     return Place(name, model_file_of(wishes.out).name, wishes.bus, bitrate, node.node_id, shown, others, rate)
 
 
-def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -> list[Trial]:
-    """From the lowest rate up, until one does not fit."""
+def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -> tuple[list[Trial], list[Emergency]]:
+    """From the lowest rate up, until one cannot be tried; and what the drive had to say meanwhile."""
+    emergencies: list[Emergency] = []
+
+    def look(drive: CanopenDrive) -> None:
+        objects.ask_again(drive.read_object)  # what changes, while the drive is operational
+        emergencies.extend(drive.emergencies)
+
     talk.tell("measuring without torque: SYNC and feedback, the drive stays disabled")
     talk.tell("  (the first time the loop is compiled, which takes a while)")
     trials: list[Trial] = []
     for rate_hz in RATES_HZ:
-        trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, lambda drive: _look_again(objects, drive))
+        trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, look)
         trials.append(trial)
         if trial.refused:
             talk.tell(f"  {rate_hz} Hz: not possible: {trial.refused}")
@@ -417,12 +424,7 @@ def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -
             f"  {rate_hz} Hz: answer after {trial.turnaround_us.median:.0f} us (99 % {trial.turnaround_us.most:.0f}), "
             f"{trial.missing} of {trial.ticks} missing, {trial.late + trial.skipped} late"
         )
-    return trials
-
-
-def _look_again(objects: ToldObjects, drive: CanopenDrive) -> None:
-    """What changes, while the drive is operational."""
-    objects.ask_again(drive.read_object)
+    return trials, emergencies
 
 
 def _of_trials(trials: Sequence[Trial], choice: Choice | None) -> list[Finding]:
