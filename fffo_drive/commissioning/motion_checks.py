@@ -244,8 +244,8 @@ def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
         measured_kg_m2 = inertia_kg_m2(beliefs.torque_constant_nm_per_a / gain_rps2_per_a)
         limits = limits._replace(least=0.0, most=math.inf)
         remedy = (
-            f"the inertia was assumed: set inertia_kg_m2: {{value: {measured_kg_m2:.3g}, source: commissioning}} in the "
-            "model, if torque_constant_nm_per_a is right"
+            f"the inertia was assumed: set inertia_kg_m2: {{value: {measured_kg_m2:.3g}, source: commissioning}} in "
+            "the model, if torque_constant_nm_per_a is right"
         )
     return graded("torque_per_inertia", gain_rps2_per_a, expected, limits, "rps2/A", text, remedy)
 

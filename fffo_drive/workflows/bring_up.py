@@ -41,7 +41,7 @@ from .readiness import stands_between, velocity_step
 from .told import ToldObjects
 
 FEEDBACK_GAP_FACTOR = 3  # of the longest gap that was seen, on a loopback bus
-LEAST_PATIENCE_TICKS = 200
+LEAST_PATIENCE_TICKS, MOST_PATIENCE_TICKS = 200, 10_000
 BOOT_S = 2.0  # for a node that was given an id
 LOOPBACK = "loopback:"
 
@@ -375,7 +375,7 @@ def _facts(objects: ToldObjects, answers: Answers, node: NodeName, talk: Talk) -
         answer = talk.ask(f"{OPTIONS[name][1]}?{why}", proposal)
         value = _number(answer)
         if value is not None and answer != proposal:
-            answers = answers._replace(**{name: round(value) if name == "counts_per_rev" else value})
+            answers = Answers(**{**answers._asdict(), name: round(value) if name == "counts_per_rev" else value})
 
 
 def _number(text: str | None) -> float | None:
@@ -454,7 +454,9 @@ def _measured(place: Place, trials: Sequence[Trial], choice: Choice | None, turn
         rate_hz=rate,
         turnaround_us=None if turnaround_us is None else Fact(float(f"{turnaround_us:.3g}"), "measured"),
         realtime_refused=bool(tried[0].refusals),
-        patience_ticks=max(LEAST_PATIENCE_TICKS, FEEDBACK_GAP_FACTOR * gap) if loopback else 0,
+        patience_ticks=min(MOST_PATIENCE_TICKS, max(LEAST_PATIENCE_TICKS, FEEDBACK_GAP_FACTOR * gap))
+        if loopback
+        else 0,
     )
 
 

@@ -18,8 +18,9 @@ from ..can import frame as can
 from ..can.bpf import CanFilter
 from ..can.frame import longest_bits, pack_frame, unpack_frame
 from ..can.link import LinkError, open_link
-from ..config.axis import AxisFile, CanopenDriveSection, session_config
+from ..config.axis import AxisFile, session_config
 from ..config.checks import bus_problems
+from ..config.drive_section import CanopenDriveSection
 from ..config.sections import LoopSection
 from ..drive.canopen.config import CanopenDriveConfig, load_of
 from ..drive.canopen.drive import CanopenDrive
