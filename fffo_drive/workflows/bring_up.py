@@ -260,10 +260,7 @@ def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName |
         usable = [node for node in nodes if node.is_drive and not node.remark] or [n for n in nodes if not n.remark]
         if not usable:
             said = "; ".join(node.text for node in nodes)
-            return said or (
-                f"nobody answers on {wishes.bus}: look at power, wiring, termination (60 ohm between CAN_H and CAN_L) "
-                "and bit rate; nodes that are stopped and send no heartbeat are not seen: switch the drive off and on"
-            )
+            return said or f"nobody answers on {wishes.bus}: {_where_to_look(wishes.bus)}"
         chosen = usable[0]
         if len(usable) > 1:
             ids = ", ".join(str(node.node_id) for node in usable)
@@ -273,6 +270,15 @@ def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName |
                 return f"{len(usable)} nodes answer ({ids}): name one with --node"
             chosen = named
     return f"node {chosen.node_id}: {chosen.remark}" if chosen.remark else chosen
+
+
+def _where_to_look(bus: str) -> str:
+    if bus.startswith(LOOPBACK):
+        return f"start a drive there, `fffo-drive sim configs/simulated_drive.yaml --bus {bus}`"
+    return (
+        "look at power, wiring, termination (60 ohm between CAN_H and CAN_L) and bit rate; nodes that are stopped and "
+        "send no heartbeat are not seen: switch the drive off and on"
+    )
 
 
 def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, DriveFacts, list[Emergency]]:

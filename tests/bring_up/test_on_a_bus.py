@@ -237,7 +237,8 @@ def test_an_object_that_cannot_be_read_is_named(bus, tmp_path):
 
 def test_nobody_on_the_bus(bus, tmp_path):
     report = bring_up_axis(wishes(bus), Person())
-    assert report.verdict.startswith(f"nobody answers on {bus}: look at power, wiring, termination")
+    assert report.verdict.startswith(f"nobody answers on {bus}: start a drive there")
+    assert "termination (60 ohm" in workflow._where_to_look("socketcan:can0")
     assert command.exit_code(report) == 69
     assert list(tmp_path.iterdir()) == []
     check_page(report)
