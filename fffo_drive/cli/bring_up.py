@@ -6,8 +6,9 @@ Listens whether somebody else commands on the bus, scans it (nodes without an id
 tells, says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow
 (SYNC and feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
 
-What no drive tells is asked on a terminal, or given by options. The drive's PDOs and monitoring are set up for the
-measurement, as for a run, and nothing is stored in it. The next step is `fffo-drive commission`, which moves the axis.
+What no drive tells is asked on a terminal, or given by options. For the measurement the drive's PDOs, its monitoring
+and what its profile writes are set up as for a run; nothing is stored in it. The next step is `fffo-drive commission`,
+which moves the axis.
 
 exit codes: 0 ready to be commissioned, 69 nobody answers or the bus is not free, 70 something stands in the way,
 78 files are there already, or something is not known
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="axis.yaml", metavar="FILE", help="axis file to write (default: %(default)s)")
     parser.add_argument("--force", action="store_true", help="overwrite files")
     parser.add_argument("--assign", type=int, metavar="ID", help="give this id to the one node that has none (LSS)")
-    parser.add_argument("--bitrate", type=int, metavar="HZ", help="bit rate of the bus (default: 1000000)")
+    parser.add_argument("--bitrate", type=int, metavar="HZ", help="bit rate of the bus (default: the interface's)")
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="measure so long at each rate (2)")
     parser.add_argument("--no-measure", action="store_true", help="read and write files only")
     parser.add_argument("--yes", action="store_true", help="ask nothing: take what is assumed; starts no motion")

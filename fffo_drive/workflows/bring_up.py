@@ -6,7 +6,7 @@ Nothing moves: the drive is never enabled here. What people must decide is asked
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -18,12 +18,14 @@ from ..can.link import Link, LinkError, open_link
 from ..documents import DocumentError
 from ..drive.canopen.config import LISTEN_S, ONE_MASTER
 from ..drive.canopen.drive import CanopenDrive
-from ..drive.canopen.listening import Listening
+from ..drive.canopen.listening import Heard, Listening
 from ..drive.canopen.lss import LssAddress, LssLink, LssMaster
 from ..drive.canopen.scan import NodeName, Roll, Sign, ask_every_node, name_node, open_service
 from ..drive.canopen.service import Emergency, service_filters
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
-from ..system.findings import Finding, Level, failure, warning
+from ..system.bus import interface_bitrate_hz
+from ..system.findings import Finding, Level, failure, ok, warning
+from ..system.host import Host
 from .axis_draft import Draft, Place, make_draft, model_file_of
 from .drive_facts import OPTIONS, Answers, DriveFacts, Fact, drive_facts
 from .rate_trial import (
@@ -126,8 +128,8 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
     files that are there already.
     """
     refuse_overwriting(wishes)
-    with _alone_on(wishes.bus, talk):
-        signs, nodes = _scan(wishes.bus, talk)
+    with _alone_on(wishes.bus, talk) as heard:
+        signs, nodes = _scan(wishes.bus, talk, heard.nodes)
         without_id = _search_without_id(wishes.bus, talk)
         if without_id and (assigned := _assign(wishes, without_id, signs, talk)) is not None:
             (signs, nodes), without_id = _scan(wishes.bus, talk), ()
@@ -135,6 +137,8 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
         found = Report(wishes.bus, "", False, nodes, without_id)
         chosen = _choose(wishes, nodes, talk)
         if isinstance(chosen, str):
+            if without_id:
+                chosen = f"{len(without_id)} without a node id: give one with --assign ID; {chosen}"
             return found._replace(verdict=chosen)
         found = found._replace(node_id=chosen.node_id)
         objects, facts, emergencies = _read(wishes, chosen, talk)
@@ -148,35 +152,45 @@ def refuse_overwriting(wishes: Wishes) -> None:
     there = [str(path) for path in (wishes.out, model_file_of(wishes.out)) if path.exists()]
     if there and not wishes.force:
         raise DocumentError(f"{' and '.join(there)}: there already; name another with --out, or overwrite with --force")
+    if not wishes.out.parent.is_dir():
+        raise DocumentError(f"{wishes.out}: there is no directory {wishes.out.parent}")
 
 
 @contextmanager
-def _alone_on(bus: str, talk: Talk) -> Any:
+def _alone_on(bus: str, talk: Talk) -> Iterator[Heard]:
     """The lease of the bus, once it was heard that nobody else commands there. Raises BusOccupiedError."""
     talk.tell(f"listening to {bus}: who else is there? Nothing is sent yet")
     try:
-        listening = Listening(bus, LISTEN_S)
-        try:
-            lease = BusLease(bus)
-            obstacles = listening.heard().obstacles()
-        finally:
-            listening.close()
+        lease = BusLease(bus)
     except BusHeldError as error:
         raise BusOccupiedError(f"{error}: {ONE_MASTER}") from error
     except LinkError as error:
         raise BusUnavailableError(str(error)) from error
     try:
-        if obstacles:
+        heard = _heard(bus)
+        if obstacles := heard.obstacles():
             told = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
             raise BusOccupiedError(f"{bus}: {told}")
-        yield
+        yield heard
     finally:
         lease.close()
 
 
-def _scan(bus: str, talk: Talk) -> tuple[list[Sign], tuple[NodeName, ...]]:
+def _heard(bus: str) -> Heard:
+    try:
+        listening = Listening(bus, LISTEN_S)
+        try:
+            return listening.heard()
+        finally:
+            listening.close()
+    except LinkError as error:
+        raise BusUnavailableError(str(error)) from error
+
+
+def _scan(bus: str, talk: Talk, heard: Iterable[int] = ()) -> tuple[list[Sign], tuple[NodeName, ...]]:
+    """`heard`: nodes whose heartbeat came before."""
     talk.tell("asking node ids 1 to 127 for their type")
-    roll = Roll()
+    roll = Roll(heard)
     kinds = (can.SDO_RESPONSE, can.HEARTBEAT, can.EMERGENCY)
     filters = [CanFilter(kind, can.STANDARD_MASK & ~0x7F) for kind in kinds]
     try:
@@ -208,7 +222,7 @@ def _search_without_id(bus: str, talk: Talk) -> tuple[LssAddress, ...]:
 
 
 @contextmanager
-def _lss(bus: str, talk: Talk) -> Any:
+def _lss(bus: str, talk: Talk) -> Iterator[LssMaster]:
     try:
         link = LssLink(bus)
     except LinkError as error:
@@ -235,18 +249,13 @@ def _assign(wishes: Wishes, without_id: Sequence[LssAddress], signs: list[Sign],
         node_id = int(answer)
     if node_id in taken:
         raise DriveRefusedError(f"node id {node_id} is taken on {wishes.bus}; choose another")
-    with _lss(wishes.bus, talk) as master:
+    boot_up = [CanFilter(can.HEARTBEAT + node_id)]
+    with _lss(wishes.bus, talk) as master, open_link(wishes.bus, filters=boot_up) as link:
         stored = master.assign(without_id[0], node_id)
+        link.receive(BOOT_S)  # a scan follows
     kept = "it keeps it" if stored else "it forgets it when it is switched off: store it with the vendor's tool"
     talk.tell(f"  node id {node_id} given to the node with {without_id[0].text}; {kept}")
-    _await_boot(wishes.bus, node_id)
     return node_id
-
-
-def _await_boot(bus: str, node_id: int) -> None:
-    """A little time for a node that boots; a scan follows."""
-    with open_link(bus, filters=[CanFilter(can.HEARTBEAT + node_id)]) as link:
-        link.receive(BOOT_S)
 
 
 def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName | str:
@@ -318,11 +327,12 @@ def _propose(
             failure("values", text, "what the drive tells cannot be: give the right value by an option")
             for text in str(error).splitlines()
         ]
+        findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, tuple(facts.writes))]
         text = _verdict(node, findings, None, "no axis file was written")
-        return found._replace(verdict=text, findings=tuple(findings))
+        return found._replace(verdict=text, findings=_in_order(findings))
     trials: list[Trial] = []
     operational = False
-    if wishes.measure:
+    if wishes.measure and not facts.problems:  # what it lacks would be refused
         trials, later = _try_rates(wishes, draft, objects, talk)
         emergencies = [*emergencies, *later]
         operational = any(not trial.refused for trial in trials)
@@ -362,6 +372,7 @@ def _of_facts(facts: DriveFacts) -> list[Finding]:
     found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
     found += [warning("stands in", text, "written to the axis file") for text in facts.stand_ins]
     found += [warning("units", text, "") for text in facts.remarks if not text.startswith("0x6076")]
+    found += [ok("silence", f"when the PC is silent: {facts.silence}")] * (not facts.problems)
     return found
 
 
@@ -400,7 +411,10 @@ def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> 
         for letter in f"{node.device_name or 'a drive'}{f', {node.vendor}' if node.vendor_id else ''}"
         if letter.isprintable()
     )
+    found_hz = interface_bitrate_hz(Host(), wishes.bus)
     bitrate = Fact(1_000_000, "assumed" if not wishes.bus.startswith(LOOPBACK) else "a loopback bus has none")
+    if found_hz is not None:
+        bitrate = Fact(found_hz, "read: of the interface")
     if wishes.bitrate_hz is not None:
         bitrate = Fact(wishes.bitrate_hz, "given (--bitrate)")
     others = tuple(one.node_id for one in found.nodes if one.node_id != node.node_id)

@@ -15,6 +15,7 @@ from ..config.drive_profile import merged, profile_for
 from ..config.drive_proposal import config_of, propose
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
+from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
 from ..drive.canopen.units_told import units_told
 from .told import ToldObjects
 
@@ -78,6 +79,7 @@ class DriveFacts(NamedTuple):
     remarks: tuple[str, ...]  # about units
     problems: tuple[str, ...]  # what we need and the drive lacks
     writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
+    silence: str  # how the drive notices a silent PC, and how it then stops
 
     @property
     def missing(self) -> list[str]:
@@ -122,7 +124,7 @@ def drive_facts(
         scales, section, known[0] if known else None, known[1].family if known else "", base,
         (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
         tuple(_problems(objects, merged_section, node_id)),
-        _writes(objects, section, unit),
+        _writes(objects, section, unit), _silence(merged_section),
     )  # fmt: skip
 
 
@@ -183,6 +185,12 @@ def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) ->
         return [one["msg"].removeprefix("Value error, ") for one in error.errors()]
     found = check_device_type(objects, config)
     return found or [*check_modes(objects, config), *needs(objects, config)]
+
+
+def _silence(section: Mapping[str, Any]) -> str:
+    detection = DETECTIONS[section.get("silence_detection", HEARTBEAT)]
+    reaction = REACTIONS[section.get("silence_reaction", "abort_connection")]
+    return f"{detection.text}; {reaction.text}"
 
 
 def _writes(objects: ToldObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:

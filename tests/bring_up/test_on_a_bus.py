@@ -313,6 +313,46 @@ def test_nothing_is_sent_where_somebody_else_commands(bus, tmp_path):
     assert {frame.can_id for frame in node.heard} == {0x080}
 
 
+def test_a_drive_that_lacks_what_we_need_is_not_measured_and_says_what(bus):
+    with Drive(bus, objects=drive_objects(without=((0x606C, 0),))) as node:
+        report = bring_up_axis(wishes(bus, measure=True), Person())
+    assert said(report, "failure") == ["lacks: object 0x606C:00 is missing (the velocity that is controlled)"]
+    assert (report.trials, node.written, node.commands) == ((), [], [])
+    assert command.exit_code(report) == 70
+
+
+def test_what_a_drive_tells_and_no_axis_file_can_hold_is_named(bus):
+    with Drive(bus, objects=drive_objects(changes={(0x6076, 0): u32(4_000_000_000)})):
+        report = bring_up_axis(wishes(bus), Person())
+    assert not report.ready
+    assert "rated_torque_nm" in said(report, "failure")[0]
+    assert list(Path.cwd().iterdir()) == []
+
+
+def test_a_node_that_only_beats_is_told(bus):
+    beat = threading.Event()
+
+    def stopped_node():
+        with open_link(bus) as link:
+            while not beat.wait(0.01):
+                link.send(pack_frame(0x709, b"\x04"))
+
+    thread = threading.Thread(target=stopped_node)
+    thread.start()
+    try:
+        report = bring_up_axis(wishes(bus), Person())
+    finally:
+        beat.set()
+        thread.join()
+    assert report.verdict.endswith("stopped: heard, but answers no SDO request; it is stopped")
+
+
+def test_a_directory_that_is_not_there_is_named_before_the_bus_is_used(bus):
+    with BusLog(bus) as log, pytest.raises(DocumentError, match="there is no directory nowhere"):
+        bring_up_axis(wishes(bus, out=Path("nowhere/axis.yaml")), Person())
+    assert log.frames == []
+
+
 def test_files_are_never_overwritten_unasked_and_then_the_bus_is_left_alone(bus, tmp_path):
     (tmp_path / "axis.model.yaml").write_text("mine")
     with BusLog(bus) as log, pytest.raises(DocumentError, match=r"axis\.model\.yaml: there already"):
@@ -335,6 +375,7 @@ def test_a_drive_without_an_id_is_found_and_given_one_only_when_asked(bus, tmp_p
         found = bring_up_axis(wishes(bus), Person())
         assert [address.serial_number for address in found.without_id] == [0xCAFE]
         assert (found.nodes, found.axis_file) == ((), None)
+        assert found.verdict.startswith("1 without a node id: give one with --assign ID; nobody answers")
         assert bring_up_axis(wishes(bus), Person("no")).nodes == ()
         taken = bring_up_axis(wishes(bus, assign_id=42), Person())
         assert (taken.node_id, taken.ready, taken.without_id) == (42, True, ())

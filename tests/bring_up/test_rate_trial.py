@@ -8,6 +8,7 @@ from told_by import told
 
 from fffo_drive.config.sections import LoopSection
 from fffo_drive.signals import ROW
+from fffo_drive.system.bus import interface_bitrate_hz
 from fffo_drive.system.host import Host
 from fffo_drive.workflows.axis_draft import Place, make_draft
 from fffo_drive.workflows.drive_facts import Answers, Fact, drive_facts
@@ -144,6 +145,9 @@ def test_an_adapter_on_usb_is_refused_above_500_hz(tmp_path):
     device.mkdir(parents=True)
     (device / "driver").symlink_to("/drivers/gs_usb")
     (device / "subsystem").symlink_to("/bus/usb")
+    assert interface_bitrate_hz(Host(tmp_path), "socketcan:can0") == 1_000_000
+    assert interface_bitrate_hz(Host(tmp_path), "socketcan:can1") is None
+    assert interface_bitrate_hz(Host(tmp_path), "loopback:29500") is None
     assert adapter_problem("socketcan:can0", 500, 1_000_000, Host(tmp_path)) == ""
     assert adapter_problem("socketcan:can0", 1000, 1_000_000, Host(tmp_path)).startswith(
         "can can0 driver: gs_usb on USB: refused at 1000 Hz"

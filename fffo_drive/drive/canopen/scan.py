@@ -71,8 +71,9 @@ class Sign:
 class Roll:
     """The nodes of a bus, by the frames that came from them."""
 
-    def __init__(self) -> None:
-        self._signs: dict[int, Sign] = {}
+    def __init__(self, heard: Iterable[int] = ()) -> None:
+        """`heard`: ids whose heartbeat came before."""
+        self._signs: dict[int, Sign] = {node_id: Sign(node_id) for node_id in heard if node_id in can.NODE_IDS}
 
     def take(self, frame: Frame) -> None:
         """One frame of the bus, in their order."""
