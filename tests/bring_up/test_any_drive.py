@@ -8,7 +8,7 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scripted_node import servo_dictionary
-from told_by import Paper
+from told_by import Paper, u32
 
 from fffo_drive.cli.bring_up import exit_code, report_lines
 from fffo_drive.config.axis import model_of, read_axis
@@ -40,8 +40,10 @@ class Silent:
 @st.composite
 def dictionaries(draw):
     """A plain servo drive of which some objects are missing, refused, or of any value."""
-    objects = dict(servo_dictionary(1))
-    for where in draw(st.lists(st.sampled_from(sorted({*WANTED, *objects})), max_size=12, unique=True)):
+    objects = servo_dictionary(1) | {
+        (0x6041, 0): b"\x50\x02", (0x608F, 1): u32(4096), (0x608F, 2): u32(1), (0x60A9, 0): u32(0xFDB44700),
+    }  # fmt: skip
+    for where in draw(st.lists(st.sampled_from(sorted({*WANTED, *objects})), max_size=8, unique=True)):
         size = len(objects.get(where, b"1234")) if where in objects else draw(st.sampled_from([1, 2, 4]))
         likely = st.one_of(st.just(bytes(size)), st.binary(min_size=size, max_size=size), st.sampled_from(ABORTS))
         objects[where] = draw(likely)
@@ -53,7 +55,7 @@ def dictionaries(draw):
     dictionaries(), st.sampled_from(VENDORS),
     st.builds(
         Answers, st.none() | POSITIVE, st.none() | st.integers(2, 1 << 31), st.none() | POSITIVE, st.none() | POSITIVE,
-        st.none() | POSITIVE, st.none() | POSITIVE, st.none() | POSITIVE, st.none() | POSITIVE,
+        st.none() | POSITIVE, st.none() | POSITIVE, st.none() | POSITIVE, st.none() | st.floats(1e-7, 1.0),
     ),
 )  # fmt: skip
 def test_any_drive_ends_in_a_verdict_and_a_whole_file_or_none(tmp_path_factory, objects, vendor, answers):
