@@ -21,6 +21,7 @@ class Traffic(NamedTuple):
     can_id: int
     data_bytes: int
     rate_hz: float
+    on_change: bool = False  # at most at this rate, typically hardly ever
 
 
 class Load(NamedTuple):
@@ -66,16 +67,18 @@ class Chain(NamedTuple):
 
 
 def bus_load(traffic: Sequence[Traffic], bitrate_hz: float) -> Load:
-    """Load of periodic frames on a bus of `bitrate_hz` bit/s."""
+    """Load of all that comes again and again on a bus of `bitrate_hz` bit/s."""
     worst = sum(longest_bits(item.data_bytes) * item.rate_hz for item in traffic)
-    typical = sum(typical_bits(item.can_id, item.data_bytes) * item.rate_hz for item in traffic)
+    periodic = [item for item in traffic if not item.on_change]
+    typical = sum(typical_bits(item.can_id, item.data_bytes) * item.rate_hz for item in periodic)
     return Load(worst / bitrate_hz, typical / bitrate_hz)
 
 
 def frame_step(item: Traffic, bitrate_hz: float) -> Step:
     """The time that a frame takes on the wire."""
     worst = longest_bits(item.data_bytes) / bitrate_hz
-    return Step(item.name, worst, typical_bits(item.can_id, item.data_bytes) / bitrate_hz)
+    typical = 0.0 if item.on_change else typical_bits(item.can_id, item.data_bytes) / bitrate_hz
+    return Step(item.name, worst, typical)
 
 
 def period_chain(

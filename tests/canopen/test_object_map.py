@@ -14,6 +14,7 @@ from fffo_drive.drive.canopen.object_map import (
     MappedObject,
     MappingError,
     PdoMap,
+    PdoSlots,
     command_payload,
     feedback_pdos,
     field_table,
@@ -134,9 +135,14 @@ def test_all_problems_come_at_once():
 
 def test_the_sum_for_the_bus():
     names = [item.name for item in traffic(CONFIG)]
-    assert names == ["SYNC", "RPDO1", "TPDO1", "TPDO2", "heartbeat", "drive heartbeat"]
-    expected = 2000 * (55 + 95 + 135) + 200 * 95 + (20 + 20) * 65
+    assert names == ["SYNC", "RPDO1", "TPDO1", "TPDO2", "TPDO3", "heartbeat", "drive heartbeat"]
+    expected = 2000 * (55 + 95 + 135) + 200 * 95 + (20 + 20) * 65 + 500 * 75  # TPDO3: its inhibit time is 2 ms
     assert load_of(CONFIG).worst == pytest.approx(expected / 1e6)
+    quiet = load_of(changed(slots=PdoSlots(event=None)))
+    assert quiet.typical == load_of(CONFIG).typical  # a change hardly ever comes
     chain = chain_of(CONFIG, turnaround_s=50e-6, host_s=60e-6)
     assert chain.worst_s == pytest.approx((55 + 50 + 135 + 95 + 60 + 95 + 135) * 1e-6)
     assert chain_of(changed(period_ns=1_000_000), 50e-6, 60e-6).fits
+    with_sync = chain_of(changed(status_event=0), turnaround_s=50e-6, host_s=60e-6)
+    assert with_sync.worst_s == pytest.approx(chain.worst_s + 75e-6)
+    assert with_sync.typical_s == pytest.approx(chain.typical_s)

@@ -131,7 +131,7 @@ class CanopenDriveConfig:
 
 
 def traffic(config: CanopenDriveConfig) -> list[Traffic]:
-    """Everything that is periodic on the bus with this configuration."""
+    """Everything that comes again and again on the bus with this configuration."""
     rate_hz = 1e9 / config.period_ns
     frames = [Traffic("SYNC", can.SYNC, 0, rate_hz)]
     frames.append(Traffic("RPDO1", config.command.cob_id, config.command.data_bytes, rate_hz))
@@ -139,6 +139,9 @@ def traffic(config: CanopenDriveConfig) -> list[Traffic]:
         if 1 <= pdo.transmission <= MAX_SYNC_TYPE:
             name = f"TPDO{pdo.number}"
             frames.append(Traffic(name, pdo.cob_id, pdo.data_bytes, rate_hz / pdo.transmission))
+        else:  # on a change: with the SYNC after it (type 0), or kept apart by its inhibit time
+            most_hz = 1e9 / pdo.inhibit_ns if pdo.inhibit_ns else rate_hz
+            frames.append(Traffic(f"TPDO{pdo.number}", pdo.cob_id, pdo.data_bytes, most_hz, on_change=True))
     guarded = config.silence_detection == LIFE_GUARDING  # a question and its answer, in place of two heartbeats
     ours, theirs = (config.node_id, config.heartbeat_ms) if guarded else (config.master_id, config.drive_heartbeat_ms)
     frames.append(Traffic("heartbeat", can.HEARTBEAT + ours, 1, 1e3 / config.heartbeat_ms))
@@ -154,8 +157,9 @@ def load_of(config: CanopenDriveConfig) -> Load:
 def chain_of(config: CanopenDriveConfig, turnaround_s: float, host_s: float) -> Chain:
     """The chain inside one period in which all TPDOs that follow SYNC come at once."""
     frames = {item.name: item for item in traffic(config)}
+    with_sync = {f"TPDO{pdo.number}" for pdo in config.answers if pdo.transmission <= MAX_SYNC_TYPE}
     return period_chain(
-        [item for item in frames.values() if item.name.startswith("TPDO")],
+        [item for item in frames.values() if item.name in with_sync],
         frames["SYNC"],
         frames["RPDO1"],
         bitrate_hz=config.bitrate_hz,
