@@ -15,6 +15,8 @@ from ..can import frame as can
 from ..can.bpf import CanFilter
 from ..can.lease import BusHeldError, BusLease
 from ..can.link import Link, LinkError, open_link
+from ..config.axis import AxisFile
+from ..config.checks import bus_sum
 from ..documents import DocumentError
 from ..drive.canopen.config import LISTEN_S, ONE_MASTER
 from ..drive.canopen.drive import CanopenDrive
@@ -23,6 +25,7 @@ from ..drive.canopen.lss import LssAddress, LssLink, LssMaster
 from ..drive.canopen.scan import NodeName, Roll, Sign, ask_every_node, name_node, open_service
 from ..drive.canopen.service import Emergency, service_filters
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
+from ..model.parameters import ModelFile
 from ..system.bus import interface_bitrate_hz
 from ..system.findings import Finding, Level, failure, ok, warning
 from ..system.host import Host
@@ -34,6 +37,7 @@ from .rate_trial import (
     RoundTrip,
     Trial,
     choose_rate,
+    objections,
     problems_at,
     round_trip,
     try_rate,
@@ -348,8 +352,8 @@ def _propose(
     findings += velocity_step(
         facts.scales["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps
     )
-    findings += _of_trials(trials, choice)
     draft = make_draft(_measured(place, trials, choice, turnaround_us), facts, objects)
+    findings += _of_trials(trials, choice, draft.axis, draft.model)
     model_file = model_file_of(wishes.out)
     wishes.out.write_text(draft.axis_text, encoding="utf-8")
     model_file.write_text(draft.model_text, encoding="utf-8")
@@ -447,7 +451,8 @@ def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -
     return trials, emergencies
 
 
-def _of_trials(trials: Sequence[Trial], choice: Choice | None) -> list[Finding]:
+def _of_trials(trials: Sequence[Trial], choice: Choice | None, axis: AxisFile, model: ModelFile) -> list[Finding]:
+    """What the trials say against the axis. `axis`: with the rate that is written."""
     if not trials or choice is None:
         return []
     found = [warning("real time", refusal, "fffo-drive doctor says what to type") for refusal in trials[0].refusals]
@@ -456,6 +461,21 @@ def _of_trials(trials: Sequence[Trial], choice: Choice | None) -> list[Finding]:
     if choice.rate_hz is None:
         remedy = "the axis file has the lowest rate; expect late ticks, and look at `fffo-drive doctor`"
         return [*found, warning("rate", choice.reason, remedy)]
+    disturbed = [trial for trial in trials if trial.rate_hz < choice.rate_hz and objections(trial, axis.loop)]
+    found += [
+        warning(
+            "machine", f"at {trial.rate_hz} Hz: {'; '.join(objections(trial, axis.loop))}",
+            "something disturbed it for a moment: measure for longer (--seconds 60), and see `fffo-drive doctor`",
+        )
+        for trial in disturbed
+    ]  # fmt: skip
+    _, chain = bus_sum(axis, model)
+    if not chain.fits:
+        text = (
+            f"at {choice.rate_hz} Hz the worst case on the bus is {-chain.slack_s * 1e6:.0f} us beyond the period: a "
+            "command that then comes after the next SYNC acts one period later"
+        )
+        found.append(warning("bus", text, "`fffo-drive config check` prints the sum; a lower loop.rate_hz has room"))
     return found
 
 

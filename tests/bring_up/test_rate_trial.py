@@ -11,6 +11,7 @@ from fffo_drive.signals import ROW
 from fffo_drive.system.bus import interface_bitrate_hz
 from fffo_drive.system.host import Host
 from fffo_drive.workflows.axis_draft import Place, make_draft
+from fffo_drive.workflows.bring_up import _of_trials
 from fffo_drive.workflows.drive_facts import Answers, Fact, drive_facts
 from fffo_drive.workflows.rate_trial import (
     Choice,
@@ -153,3 +154,21 @@ def test_an_adapter_on_usb_is_refused_above_500_hz(tmp_path):
         "can can0 driver: gs_usb on USB: refused at 1000 Hz"
     )
     assert adapter_problem("loopback:29500", 2000, 1_000_000, Host(tmp_path)) == ""
+
+
+def findings_of(trials, rate_hz, bus="socketcan:can0"):
+    draft = draft_on(bus)
+    axis = draft.axis.model_copy(update={"loop": LoopSection(rate_hz=rate_hz)})
+    return [f"{one.level}: {one.subject}" for one in _of_trials(trials, choose_rate(trials, LOOP), axis, draft.model)]
+
+
+def test_what_the_trials_say_of_machine_and_bus():
+    good = [trial_of(rows_of(rate), rate, 0.1) for rate in (500, 1000, 2000)]
+    assert findings_of(good[:2], 1000) == []
+    assert findings_of(good, 2000) == ["warning: bus"]  # the worst case of 2 kHz is beyond its period
+    disturbed = trial_of(rows_of(500, late=range(20)), 500, 0.1)
+    assert findings_of([disturbed, good[1]], 1000) == ["warning: machine"]
+    assert findings_of([disturbed], 500) == ["warning: rate"]
+    assert findings_of([Trial(500, "the drive refuses")], 2000) == ["failure: bring-up"]
+    held = [trial._replace(refusals=("SCHED_FIFO is refused",)) for trial in good[:2]]
+    assert findings_of(held, 1000) == ["warning: real time"]
