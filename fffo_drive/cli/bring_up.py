@@ -173,7 +173,7 @@ def report_lines(report: Report) -> Iterator[str]:
     if report.axis_file is not None:
         yield ""
         yield f"written: {report.axis_file}, {report.model_file}"
-        yield f"next:    {report.next_command}"
+        yield f"{'next: ' if report.ready else 'then: '}   {report.next_command}"
 
 
 def _finding(finding: Finding) -> Iterator[str]:

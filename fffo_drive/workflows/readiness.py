@@ -31,6 +31,7 @@ LOWEST_DC_LINK_V = 10.0  # below: the logic is supplied and the power stage is n
 LOWEST_TORQUE_LIMIT = 1000  # 0x6072, thousandths of the rated torque
 TORQUE_LIMIT_PERMILLE = 1000.0
 COARSE_SHARE = 0.1  # of the observer's feedback band: a coarser count of 0x606C is told
+FAULT_STATES = (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
 HISTORY = 3  # entries of 0x1003 that are told
 
 
@@ -79,11 +80,8 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
         yield failure("state", "the drive tells no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
         return
     state, text = state_of(word), f"statusword 0x{word:04X}: {state_name(word)}"
-    if state in (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE):
-        yield failure(
-            "state", text,
-            "mend the cause; then switch the drive off and on, or reset the fault with the vendor's tool",
-        )  # fmt: skip
+    if state in FAULT_STATES:
+        pass  # told with the fault
     elif state == STATE_OPERATION_ENABLED:
         yield failure(
             "state", f"{text}: somebody has enabled it", "let its other master disable it; end the vendor's tool"
@@ -101,8 +99,6 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
 
 
 def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[Finding]:
-    in_fault = word is not None and state_of(word) in (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
-    level = failure if in_fault else warning
     said = []
     if code := objects.value(0x603F):
         said.append(f"0x603F {code_text(code)}")
@@ -112,9 +108,15 @@ def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | N
         said.append(f"error register 0x1001 {register_text(register)}")
     kept = [objects.value(0x1003, sub) for sub in range(1, HISTORY + 1)]
     history = ", ".join(_history_text(entry) for entry in kept[: objects.value(0x1003) or 0] if entry)
-    remedy = "look the code up in the vendor's manual"
-    if said:
-        yield level("fault", "; ".join(said) + (f"; kept in 0x1003: {history}" if history else ""), remedy)
+    past = [f"kept in 0x1003: {history}"] * bool(history)
+    if word is not None and state_of(word) in FAULT_STATES:
+        yield failure(
+            "fault", "; ".join([f"statusword 0x{word:04X}: {state_name(word)}", *said, *past]),
+            "look the code up in the vendor's manual and mend the cause; then switch the drive off and on, or reset "
+            "the fault with the vendor's tool",
+        )  # fmt: skip
+    elif said:
+        yield warning("fault", "; ".join([*said, *past]), "look the code up in the vendor's manual")
     elif history:
         yield ok("history", f"of earlier errors, in 0x1003: {history}")
 

@@ -198,8 +198,8 @@ def test_a_drive_that_does_not_answer_sync_cannot_be_measured(bus, tmp_path):
         (
             {(0x6041, 0): b"\x18\x02", (0x603F, 0): b"\x20\x32", (0x1001, 0): b"\x05"},
             [
-                "state: statusword 0x0218: fault",
-                "fault: 0x603F 0x3220 (DC link under-voltage); error register 0x1001 0x05 (generic, voltage)",
+                "fault: statusword 0x0218: fault; 0x603F 0x3220 (DC link under-voltage); error register 0x1001 0x05 "
+                "(generic, voltage)",
             ],
         ),
         (

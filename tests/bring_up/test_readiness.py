@@ -38,8 +38,8 @@ def test_nothing_stands_in_the_way_of_a_drive_that_can_be_enabled(ready):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (word(0x0218), "state: statusword 0x0218: fault"),
-        (word(0x021F), "state: statusword 0x021F: fault reaction active"),
+        (word(0x0218), "fault: statusword 0x0218: fault"),
+        (word(0x021F), "fault: statusword 0x021F: fault reaction active"),
         (word(0x0210), "state: statusword 0x0210: not ready to switch on"),
         (word(0x0237), "state: statusword 0x0237: operation enabled: somebody has enabled it"),
         (word(0x0220), "state: statusword 0x0220: not ready to switch on"),
@@ -90,9 +90,9 @@ def test_a_fault_tells_the_drives_own_words():
     })  # fmt: skip
     said = in_the_way(objects, [Emergency(0, 0x8611, 0x21, b"\x01\x02\0\0\0"), Emergency(0, 0, 0, b"")])
     assert said == [
-        "state: statusword 0x0218: fault",
-        "fault: 0x603F 0x3220 (DC link under-voltage); EMCY 0x8611 (following error), error register 0x21 (generic, "
-        "device profile), vendor bytes 01 02 00 00 00; error register 0x1001 0x05 (generic, voltage); kept in 0x1003: "
+        "fault: statusword 0x0218: fault; 0x603F 0x3220 (DC link under-voltage); EMCY 0x8611 (following error), error "
+        "register 0x21 (generic, device profile), "
+        "vendor bytes 01 02 00 00 00; error register 0x1001 0x05 (generic, voltage); kept in 0x1003: "
         "0x3220 (DC link under-voltage) with 0x1234",
     ]
 
