@@ -317,7 +317,7 @@ def _propose(
         profile=facts.profile, notes=facts.profile_remarks,
     )  # fmt: skip
     if facts.missing:
-        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, tuple(facts.writes))]
+        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
         findings.insert(0, failure("not known", f"the drive does not tell: {asked}", "give these options"))
         options = tuple(OPTIONS[name][0] for name in facts.missing)
@@ -331,7 +331,7 @@ def _propose(
             failure("values", text, "what the drive tells cannot be: give the right value by an option")
             for text in str(error).splitlines()
         ]
-        findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, tuple(facts.writes))]
+        findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings))
     trials: list[Trial] = []
@@ -348,7 +348,7 @@ def _propose(
         if trials
         else None
     )
-    findings = [*_of_facts(facts), *stands_between(objects, emergencies, operational, tuple(facts.writes))]
+    findings = [*_of_facts(facts), *stands_between(objects, emergencies, operational, facts.written)]
     findings += velocity_step(
         facts.scales["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps
     )

@@ -51,6 +51,7 @@ OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, 
     "target_units_per_a": ("target", TARGET_TORQUE),
     "feedback_units_per_a": ("torque_feedback", TORQUE),
 }
+MOTOR = ("rated_torque_nm", "torque_constant_nm_per_a", "rated_current_a")  # one follows from the other two; best first
 OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
 
 
@@ -80,13 +81,21 @@ class DriveFacts(NamedTuple):
     problems: tuple[str, ...]  # what we need and the drive lacks
     writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
     silence: str  # how the drive notices a silent PC, and how it then stops
+    torque_limit_set: bool  # the profile writes 0x6072
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Objects that the bring-up writes: what they say now does not matter."""
+        return (*self.writes, *(["0x6072:00"] if self.torque_limit_set else []))
 
     @property
     def missing(self) -> list[str]:
-        """What must be known, and is not, in the order in which it is asked. Torque constant or current will do."""
+        """What must be known, and is not, in the order in which it is asked. Of the motor two of three will do."""
         asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in _own_units(self.profile_keys)]
         found = [name for name in asked if name not in self.scales]
-        return found[:-1] if "torque_constant_nm_per_a" in found and "rated_current_a" in found else found
+        of_motor = [name for name in MOTOR if name in found]
+        enough = of_motor[max(0, len(of_motor) - 1) :]  # the last of them follows from the others
+        return [name for name in found if name not in enough]
 
 
 def drive_facts(
@@ -120,11 +129,13 @@ def drive_facts(
     section = {key: section[key] for key in (*OF_SECTION, *section) if key in section}
     merged_section = merged(base, {key: fact.value for key, fact in section.items()})
     scales = _scales(section, base, known[0] if known else "", answers)
+    if "rated_torque_nm" in scales:
+        section.setdefault("rated_torque_nm", scales["rated_torque_nm"])
     return DriveFacts(
         scales, section, known[0] if known else None, known[1].family if known else "", base,
         (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
         tuple(_problems(objects, merged_section, node_id)),
-        _writes(objects, section, unit), _silence(merged_section),
+        _writes(objects, section, unit), _silence(merged_section), "max_torque_permille" in base,
     )  # fmt: skip
 
 
@@ -164,15 +175,23 @@ def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, 
             found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
     if answers.inertia_kg_m2 is not None:
         found["inertia_kg_m2"] = Fact(answers.inertia_kg_m2, "given (--inertia)")
-    torque, current = found.get("rated_torque_nm"), found.get("rated_current_a")
-    if torque is not None and current is not None:
-        constant = float(f"{torque.value / current.value:.6g}")
+    torque, current, constant = (
+        found[name].value if name in found else None
+        for name in ("rated_torque_nm", "rated_current_a", "torque_constant_nm_per_a")
+    )
+    if torque and current:
         source = f"{ASSUMED}rated torque over rated current; see the data sheet"
-        found.setdefault("torque_constant_nm_per_a", Fact(constant, source))
-    elif torque is not None and "torque_constant_nm_per_a" in found:
-        rated_a = float(f"{torque.value / found['torque_constant_nm_per_a'].value:.6g}")
-        found["rated_current_a"] = Fact(rated_a, f"{ASSUMED}rated torque over torque constant")
+        found.setdefault("torque_constant_nm_per_a", Fact(_six_digits(torque / current), source))
+    elif torque and constant:
+        found["rated_current_a"] = Fact(_six_digits(torque / constant), f"{ASSUMED}rated torque over torque constant")
+    elif current and constant:
+        source = f"{ASSUMED}torque constant times rated current"
+        found["rated_torque_nm"] = Fact(_six_digits(current * constant), source)
     return found
+
+
+def _six_digits(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) -> list[str]:

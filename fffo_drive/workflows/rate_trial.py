@@ -183,7 +183,7 @@ def problems_at(axis: AxisFile, model: ModelFile, rate_hz: int, turnaround_us: f
         section = section.model_copy(update={"turnaround_us": turnaround_us})
     loop = axis.loop.model_copy(update={"rate_hz": rate_hz})
     found = bus_problems(axis.model_copy(update={"loop": loop, "drive": section}), model)
-    return [text.partition(": ")[2] for text in found]
+    return [text.partition(": ")[2].removeprefix(f"{rate_hz} Hz; ") for text in found]
 
 
 def try_rate(

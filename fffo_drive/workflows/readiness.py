@@ -214,6 +214,8 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[Finding]:
             else:
                 yield failure("motor", text, "enter the motor's data with the vendor's tool and tune its current loop")
     limit = objects.value(0x6072)
+    if "0x6072:00" in written:
+        return
     if limit == 0:
         yield failure("torque limit", "0x6072 is 0: the drive makes no torque", "set drive.max_torque_permille")
     elif limit is not None and limit < LOWEST_TORQUE_LIMIT:

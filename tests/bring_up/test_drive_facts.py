@@ -72,11 +72,30 @@ def test_what_people_say_stands_before_what_is_read():
         (((0x6075, 0),), {"torque_constant_nm_per_a": 0.1}, []),
         (((0x6075, 0),), {"rated_current_a": 9.0}, []),
         (((0x6076, 0), (0x6075, 0)), {}, ["rated_torque_nm", "torque_constant_nm_per_a"]),
-        (((0x6076, 0),), {"torque_constant_nm_per_a": 0.1}, ["rated_torque_nm"]),
+        (((0x6076, 0),), {}, ["rated_torque_nm"]),
+        (((0x6076, 0),), {"torque_constant_nm_per_a": 0.1}, []),
+        (((0x6076, 0), (0x6075, 0)), {"torque_constant_nm_per_a": 0.1}, ["rated_torque_nm"]),
     ],
 )
 def test_what_nobody_has_said_is_missing(without, answers, missing):
     assert facts_of(told(without=without), **answers).missing == missing
+
+
+@pytest.mark.parametrize(
+    ("without", "answers", "derived", "value"),
+    [
+        ((), {}, "torque_constant_nm_per_a", 0.1),
+        (((0x6075, 0),), {"torque_constant_nm_per_a": 0.08}, "rated_current_a", 12.5),
+        (((0x6076, 0),), {"torque_constant_nm_per_a": 0.12}, "rated_torque_nm", 1.2),
+        (((0x6076, 0),), {"rated_torque_nm": 1.3}, "torque_constant_nm_per_a", 0.13),
+    ],
+)
+def test_of_rated_torque_current_and_torque_constant_one_follows_from_the_others(without, answers, derived, value):
+    facts = facts_of(told(without=without), **answers)
+    assert facts.scales[derived].value == pytest.approx(value)
+    assert facts.scales[derived].assumed
+    assert [name for name, fact in facts.scales.items() if fact.assumed] == [derived]
+    assert facts.section["rated_torque_nm"] == facts.scales["rated_torque_nm"]
 
 
 def test_the_unit_of_the_rated_torque_is_the_one_that_says_what_was_given():
