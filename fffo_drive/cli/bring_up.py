@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     known = parser.add_argument_group("what no drive tells, or tells wrongly")
     for name, (option, text) in OPTIONS.items():
         known.add_argument(option, dest=name, type=_above_zero, metavar="NUMBER", help=text)
+    known.add_argument(
+        "--profile", metavar="NAME", help="its family, where vendor and product do not tell; `fffo-drive config drives`"
+    )
     known.add_argument("--inertia", dest="inertia_kg_m2", type=_above_zero, metavar="KGM2", help="of motor and load")
 
 
@@ -60,8 +63,8 @@ def execute(options: argparse.Namespace) -> int:
     if answers.counts_per_rev is not None:
         answers = answers._replace(counts_per_rev=round(answers.counts_per_rev))
     wishes = Wishes(
-        options.bus, Path(options.out), options.node, options.assign, answers, options.bitrate, options.force,
-        not options.no_measure, options.seconds,
+        options.bus, Path(options.out), options.node, options.assign, answers, options.profile,
+        options.bitrate, options.force, not options.no_measure, options.seconds,
     )  # fmt: skip
     report = bring_up_axis(wishes, Terminal(may_ask, quiet=options.json))
     if options.json:

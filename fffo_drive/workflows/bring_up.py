@@ -30,7 +30,7 @@ from ..system.bus import interface_bitrate_hz
 from ..system.findings import Finding, Level, failure, ok, warning
 from ..system.host import Host
 from .axis_draft import Draft, Place, make_draft, model_file_of
-from .drive_facts import OPTIONS, Answers, DriveFacts, Fact, drive_facts
+from .drive_facts import OPTIONS, Answers, DriveFacts, Fact, drive_facts, named_profile
 from .rate_trial import (
     RATES_HZ,
     Choice,
@@ -76,6 +76,7 @@ class Wishes(NamedTuple):
     node_id: int | None = None
     assign_id: int | None = None
     answers: Answers = Answers()
+    profile: str | None = None  # of the drive's family; None: by what the drive says that it is
     bitrate_hz: int | None = None
     force: bool = False
     measure: bool = True
@@ -132,6 +133,8 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
     files that are there already.
     """
     refuse_overwriting(wishes)
+    if wishes.profile is not None:
+        named_profile(wishes.profile)  # told before a bus is used
     with _alone_on(wishes.bus, talk) as heard:
         signs, nodes = _scan(wishes.bus, talk, heard.nodes)
         without_id = _search_without_id(wishes.bus, talk)
@@ -300,7 +303,7 @@ def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, Driv
     try:
         objects = ToldObjects(service.read)
         objects.ask_all(talk.progress)
-        facts = _facts(objects, wishes.answers, node, talk)
+        facts = _facts(objects, wishes, node, talk)
         objects.ask_no_more()
         return objects, facts, list(service.emergencies)
     finally:
@@ -316,6 +319,10 @@ def _propose(
         objects=objects.told, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
         profile=facts.profile, notes=facts.profile_remarks,
     )  # fmt: skip
+    if facts.unusable:
+        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
+        text = f"CANNOT BE USED: {_who(node)} lacks what this program needs; no axis file was written"
+        return found._replace(verdict=text, findings=_in_order(findings))
     if facts.missing:
         findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
@@ -380,11 +387,13 @@ def _of_facts(facts: DriveFacts) -> list[Finding]:
     return found
 
 
-def _facts(objects: ToldObjects, answers: Answers, node: NodeName, talk: Talk) -> DriveFacts:
+def _facts(objects: ToldObjects, wishes: Wishes, node: NodeName, talk: Talk) -> DriveFacts:
     """What the drive tells, completed by asking for what it does not; assumptions are put to whoever can be asked."""
-    asked: set[str] = set()
+    answers, asked = wishes.answers, set[str]()
     while True:
-        facts = drive_facts(objects, answers, node.node_id, node.vendor_id, node.product_code)
+        facts = drive_facts(objects, answers, node.node_id, node.vendor_id, node.product_code, wishes.profile)
+        if facts.unusable:
+            return facts
         scales = facts.scales
         wanted = [*facts.missing, *(name for name in OPTIONS if name in scales and scales[name].assumed)]
         name = next((one for one in wanted if one not in asked), None)
@@ -500,9 +509,13 @@ def _measured(place: Place, trials: Sequence[Trial], choice: Choice | None, turn
     )
 
 
+def _who(node: NodeName) -> str:
+    return f"node {node.node_id} ({node.device_name or 'without a name'})"
+
+
 def _verdict(node: NodeName, findings: Sequence[Finding], choice: Choice | None, files: str) -> str:
     in_the_way = sum(one.level is Level.FAILURE for one in findings)
-    who = f"node {node.node_id} ({node.device_name or 'without a name'})"
+    who = _who(node)
     rate = f" at {choice.rate_hz} Hz" if choice is not None and choice.rate_hz is not None else ""
     if in_the_way:
         things = "1 thing stands" if in_the_way == 1 else f"{in_the_way} things stand"

@@ -7,11 +7,12 @@ the family leaves the factory; what people say stands before both.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from ..config.drive_profile import merged, profile_for
+from ..config.drive_profile import DriveProfile, merged, profile_for, profile_path, read_profile
 from ..config.drive_proposal import config_of, propose
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
@@ -84,6 +85,11 @@ class DriveFacts(NamedTuple):
     torque_limit_set: bool  # the profile writes 0x6072
 
     @property
+    def unusable(self) -> list[str]:
+        """Of the problems those that no key of the axis file can help."""
+        return [problem for problem in self.problems if "drive." not in problem]
+
+    @property
     def written(self) -> tuple[str, ...]:
         """Objects that the bring-up writes: what they say now does not matter."""
         return (*self.writes, *(["0x6072:00"] if self.torque_limit_set else []))
@@ -99,10 +105,15 @@ class DriveFacts(NamedTuple):
 
 
 def drive_facts(
-    objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0
-) -> DriveFacts:
-    """Ask the drive for what is needed, and put together what is known. Raises BusUnavailableError."""
-    known = profile_for(vendor_id, product_code)
+    objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0,
+    profile: str | None = None,
+) -> DriveFacts:  # fmt: skip
+    """Ask the drive for what is needed, and put together what is known.
+
+    `profile`: of its family, in place of the one that vendor and product name. Raises BusUnavailableError,
+    DocumentError for a profile that there is not.
+    """
+    known = profile_for(vendor_id, product_code) if profile is None else named_profile(profile)
     base = dict(known[1].keys) if known else {}
     section = {
         key: Fact(value, f"given ({OPTIONS[key][0]})")
@@ -157,6 +168,11 @@ def _source(objects: ToldObjects, key: str) -> str:
     return {"rated_torque_nm": "0x6076", "rated_current_a": "0x6075"}.get(key, "")
 
 
+def named_profile(name: str) -> tuple[str, DriveProfile]:
+    """A profile by its name. Raises DocumentError naming those that there are."""
+    return name, read_profile(profile_path(Path("--profile"), name))
+
+
 def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
     """Unit of 0x6076: the one in which it says what was given, else what is expected of the family."""
     if not raw or given_nm is None:
@@ -170,7 +186,7 @@ def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, 
     for key in OF_SECTION:
         if key in base:
             found.setdefault(key, Fact(base[key], f"profile {profile}"))
-    for key in ("torque_constant_nm_per_a", *OWN_OBJECTS):
+    for key in ("torque_constant_nm_per_a", *_own_units(base)):
         if (value := getattr(answers, key)) is not None:
             found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
     if answers.inertia_kg_m2 is not None:
@@ -200,8 +216,8 @@ def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) ->
         config = config_of(section, node_id)
     except MappingError as error:
         return [str(error)]
-    except ValidationError as error:
-        return [one["msg"].removeprefix("Value error, ") for one in error.errors()]
+    except ValidationError:  # what is still missing is asked for, and what no file can hold is named when it is made
+        return []
     found = check_device_type(objects, config)
     return found or [*check_modes(objects, config), *needs(objects, config)]
 

@@ -313,8 +313,33 @@ def test_a_drive_that_lacks_what_we_need_is_not_measured_and_says_what(bus):
     with Drive(bus, objects=drive_objects(without=((0x606C, 0),))) as node:
         report = bring_up_axis(wishes(bus, measure=True), Person())
     assert said(report, "failure") == ["lacks: object 0x606C:00 is missing (the velocity that is controlled)"]
+    assert report.verdict.startswith("CANNOT BE USED: node 5 (a drive with a long name) lacks what this program needs")
+    assert report.axis_file is None
+    check_page(report)
     assert (report.trials, node.written, node.commands) == ((), [], [])
     assert command.exit_code(report) == 70
+
+
+def test_what_a_key_of_the_axis_file_can_help_is_written_down(bus):
+    deaf = drive_objects(without=((0x1016, 0), (0x1016, 1), *(((0x1400 + n, 5)) for n in range(4))))
+    with Drive(bus, objects=deaf):
+        report = bring_up_axis(wishes(bus, measure=True), Person())
+    failures = said(report, "failure")
+    assert len(failures) == 1
+    assert "drive.silence_detection" in failures[0]
+    assert (report.trials, report.axis_file) == ((), Path("axis.yaml"))
+
+
+def test_the_family_can_be_named_where_the_drive_does_not_tell_it(bus):
+    epos = drive_objects(changes={(0x6076, 0): u32(1_000_000)})
+    with Drive(bus, objects=epos), BusLog(bus) as log:
+        with pytest.raises(DocumentError, match=r"'epos99' is neither a file .* nor a profile"):
+            bring_up_axis(wishes(bus, profile="epos99"), Person())
+        assert log.frames == []
+        report = bring_up_axis(wishes(bus, profile="maxon_epos4"), Person())
+    assert report.profile == "maxon_epos4"
+    assert report.facts["rated_torque_nm"].value == pytest.approx(1.0)  # it counts uNm
+    assert make_plan(report.axis_file).axis.drive.profile == "maxon_epos4"
 
 
 def test_what_a_drive_tells_and_no_axis_file_can_hold_is_named(bus):
