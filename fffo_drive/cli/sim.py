@@ -1,7 +1,8 @@
 """Run the simulated drive as a CANopen node on a bus, until SIGTERM or Ctrl-C.
 
 FILE describes plant, effects, device and node (configs/simulated_drive.yaml). Prints one line when it is ready.
-With --eds it writes the electronic data sheet (CiA 306) of that drive and ends.
+With --dictionary the drive has the objects of another: those of an EDS or DCF, or of a list of objects in YAML. With
+--eds it writes the electronic data sheet (CiA 306) of the drive and ends.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="simulated drive (YAML)")
     parser.add_argument("--bus", default="loopback:29500", help="socketcan:vcan0, loopback:PORT (default: %(default)s)")
     parser.add_argument("--node", type=int, metavar="ID", help="node id instead of the file's")
+    parser.add_argument(
+        "--dictionary", type=Path, metavar="DRIVE", help="wear the objects of this drive: an EDS, a DCF, or YAML"
+    )
     parser.add_argument("--eds", type=Path, metavar="PATH", help="write the drive's EDS there; do not run")
 
 
@@ -34,8 +38,15 @@ def execute(options: argparse.Namespace) -> int:
             config = dataclasses.replace(config, node_id=options.node).validate()
         except PlantConfigError as error:
             raise DocumentError(f"--node: {error}") from None
+    if options.dictionary is not None:
+        from ..drive.simulated.node.read_dictionary import read_dictionary  # brings in canopen
+
+        try:
+            config = dataclasses.replace(config, dictionary=read_dictionary(options.dictionary)).validate()
+        except PlantConfigError as error:
+            raise DocumentError(f"{options.file} with {options.dictionary}: {error}") from None
     if options.eds is not None:
-        options.eds.write_text(eds_text(config, options.eds.name), encoding="ascii")
+        options.eds.write_text(eds_text(config, options.eds.name), encoding="ascii", errors="replace")
         print(f"wrote {options.eds}")
         return 0
     stop = stop_on_signals()

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import Field, Strict, create_model
 
 from ..documents import Record
-from ..drive.simulated.ranges import key_of
+from ..drive.simulated.ranges import NOT_IN_A_FILE, key_of, note_of
 
 T = TypeVar("T")
 
@@ -27,13 +27,15 @@ def record_of(dataclass: type) -> type[Record]:
     hints = typing.get_type_hints(dataclass)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(dataclass):
-        if not field.init:
+        if not field.init or field.metadata.get(NOT_IN_A_FILE):
             continue
         annotation = _annotation(hints[field.name])
         limits = key_of(field)
         if limits is not None:
             text = limits.meaning if limits.unit == "-" else f"{limits.meaning} [{limits.unit}]"
             annotation = Annotated[annotation, Field(ge=limits.low, le=limits.high, description=text)]
+        elif note_of(field) is not None:
+            annotation = Annotated[annotation, Field(description=note_of(field))]
         if field.default is not dataclasses.MISSING:
             fields[field.name] = (annotation, field.default)
         elif field.default_factory is not dataclasses.MISSING:
@@ -49,7 +51,7 @@ def dataclass_of(dataclass: type[T], record: Any) -> T:
     values = {
         field.name: _value(hints[field.name], getattr(record, field.name))
         for field in dataclasses.fields(dataclass)  # type: ignore[arg-type]
-        if field.init
+        if field.init and not field.metadata.get(NOT_IN_A_FILE)
     }
     return dataclass(**values)
 

@@ -15,8 +15,8 @@ from canopen import import_od
 from node.node_rig import Rig
 
 from fffo_drive.cli import main
+from fffo_drive.config.eds_fitness import fitness_of
 from fffo_drive.drive.canopen.eds import read_eds
-from fffo_drive.drive.canopen.eds_fitness import fitness_of
 from fffo_drive.drive.simulated.node.config import Identity, NodeConfig
 from fffo_drive.drive.simulated.node.eds import eds_text
 

@@ -11,6 +11,8 @@ import math
 from typing import Any, NamedTuple
 
 _METADATA = "key"
+_NOTE = "note"
+NOT_IN_A_FILE = "not in a file"  # in the metadata of a field that a program sets
 
 
 class Key(NamedTuple):
@@ -30,6 +32,18 @@ def key(default: Any, unit: str, low: float, high: float, meaning: str) -> Any:
 def required_key(unit: str, low: float, high: float, meaning: str) -> Any:
     """A dataclass field with a range and no default."""
     return dataclasses.field(metadata={_METADATA: Key(unit, low, high, meaning)})
+
+
+def note(default: Any, meaning: str) -> Any:
+    """A dataclass field that is no number, with its meaning. A mapping as default is made anew for each."""
+    if isinstance(default, dict):
+        return dataclasses.field(default_factory=lambda: dict(default), metadata={_NOTE: meaning})
+    return dataclasses.field(default=default, metadata={_NOTE: meaning})
+
+
+def note_of(field: dataclasses.Field[Any]) -> str | None:
+    """The meaning of a dataclass field that has no range."""
+    return field.metadata.get(_NOTE)
 
 
 def key_of(field: dataclasses.Field[Any]) -> Key | None:

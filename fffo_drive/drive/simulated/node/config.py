@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ....can.frame import SYNC
 from ....units import S_PER_MIN, TWO_PI
 from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
-from ..ranges import key, range_errors
+from ..ranges import NOT_IN_A_FILE, key, range_errors
 from .dictionary import Value, multiplexer
 from .faults import Fault
+from .objects import DEVICE_TYPE, WAITS_FOR_MASTER
+from .personality import Personality
 from .plant_port import Ratings
+from .worn import WornDictionary, entries_of, personality_problems, told_modes
 
-MILLI = 1000.0
 PERMILLE = 1000.0
 
 
@@ -36,13 +39,18 @@ class NodeConfig:
     plant: PlantConfig = field(default_factory=PlantConfig)
     device: DeviceConfig = field(default_factory=DeviceConfig)
     identity: Identity = field(default_factory=Identity)
-    velocity_counts_per_rps: int = key(32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second")
+    velocity_counts_per_rps: int = key(
+        32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second, where no object tells them"
+    )
     undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "of dc_link_v: below, the drive trips with 0x3220")
     overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")
     highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "rise at which the drive trips with 0x4310")
     sync_loss_tolerance_ms: int = key(50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss")
     step_by_sync: bool = False  # the plant advances one 0x1006 period with each SYNC, and not otherwise
     faults: tuple[Fault, ...] = ()
+    personality: Personality = field(default_factory=Personality)
+    # of another drive, which the node wears; None: its own
+    dictionary: WornDictionary | None = field(default=None, metadata={NOT_IN_A_FILE: True})
     realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: not asked for")
 
     def validate(self) -> NodeConfig:
@@ -50,6 +58,8 @@ class NodeConfig:
         self.plant.validate()
         self.device.validate()
         own = [(name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))]
+        quirks = self.personality.errors() or list(personality_problems(self))
+        own += [(f"personality.{name}", text) for name, text in quirks]
         if own:
             raise PlantConfigError("\n".join(f"node.{name}: {text}" for name, text in own))
         return self
@@ -68,15 +78,16 @@ class NodeConfig:
             undervoltage_v=self.undervoltage_share * plant.dc_link_v,
             overvoltage_v=self.overvoltage_share * plant.dc_link_v,
             highest_temperature_k=self.highest_temperature_k,
+            slow_rps2=device.slow_ramp_rps2,
+            quick_rps2=device.quick_ramp_rps2,
             brake_a_per_rps=device.brake_gain_a_per_rps,
             standstill_rps=device.standstill_rps,
         )
 
 
 def device_defaults(config: NodeConfig) -> dict[int, Value]:
-    """Defaults of the object dictionary that depend on the configured drive, by `multiplexer(index, sub)`."""
-    identity, ratings, device = config.identity, config.ratings, config.device
-    per_rps = ratings.velocity_counts_per_rps
+    """Defaults of objects that tell none, by `multiplexer(index, sub)`: what depends on the configured drive."""
+    identity, ratings, device, personality = config.identity, config.ratings, config.device, config.personality
     values: dict[tuple[int, int], Value] = {
         (0x1008, 0): identity.device_name.encode(),
         (0x1009, 0): identity.hardware_version.encode(),
@@ -90,14 +101,37 @@ def device_defaults(config: NodeConfig) -> dict[int, Value]:
         (0x605E, 0): device.fault_reaction_option,
         (0x6072, 0): ratings.peak_permille,
         (0x6073, 0): ratings.peak_permille,
-        (0x6075, 0): round(ratings.rated_current_a * MILLI),
-        (0x6076, 0): round(ratings.rated_torque_nm * MILLI),
+        (0x6075, 0): round(ratings.rated_current_a / personality.rated_current_unit_a),
+        (0x6076, 0): round(ratings.rated_torque_nm / personality.rated_torque_unit_nm),
         (0x6080, 0): round(ratings.max_speed_rps * S_PER_MIN),
-        (0x6084, 0): max(1, round(device.slow_ramp_rps2 * per_rps)),
-        (0x6085, 0): max(1, round(device.quick_ramp_rps2 * per_rps)),
-        (0x608F, 1): ratings.counts_per_rev,
-        (0x6090, 1): per_rps,
         (0x60E0, 0): ratings.peak_permille,
         (0x60E1, 0): ratings.peak_permille,
     }
+    values |= _of_a_worn_one(config) if config.dictionary is not None else _of_its_own(config)
     return {multiplexer(index, sub): value for (index, sub), value in values.items()}
+
+
+def _of_its_own(config: NodeConfig) -> dict[tuple[int, int], Value]:
+    ratings = config.ratings
+    per_rps = ratings.velocity_counts_per_rps
+    counts = config.personality.encoder_counts_per_rev or ratings.counts_per_rev
+    return {
+        (0x6084, 0): max(1, round(ratings.slow_rps2 * per_rps)),
+        (0x6085, 0): max(1, round(ratings.quick_rps2 * per_rps)),
+        (0x608F, 1): counts,
+        (0x6090, 1): per_rps,
+        (0x6092, 1): counts,
+    }
+
+
+def _of_a_worn_one(config: NodeConfig) -> dict[tuple[int, int], Value]:
+    """What a drive that its file does not tell has by CiA 301 and 402."""
+    return {
+        (0x1000, 0): DEVICE_TYPE,
+        (0x1005, 0): SYNC,
+        (0x1010, 1): 1,
+        (0x1011, 1): 1,
+        (0x1F80, 0): WAITS_FOR_MASTER,
+        (0x6087, 0): 0xFFFFFFFF,
+        (0x6502, 0): told_modes(entries_of(config), config.personality),
+    }

@@ -21,19 +21,21 @@ from ....can.frame import (
     NMT,
 )
 from . import emcy
+from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Handler, Timed, identifier
 from .config import NodeConfig, device_defaults
 from .dictionary import ObjectDictionary
-from .drive_profile import DriveProfile
+from .drive_profile import LARGEST_INDEX, DriveProfile
 from .emcy import Emergency
 from .fault_target import FaultTarget
 from .faults import FaultInjector
 from .guarding import NodeGuarding
+from .habits import EmcyWarning, HoldingBrake
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer
 from .inbox import Box
 from .lss import REQUEST_ID, LssSlave
 from .nmt import UNCONFIGURED, NmtSlave, NmtState
-from .objects import ENTRIES, PDO_COUNT
+from .objects import WAITS_FOR_MASTER
 from .plant_port import PlantPort
 from .rpdo import Rpdo
 from .sdo_server import SdoServer
@@ -41,10 +43,13 @@ from .storage import Storage
 from .sync import STATISTICS, SyncConsumer
 from .sync_producer import SyncProducer
 from .tpdo import Tpdo
+from .worn import dictionary_of
 
 ERROR_BEHAVIOUR = 0x1029
 PLANT_PERIOD_NS = 10 * NS_PER_MS  # the plant is never further behind than this
 INTERPOLATION_PERIOD = 0x60C2
+STARTUP = 0x1F80
+MOST_PDOS = 512  # in each direction
 
 
 class Service(Protocol):
@@ -64,12 +69,16 @@ class Node:
         self.config = config
         self.bus = bus = Bus()
         self._plant_due = Timed(bus)
-        self.od = od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
-        self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset)
+        personality = config.personality
+        self.od = od = dictionary_of(config, config.node_id, device_defaults(config))
+        od.guard(STARTUP, self._check_startup)
+        self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset, self._starts_itself)
         self.lss = LssSlave(bus, od, self.nmt, lambda: self.nmt.reset(whole_node=False))
         self.emergency = Emergency(bus, od, self.nmt)
         self.storage = Storage(od)
-        self.drive = DriveProfile(bus, od, self.emergency, plant, config.ratings)
+        self.drive = DriveProfile(bus, od, self.emergency, plant, config.ratings, personality)
+        self._mode_waits_for_sync = personality.mode_display == "with_sync"
+        self._statistics = od.place(STATISTICS)
         self.sync = SyncConsumer(
             bus,
             od,
@@ -87,7 +96,8 @@ class Node:
             bus, od, self.nmt, lambda: self._on_heartbeat_loss(0), lambda: self._on_heartbeat_recovery(0)
         )
         self.sdo = SdoServer(bus, od, self.nmt)
-        self.tpdos = [Tpdo(bus, od, self.nmt, n, self._wire_up) for n in range(PDO_COUNT)]
+        rtr_required = personality.rtr_bit == "required"
+        self.tpdos = [Tpdo(bus, od, self.nmt, n, self._wire_up, rtr_required) for n in pdo_numbers(od, 0x1800)]
         self.rpdos = [
             Rpdo(
                 bus,
@@ -99,7 +109,7 @@ class Node:
                 self._wire_up,
                 lambda: self._drive_lost(emcy.RPDO_TIMEOUT),
             )
-            for n in range(PDO_COUNT)
+            for n in pdo_numbers(od, 0x1400)
         ]
         target = FaultTarget(bus, self.nmt, self.emergency, self.drive, self.rpdos, self.tpdos, self._on_bus_off)
         self.faults = FaultInjector(bus, od, self.emergency, target, config.faults, config.plant.seed)
@@ -113,10 +123,22 @@ class Node:
             self.sdo,
             *self.rpdos,
             *self.tpdos,
+            *self._habits(),
         )
         self._pdos: tuple[Rpdo | Tpdo, ...] = (*self.rpdos, *self.tpdos)
         self._start_ns = 0
         self._plant_ns = 0
+
+    def _habits(self) -> Iterator[Service]:
+        """What this drive does that others do not."""
+        personality = self.config.personality
+        self._warning: EmcyWarning | None = None
+        if personality.brake_release_s:
+            yield HoldingBrake(self.bus, self.od, self.drive, personality.brake_release_s)
+        if personality.warning_code:
+            code, at_s = personality.warning_code, personality.warning_at_s
+            self._warning = EmcyWarning(self.bus, self.emergency, self.drive, code, at_s)
+            yield self._warning
 
     # the three entrances
 
@@ -125,6 +147,8 @@ class Node:
         self.bus.now_ns = self._start_ns = now_ns
         self._plant_due.deadline_ns = now_ns + PLANT_PERIOD_NS
         self.faults.start()
+        if self._warning is not None:
+            self._warning.start()
         self.nmt.reset(whole_node=True)
         return self._collect()
 
@@ -247,7 +271,7 @@ class Node:
         return act
 
     def _count_malformed(self) -> None:
-        self.od.put(STATISTICS, 6, self.od.number(STATISTICS, 6) + 1 & 0xFFFFFFFF)
+        self.od.put(self._statistics, 6, self.od.number(self._statistics, 6) + 1 & 0xFFFFFFFF)
 
     def _on_error_frame(self, word: int) -> None:
         if word & ERROR_BUS_OFF:
@@ -272,13 +296,16 @@ class Node:
     def _sync_period_ns(self) -> int:
         """0x1006; where it is 0, the interpolation period 0x60C2."""
         number = self.od.number
-        exact = number(INTERPOLATION_PERIOD, 1) * 10 ** (9 + number(INTERPOLATION_PERIOD, 2))
+        power = min(max(number(INTERPOLATION_PERIOD, 2), -LARGEST_INDEX), 0)
+        exact = int(number(INTERPOLATION_PERIOD, 1) * 10 ** (9 + power))
         return self.sync.period_ns or exact
 
     def _on_sync(self, counter: int) -> None:
         if self.config.step_by_sync:
             self._plant_ns += self._sync_period_ns()
         self._advance()
+        if self._mode_waits_for_sync:
+            self.drive.settle_mode()
         if not self.nmt.exchanges:
             self.drive.update()
             return
@@ -316,6 +343,14 @@ class Node:
             self.drive.restart()
         self._wire_up()
 
+    def _starts_itself(self) -> bool:
+        """0x1F80 of CiA 302-2: bit 2 says that the node waits for its master."""
+        return not self.od.number(STARTUP) & WAITS_FOR_MASTER
+
+    def _check_startup(self, sub: int, value: int) -> None:
+        if not self.od.foreign and value & ~WAITS_FOR_MASTER:  # it is no master, and starts nobody else
+            raise SdoAbortError(Abort.INVALID_VALUE)
+
     def _take_node_id(self, node_id: int) -> None:
         self.nmt.node_id = node_id
         if node_id != UNCONFIGURED:
@@ -339,3 +374,8 @@ class Node:
             self.nmt.enter(NmtState.STOPPED)
         elif behaviour == 0 and self.nmt.exchanges:
             self.nmt.enter(NmtState.PRE_OPERATIONAL)
+
+
+def pdo_numbers(od: ObjectDictionary, first: int) -> list[int]:
+    """The PDOs that a drive has, counted from 0; `first` is the index of the first one's communication parameters."""
+    return [number for number in range(MOST_PDOS) if first + number in od]

@@ -1,7 +1,8 @@
 """The object dictionary as a store: typed values in slots, checked access from the network.
 
 An `Entry` is one sub-index as CiA 306 describes it; the whole device is a flat tuple of them (`objects.py`).
-Values lie in one list, so that a PDO picks its data with a prepared `itemgetter` and no look-up.
+Values lie in one list, so that a PDO picks its data with a prepared `itemgetter` and no look-up. Behind the objects of
+the device lie cells that no SDO and no PDO reaches: for what a service needs and this drive does not have as an object.
 """
 
 from __future__ import annotations
@@ -18,15 +19,33 @@ Value = int | bytes
 
 
 class DataType(IntEnum):
-    """CiA 301 data type indices of the types in use."""
+    """CiA 301 data type indices."""
 
+    BOOLEAN = 0x0001
     INTEGER8 = 0x0002
     INTEGER16 = 0x0003
     INTEGER32 = 0x0004
     UNSIGNED8 = 0x0005
     UNSIGNED16 = 0x0006
     UNSIGNED32 = 0x0007
+    REAL32 = 0x0008
     VISIBLE_STRING = 0x0009
+    OCTET_STRING = 0x000A
+    UNICODE_STRING = 0x000B
+    TIME_OF_DAY = 0x000C
+    TIME_DIFFERENCE = 0x000D
+    DOMAIN = 0x000F
+    INTEGER24 = 0x0010
+    REAL64 = 0x0011
+    INTEGER40 = 0x0012
+    INTEGER48 = 0x0013
+    INTEGER56 = 0x0014
+    INTEGER64 = 0x0015
+    UNSIGNED24 = 0x0016
+    UNSIGNED40 = 0x0018
+    UNSIGNED48 = 0x0019
+    UNSIGNED56 = 0x001A
+    UNSIGNED64 = 0x001B
 
 
 class ObjectKind(IntEnum):
@@ -37,25 +56,51 @@ class ObjectKind(IntEnum):
     RECORD = 9
 
 
+# of the types that a PDO can carry; REAL values are kept as the bits that they are on the wire
 STRUCT_CODES = {
     DataType.INTEGER8: "b",
     DataType.INTEGER16: "h",
     DataType.INTEGER32: "i",
+    DataType.INTEGER64: "q",
     DataType.UNSIGNED8: "B",
     DataType.UNSIGNED16: "H",
     DataType.UNSIGNED32: "I",
+    DataType.UNSIGNED64: "Q",
+    DataType.REAL32: "I",
+    DataType.REAL64: "Q",
+    DataType.BOOLEAN: "B",
 }
-_CODECS = {data_type: struct.Struct("<" + code) for data_type, code in STRUCT_CODES.items()}
-_RANGES = {
-    data_type: (-(1 << (8 * codec.size - 1)), (1 << (8 * codec.size - 1)) - 1)
-    if codec.format[-1].islower()
-    else (0, (1 << (8 * codec.size)) - 1)
-    for data_type, codec in _CODECS.items()
+SIGNED_TYPES = frozenset(data_type for data_type in DataType if data_type.name.startswith("INTEGER"))
+REAL_TYPES = frozenset({DataType.REAL32, DataType.REAL64})
+TEXT_TYPES = frozenset({DataType.VISIBLE_STRING, DataType.UNICODE_STRING})
+_SIZES = {  # bytes on the wire; a type that is not here has the length of its value
+    **{data_type: struct.calcsize(code) for data_type, code in STRUCT_CODES.items()},
+    DataType.INTEGER24: 3,
+    DataType.INTEGER40: 5,
+    DataType.INTEGER48: 6,
+    DataType.INTEGER56: 7,
+    DataType.UNSIGNED24: 3,
+    DataType.UNSIGNED40: 5,
+    DataType.UNSIGNED48: 6,
+    DataType.UNSIGNED56: 7,
+    DataType.TIME_OF_DAY: 6,
+    DataType.TIME_DIFFERENCE: 6,
 }
+LONGEST_TEXT = 255  # bytes that an object without a told length takes
+_BEYOND_SDO = 0x10000  # added to an index: one that no SDO can name
+
+
+def type_range(data_type: DataType) -> tuple[int, int]:
+    """Lowest and highest number of a type that has a size."""
+    if data_type is DataType.BOOLEAN:
+        return 0, 1
+    bits = 8 * _SIZES[data_type]
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if data_type in SIGNED_TYPES else (0, (1 << bits) - 1)
+
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
 WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
-MAPPABLE_IN_TPDO = frozenset({"ro", "rw", "rwr"})
+MAPPABLE_IN_TPDO = frozenset({"ro", "rw", "rwr", "const"})
 MAPPABLE_IN_RPDO = frozenset({"wo", "rw", "rww"})
 
 
@@ -63,8 +108,9 @@ MAPPABLE_IN_RPDO = frozenset({"wo", "rw", "rww"})
 class Entry:
     """One sub-index. `low` and `high` bound what the network may write (None: the range of the type).
 
-    `relative`: the default is an offset to which the node-ID is added ($NODEID in the EDS). For
-    VISIBLE_STRING, `high` is the greatest length in bytes.
+    `relative`: the default is an offset to which the node-ID is added ($NODEID in the EDS). `default` None: not told,
+    such as that of a measured value. `value`: what a DCF sets, in place of the default (None: nothing), and
+    `value_relative` of it. For types without a size, `high` is the greatest length in bytes.
     """
 
     index: int
@@ -72,17 +118,23 @@ class Entry:
     name: str
     data_type: DataType
     access: str
-    default: Value = 0
+    default: Value | None = 0
     low: int | None = None
     high: int | None = None
     mappable: bool = False
     relative: bool = False
+    value: Value | None = None
+    value_relative: bool = False
 
     @property
     def size(self) -> int:
         """Bytes on the wire; 0 for strings, whose length is that of the value."""
-        codec = _CODECS.get(self.data_type)
-        return codec.size if codec else 0
+        return _SIZES.get(self.data_type, 0)
+
+    @property
+    def multiplexer(self) -> int:
+        """Index and sub-index in one number."""
+        return multiplexer(self.index, self.sub)
 
 
 def multiplexer(index: int, sub: int) -> int:
@@ -103,31 +155,70 @@ class ObjectDictionary:
     of reading.
     """
 
-    def __init__(self, entries: Iterable[Entry], node_id: int, overrides: Mapping[int, Value] | None = None) -> None:
-        """`overrides`: defaults of this device by `multiplexer(index, sub)`. ValueError on an unknown one."""
+    def __init__(
+        self,
+        entries: Iterable[Entry],
+        node_id: int,
+        defaults: Mapping[int, Value] | None = None,
+        absent: Iterable[Entry] = (),
+        own: range | None = None,
+        codes: Mapping[int, str] | None = None,
+    ) -> None:
+        """`defaults`: of entries that tell none, by `multiplexer(index, sub)`; 0 where there is none either.
+
+        `absent`: entries that the services need where the device does not have them. Of those with an index in `own`
+        (objects of this program alone) none is the device's, even if it has the same index: `place` tells where they
+        are. `codes`: struct codes of what the device writes itself, whatever sign the file gives it.
+        """
         self.node_id = node_id
-        self.entries: list[Entry] = []
-        self.slots: dict[int, int] = {}
-        self.values: list[Any] = []  # of Value; not checked on the way to struct
-        self._indices: set[int] = set()
-        pending = dict(overrides or {})
-        for entry in entries:
-            default = pending.pop(multiplexer(entry.index, entry.sub), entry.default)
-            self.slots[multiplexer(entry.index, entry.sub)] = len(self.entries)
-            self.entries.append(replace(entry, default=default))
-            self._indices.add(entry.index)
-        if pending:
-            raise ValueError(f"no object {min(pending) >> 8:04X}:{min(pending) & 0xFF:02X} in the object dictionary")
-        self.values = [self.power_on_value(entry) for entry in self.entries]
+        self.entries: list[Entry] = list(entries)
+        self._public = {entry.multiplexer: entry for entry in self.entries}
+        self._own = own
+        self._codes = codes or {}
+        self._mapping_told = any(entry.mappable for entry in self.entries)
+        self.cells = [*self.entries]  # with those that cannot be reached
+        for entry in absent:
+            placed = replace(entry, index=self.place(entry.index))
+            if placed.multiplexer not in self._public:
+                self.cells.append(placed)
+        self._defaults = defaults or {}
+        self.slots: dict[int, int] = {cell.multiplexer: slot for slot, cell in enumerate(self.cells)}
+        self.values: list[Any] = [self.power_on_value(cell) for cell in self.cells]  # of Value; not checked for struct
+        self._indices = {entry.index for entry in self.entries}
         self._guards: dict[int, Guard] = {}
         self._effects: dict[int, Effect] = {}
         self._readers: dict[int, Reader] = {}
 
+    @property
+    def foreign(self) -> bool:
+        """It is that of another drive."""
+        return self._own is not None
+
+    def place(self, index: int) -> int:
+        """Where an object of this program alone is: at its index, or where no SDO reaches it."""
+        return index + _BEYOND_SDO if self._own is not None and index in self._own else index
+
     def power_on_value(self, entry: Entry) -> Value:
-        """The default of an entry, with the node-ID added where the EDS says $NODEID."""
-        if entry.relative and isinstance(entry.default, int):
-            return entry.default + self.node_id
-        return entry.default
+        """What a DCF sets, or the default of an entry, with the node-ID added where the file says $NODEID."""
+        value, relative = entry.value, entry.value_relative
+        if value is None:
+            value, relative = entry.default, entry.relative
+        if value is None:
+            value = self._untold(entry)
+        if relative and isinstance(value, int):
+            lowest, highest = type_range(entry.data_type)
+            return min(max(value + self.node_id, lowest), highest)
+        return value
+
+    def _untold(self, entry: Entry) -> Value:
+        """A default of the device's own, as far as it is one of this entry."""
+        known = self._defaults.get(entry.multiplexer)
+        if not entry.size:
+            return known if isinstance(known, bytes) else b""
+        lowest, highest = self.limits(entry)
+        if isinstance(known, int) and lowest <= known <= highest:
+            return known
+        return min(max(0, lowest), highest)
 
     def guard(self, index: int, guard: Guard) -> None:
         """Ask `guard` before a write from the network to `index`."""
@@ -148,18 +239,31 @@ class ObjectDictionary:
     def __contains__(self, index: int) -> bool:
         return index in self._indices
 
+    def has(self, index: int, sub: int = 0) -> bool:
+        """The device has this sub-index."""
+        return multiplexer(index, sub) in self._public
+
+    def subs(self, index: int) -> list[int]:
+        """Sub-indices from 1 on that the device has of an object."""
+        return sorted(entry.sub for entry in self.entries if entry.index == index and entry.sub)
+
     def find(self, index: int, sub: int) -> Entry:
         """The entry of a sub-index. Raises SdoAbortError (NO_OBJECT, NO_SUBINDEX)."""
-        slot = self.slots.get(multiplexer(index, sub))
-        if slot is None:
+        entry = self._public.get(multiplexer(index, sub))
+        if entry is None:
             raise SdoAbortError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
-        return self.entries[slot]
+        return entry
 
     def number(self, index: int, sub: int = 0) -> int:
         """The stored integer, without checks: for the device itself."""
         value = self.values[self.slots[multiplexer(index, sub)]]
         assert isinstance(value, int)
         return value
+
+    def number_or(self, index: int, sub: int, otherwise: int) -> int:
+        """The stored integer, `otherwise` where there is no such cell."""
+        slot = self.slots.get(multiplexer(index, sub))
+        return otherwise if slot is None else int(self.values[slot])
 
     def put(self, index: int, sub: int, value: Value) -> None:
         """Store without checks: for the device itself."""
@@ -172,7 +276,9 @@ class ObjectDictionary:
             raise SdoAbortError(Abort.WRITE_ONLY)
         reader = self._readers.get(index)
         value = reader(sub) if reader else self.values[self.slots[multiplexer(index, sub)]]
-        return value if isinstance(value, bytes) else _CODECS[entry.data_type].pack(value)
+        if isinstance(value, bytes):
+            return value
+        return (value & (1 << 8 * entry.size) - 1).to_bytes(entry.size, "little")
 
     def check_download(self, index: int, sub: int, length: int | None) -> Entry:
         """What can be refused before the data is here: existence, access, a length. Raises SdoAbortError."""
@@ -180,7 +286,7 @@ class ObjectDictionary:
         if entry.access not in WRITABLE:
             raise SdoAbortError(Abort.READ_ONLY)
         if length is not None:
-            longest = entry.size or entry.high or 0
+            longest = longest_of(entry)
             if length > longest:
                 raise SdoAbortError(Abort.TOO_LONG)
             if entry.size and length < entry.size:
@@ -191,10 +297,10 @@ class ObjectDictionary:
         """Write a value as the network does. Raises SdoAbortError; nothing is stored then."""
         entry = self.check_download(index, sub, len(data))
         slot = self.slots[multiplexer(index, sub)]
-        if entry.data_type is DataType.VISIBLE_STRING:
+        if not entry.size:
             self.values[slot] = data
             return
-        value: int = _CODECS[entry.data_type].unpack(data)[0]
+        value = int.from_bytes(data, "little", signed=entry.data_type in SIGNED_TYPES)
         if entry.high is not None and value > entry.high:
             raise SdoAbortError(Abort.VALUE_TOO_HIGH)
         if entry.low is not None and value < entry.low:
@@ -207,7 +313,20 @@ class ObjectDictionary:
         if effect:
             effect(sub, value)
 
+    def mappable(self, entry: Entry) -> bool:
+        """It may stand in a PDO. Where a file calls nothing mappable, it does not tell; everything is then."""
+        return entry.mappable or not self._mapping_told
+
+    def struct_code(self, entry: Entry) -> str:
+        """How a PDO carries it: what the device writes itself has the sign that the device gives it."""
+        return self._codes.get(entry.multiplexer) or STRUCT_CODES[entry.data_type]
+
     def limits(self, entry: Entry) -> tuple[int, int]:
         """Lowest and highest value that the network may write to a numeric entry."""
-        lowest, highest = _RANGES[entry.data_type]
+        lowest, highest = type_range(entry.data_type)
         return (lowest if entry.low is None else entry.low, highest if entry.high is None else entry.high)
+
+
+def longest_of(entry: Entry) -> int:
+    """The most bytes that a write to this entry may have."""
+    return entry.size or (LONGEST_TEXT if entry.high is None else entry.high)

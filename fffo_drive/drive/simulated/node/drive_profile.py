@@ -27,24 +27,29 @@ from .emcy import (
     Emergency,
 )
 from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
+from .personality import Personality
 from .plant_port import PlantPort, Ratings
+from .scales import Scales
 from .setpoint import Setpoint
 
 ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD = 0x6007, 0x603F, 0x6040, 0x6041
 QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, HALT_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605D, 0x605E
 MODE, MODE_DISPLAY = 0x6060, 0x6061
 MAX_TORQUE, MAX_SPEED, SLOW_DOWN, QUICK_STOP = 0x6072, 0x6080, 0x6084, 0x6085
-CYCLE_PERIOD, INTERPOLATION_PERIOD = 0x1006, 0x60C2
+CYCLE_PERIOD, INTERPOLATION_PERIOD, DIGITAL_INPUTS, SUPPORTED = 0x1006, 0x60C2, 0x60FD, 0x6502
 WRONG_PERIOD = 1  # detail of EMCY 0x8700: SYNC and interpolation period differ
 
 MALFUNCTION, DISABLE_VOLTAGE, STOP_QUICKLY = 1, 2, 3  # 0x6007
-MODES = (MODE_NONE, MODE_TORQUE_PROFILE, MODE_CYCLIC_TORQUE)
 CW_HALT = 0x0100
+MODE_BITS = 32  # of 0x6502: from bit 16 on the vendor's modes -1, -2 ...
 OVERSPEED_FACTOR = 1.2  # of 0x6080
 OVERCURRENT_FACTOR = 1.5  # of the peak
 NO_COMMAND = cia402.CW_ENABLE_VOLTAGE | cia402.CW_QUICK_STOP | cia402.CW_FAULT_RESET
 UNABLE_TO_BRAKE = frozenset({RESOLVER, OVERCURRENT, DC_LINK_OVERVOLTAGE, DC_LINK_UNDERVOLTAGE})
 _POWERED_STATES = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE)
+_RISING = frozenset({cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION})
+_STATES_BELOW_POWER = frozenset({cia402.SWITCH_ON_DISABLED, cia402.READY_TO_SWITCH_ON, cia402.SWITCHED_ON})
+LARGEST_INDEX = 9  # powers of ten of the interpolation period that have a meaning: 1 ns to 1e9 s
 _INT32 = 1 << 31
 
 
@@ -52,12 +57,20 @@ class DriveProfile:
     """The drive. `advance_to` lets its time pass, `update` computes what it does next."""
 
     def __init__(
-        self, bus: Bus, od: ObjectDictionary, emergency: Emergency, plant: PlantPort, ratings: Ratings
+        self,
+        bus: Bus,
+        od: ObjectDictionary,
+        emergency: Emergency,
+        plant: PlantPort,
+        ratings: Ratings,
+        personality: Personality,
     ) -> None:
         self.bus, self.od, self.emergency, self.plant, self.ratings = bus, od, emergency, plant, ratings
-        self.setpoint = Setpoint(od, ratings)
-        self.time_ns = 0  # of the plant
+        self.personality = personality
         self.state = cia402.START
+        self.scales = Scales(od, ratings, personality, lambda: self.powered)
+        self.setpoint = Setpoint(od, self.scales, personality)
+        self.time_ns = 0  # of the plant
         self.stuck = False  # fault injection: the statusword no longer changes
         self.injected: set[int] = set()  # fault conditions that are held present
         self.on_transition: list[Callable[[int], None]] = []
@@ -74,24 +87,59 @@ class DriveProfile:
         self._mode_slot = od.slots[multiplexer(MODE_DISPLAY, 0)]
         self._register_slot = od.slots[multiplexer(0x1001, 0)]
         self._max_speed_slot = od.slots[multiplexer(MAX_SPEED, 0)]
-        self._a_per_permille = ratings.a_per_permille
+        self._follows = personality.command_following == "shown"
+        self._obeys_target = personality.command_following != "refused"
+        self._millivolts = 1000.0 * personality.dc_link_share
+        self._without_power = (
+            personality.sto_active or personality.dc_link_share * plant.dc_link_v < ratings.undervoltage_v
+        )
+        self._steady_bits = cia402.SW_REMOTE if personality.remote else 0
+        self._late_mode: int | None = None  # written, and not in force yet
+        self._highest_rpm = round(ratings.max_speed_rps * S_PER_MIN)
         self._overcurrent_a = OVERCURRENT_FACTOR * ratings.peak_permille * ratings.a_per_permille
         self._feedback_slots = tuple(od.slots[multiplexer(i, 0)] for i in (0x6064, 0x606C, 0x6077, 0x6078, 0x6079))
+        self._scale()
+        self.scales.on_change.append(self._scale)
         self._listen()
         self.restart()
+
+    def _scale(self) -> None:
+        """Take the scales as they are."""
+        scales = self.scales
+        self._a_per_permille = scales.a_per_permille
+        self._current_a_per_permille = scales.current_a_per_permille
+        self._velocity_per_rps = scales.velocity_per_rps
+        self._position = scales.position if scales.converts_position else None
+
+    @property
+    def powered(self) -> bool:
+        """The power stage may work."""
+        return self.state in _POWERED_STATES or self.state == cia402.FAULT_REACTION_ACTIVE
 
     def _listen(self) -> None:
         od = self.od
         od.on_write(CONTROLWORD, lambda sub, value: self.command(value))
         od.on_write(MODE, lambda sub, value: self._select_mode(value))
-        od.guard(MODE, _one_of(*MODES))
+        od.guard(MODE, lambda sub, value: self._check_mode(value))
         od.guard(QUICK_STOP_OPTION, _one_of(0, 1, 2, 3, 5, 6, 7))
         for index in (0x6072, 0x6073, 0x60E0, 0x60E1):
-            od.guard(index, self._check_torque_limit)
+            if not od.foreign:  # others have limits of their own
+                od.guard(index, self._check_torque_limit)
 
     def _check_torque_limit(self, sub: int, value: int) -> None:
-        if value > self.ratings.peak_permille:
+        if value > round(self.scales.peak_permille):
             raise SdoAbortError(Abort.VALUE_TOO_HIGH)
+
+    def _has_mode(self, mode: int) -> bool:
+        """0x6502 has it, or it is the vendor's own. What is no torque mode is shown, and gives no torque."""
+        if mode in (MODE_NONE, self.personality.vendor_mode):
+            return True
+        bit = mode - 1 if mode > 0 else 15 - mode
+        return bit < MODE_BITS and bool(self.od.number(SUPPORTED) >> bit & 1)
+
+    def _check_mode(self, value: int) -> None:
+        if not self._has_mode(_signed(value)):
+            raise SdoAbortError(Abort.INVALID_VALUE)
 
     def restart(self) -> None:
         """Power-on, or reset of the whole node: the machine starts at the beginning, the shaft turns on."""
@@ -101,8 +149,12 @@ class DriveProfile:
         self._current_a = 0.0
         self._fault_code = self._own_error = 0
         self.setpoint.clear()
+        self._late_mode = None
+        self.scales.renew()
         self.od.put(ERROR_CODE, 0, 0)
-        self.od.put(MODE_DISPLAY, 0, self.od.number(MODE))
+        mode = _signed(self.od.number(MODE))
+        self.od.put(MODE_DISPLAY, 0, mode if self._has_mode(mode) else MODE_NONE)
+        self.od.put(DIGITAL_INPUTS, 0, self.personality.sto_active << self.personality.sto_input_bit)
         self._step()
         self.update()
 
@@ -127,19 +179,20 @@ class DriveProfile:
     def _latch(self) -> None:
         plant, values = self.plant, self.od.values
         position, velocity, torque, current, voltage = self._feedback_slots
-        values[position] = (plant.counts + _INT32) % (2 * _INT32) - _INT32
-        speed = round(plant.velocity_rps * self.ratings.velocity_counts_per_rps)
+        counts = plant.counts if self._position is None else self._position(plant.counts)
+        values[position] = (counts + _INT32) % (2 * _INT32) - _INT32
+        speed = round(plant.velocity_rps * self._velocity_per_rps)
         values[velocity] = min(max(speed, -_INT32), _INT32 - 1)
-        permille = min(max(round(plant.current_a / self._a_per_permille), -32768), 32767)
-        values[torque] = permille
-        values[current] = permille  # of the rated current, which makes the rated torque
-        values[voltage] = max(0, round(plant.dc_link_v * 1000.0))
+        current_a = plant.current_a
+        values[torque] = min(max(round(current_a / self._a_per_permille), -32768), 32767)
+        values[current] = min(max(round(current_a / self._current_a_per_permille), -32768), 32767)
+        values[voltage] = max(0, round(plant.dc_link_v * self._millivolts))
 
     def update(self) -> None:
         """Supervise, and compute the current command and the statusword from what is known now."""
         self._supervise()
         self._halt()
-        if self.state == cia402.OPERATION_ENABLED and self._brake is None:
+        if self.state == cia402.OPERATION_ENABLED and self._brake is None and self._obeys_target:
             self._current_a = self.setpoint.current_a(
                 self.od.values[self._mode_slot], self.plant.velocity_rps, self.time_ns - self._updated_ns
             )
@@ -163,7 +216,10 @@ class DriveProfile:
 
     def command(self, word: int) -> None:
         """A controlword was written."""
-        if word == self._settled_word:
+        if word == self._settled_word or not self.personality.remote:
+            return
+        if self._without_power and self.state in _STATES_BELOW_POWER and cia402.command_of(word) in _RISING:
+            self._word = word
             return
         previous, self._word = self._word, word
         if self.state != cia402.OPERATION_ENABLED or not self._defers(word):
@@ -220,6 +276,7 @@ class DriveProfile:
             self.setpoint.clear()
         self._halting = False
         if number == 4:
+            self.settle_mode()
             self._check_period()
         if number == 11:
             self._begin_braking(brake_kind(self.od.number(QUICK_STOP_OPTION)))
@@ -240,15 +297,21 @@ class DriveProfile:
         self._brake = None if kind == COAST else self._new_brake(kind)
 
     def _new_brake(self, kind: int) -> Brake:
-        number, ratings = self.od.number, self.ratings
+        ratings, scales = self.ratings, self.scales
+        limit_permille = min(self.od.number(MAX_TORQUE), scales.peak_permille)
         settings = BrakeSettings(
-            slow_rps2=number(SLOW_DOWN) / ratings.velocity_counts_per_rps,
-            quick_rps2=number(QUICK_STOP) / ratings.velocity_counts_per_rps,
+            slow_rps2=self._ramp_rps2(SLOW_DOWN, ratings.slow_rps2),
+            quick_rps2=self._ramp_rps2(QUICK_STOP, ratings.quick_rps2),
             gain_a_per_rps=ratings.brake_a_per_rps,
-            limit_a=number(MAX_TORQUE) * ratings.a_per_permille,
+            limit_a=limit_permille * scales.a_per_permille,
             standstill_rps=ratings.standstill_rps,
         )
         return Brake(settings, kind, self.plant.velocity_rps)
+
+    def _ramp_rps2(self, index: int, otherwise_rps2: float) -> float:
+        """A ramp in velocity units a second; of the drive itself where no object tells it."""
+        units = self.od.number(index) if self.od.has(index) else 0
+        return units / self.scales.units_per_rps if units > 0 else otherwise_rps2
 
     def _end_braking(self) -> None:
         if self._halting or (self.state == cia402.QUICK_STOP_ACTIVE and self._holds_standstill()):
@@ -302,7 +365,9 @@ class DriveProfile:
             self.trip(DC_LINK_UNDERVOLTAGE)
         elif plant.dc_link_v > ratings.overvoltage_v:
             self.trip(DC_LINK_OVERVOLTAGE)
-        elif abs(plant.velocity_rps) > OVERSPEED_FACTOR * self.od.values[self._max_speed_slot] / S_PER_MIN:
+        elif abs(plant.velocity_rps) > (
+            OVERSPEED_FACTOR * (self.od.values[self._max_speed_slot] or self._highest_rpm) / S_PER_MIN
+        ):
             self.trip(OVERSPEED)
         elif abs(plant.current_a) > self._overcurrent_a:
             self.trip(OVERCURRENT)
@@ -319,7 +384,8 @@ class DriveProfile:
         """A cyclic mode needs an interpolation period that is the SYNC's (0x1006, where it is told)."""
         number = self.od.number
         period_us = number(CYCLE_PERIOD)
-        interpolated_us = number(INTERPOLATION_PERIOD, 1) * 10 ** (6 + number(INTERPOLATION_PERIOD, 2))
+        power = min(max(number(INTERPOLATION_PERIOD, 2), -LARGEST_INDEX), LARGEST_INDEX)
+        interpolated_us = number(INTERPOLATION_PERIOD, 1) * 10 ** (6 + power)
         if self.od.values[self._mode_slot] == MODE_CYCLIC_TORQUE and period_us not in (0, interpolated_us):
             self.emergency.raise_error(SYNC_LOSS, WRONG_PERIOD)
         else:
@@ -327,16 +393,27 @@ class DriveProfile:
 
     # modes and statusword
 
-    def _select_mode(self, mode: int) -> None:
-        if mode in MODES and mode != self.od.values[self._mode_slot]:
+    def _select_mode(self, value: int) -> None:
+        mode = _signed(value)
+        if not self._has_mode(mode):  # by RPDO
+            return
+        self._late_mode = mode
+        follows = self.personality.mode_display
+        if follows == "at_once" or (follows == "when_enabled" and self.state == cia402.OPERATION_ENABLED):
+            self.settle_mode()
+
+    def settle_mode(self) -> None:
+        """The mode that was written last is in force, and 0x6061 shows it."""
+        mode, self._late_mode = self._late_mode, None
+        if mode is not None and mode != self.od.values[self._mode_slot]:
             self.od.values[self._mode_slot] = mode
             self.setpoint.clear()
             if self.state == cia402.OPERATION_ENABLED:
                 self._check_period()
 
     def _statusword(self) -> int:
-        bits = cia402.SW_REMOTE
-        if self.plant.dc_link_v >= self.ratings.undervoltage_v:
+        bits = self._steady_bits
+        if self.plant.dc_link_v >= self.ratings.undervoltage_v and not self._without_power:
             bits |= cia402.SW_VOLTAGE_ENABLED
         if self.od.values[self._register_slot] and self.state not in (cia402.FAULT, cia402.FAULT_REACTION_ACTIVE):
             bits |= cia402.SW_WARNING
@@ -345,7 +422,7 @@ class DriveProfile:
             limited = self.setpoint.limited or self.plant.limited
             if limited:
                 bits |= cia402.SW_INTERNAL_LIMIT
-            if mode == MODE_CYCLIC_TORQUE and self._brake is None and not limited:
+            if mode == MODE_CYCLIC_TORQUE and self._brake is None and not limited and self._follows:
                 bits |= cia402.SW_FOLLOWS_COMMAND
             if mode == MODE_TORQUE_PROFILE and self._reached:
                 bits |= cia402.SW_TARGET_REACHED
@@ -357,6 +434,11 @@ class DriveProfile:
         if self._brake is not None:
             return self._halting and self._brake.stopped
         return self.setpoint.reached
+
+
+def _signed(mode: int) -> int:
+    """A mode of operation, also where a file has 0x6060 without a sign."""
+    return (mode & 0xFF ^ 0x80) - 0x80
 
 
 def _one_of(*allowed: int) -> Callable[[int, int], None]:

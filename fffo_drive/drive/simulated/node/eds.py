@@ -1,13 +1,16 @@
-"""The electronic data sheet (CiA 306) of a simulated drive, made from its object dictionary."""
+"""The electronic data sheet (CiA 306) of a simulated drive, made from its object dictionary; or of the one it wears."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Iterator
 
 from .config import NodeConfig, device_defaults
-from .dictionary import STRUCT_CODES, DataType, Entry, ObjectDictionary, ObjectKind
-from .objects import ENTRIES, OBJECT_NAMES, PDO_COUNT
+from .core import pdo_numbers
+from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, ObjectDictionary, ObjectKind, Value
+from .objects import OBJECT_NAMES
 from .pdo_parameters import DUMMIES
+from .worn import dictionary_of
 
 MANDATORY = (0x1000, 0x1001, 0x1018)
 BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
@@ -18,20 +21,22 @@ _CREATED = "01-01-2026"  # a date of the format, not of the run: the same device
 def eds_text(config: NodeConfig, file_name: str = "simulated_drive.eds") -> str:
     """The EDS of the drive that `config` describes, line by line as CiA 306 wants it; for any node-ID.
 
-    What the drive measures (access ro) has no default.
+    What the drive measures has no default. Of another drive that the node wears it has what that drive's file has:
+    where that is a DCF, its values too.
     """
-    od = ObjectDictionary(ENTRIES, config.node_id, device_defaults(config))
+    od = dictionary_of(config, config.node_id, device_defaults(config))
     indices = sorted({entry.index for entry in od.entries})
+    mandatory = [index for index in MANDATORY if index in od]
     optional = [i for i in indices if i not in MANDATORY and not 0x2000 <= i < 0x6000]
     manufacturer = [i for i in indices if 0x2000 <= i < 0x6000]
     lines = [
         *_file_info(config, file_name),
-        *_device_info(config),
+        *_device_info(config, od),
         *_section("DummyUsage", [(f"Dummy{t:04d}", int(t in DUMMIES)) for t in DUMMY_TYPES]),
-        *_section("Comments", [("Lines", 1), ("Line1", "Generated from the simulated drive's own table.")]),
+        *_section("Comments", [("Lines", 1), ("Line1", _origin(config))]),
     ]
     for title, chosen in (
-        ("MandatoryObjects", MANDATORY),
+        ("MandatoryObjects", mandatory),
         ("OptionalObjects", optional),
         ("ManufacturerObjects", manufacturer),
     ):
@@ -39,6 +44,17 @@ def eds_text(config: NodeConfig, file_name: str = "simulated_drive.eds") -> str:
         for index in chosen:
             lines += _object(od, index)
     return "\n".join(lines)
+
+
+def _origin(config: NodeConfig) -> str:
+    if config.dictionary is None:
+        return "Generated from the simulated drive's own table."
+    return f"Objects of {_name(config)}, as the simulated drive wears them."
+
+
+def _name(config: NodeConfig) -> str:
+    name = config.identity.device_name if config.dictionary is None else config.dictionary.drive
+    return name.encode("ascii", "replace").decode()
 
 
 def _section(title: str, pairs: Iterable[tuple[str, object]]) -> Iterator[str]:
@@ -54,7 +70,7 @@ def _file_info(config: NodeConfig, file_name: str) -> Iterator[str]:
         ("FileVersion", 1),
         ("FileRevision", 0),
         ("EDSVersion", "4.0"),
-        ("Description", config.identity.device_name),
+        ("Description", _name(config)),
         ("CreationTime", "12:00AM"),
         ("CreationDate", _CREATED),
         ("CreatedBy", "fffo-drive"),
@@ -65,14 +81,14 @@ def _file_info(config: NodeConfig, file_name: str) -> Iterator[str]:
     return _section("FileInfo", pairs)
 
 
-def _device_info(config: NodeConfig) -> Iterator[str]:
-    identity = config.identity
+def _device_info(config: NodeConfig, od: ObjectDictionary) -> Iterator[str]:
+    vendor, product, revision = (od.number(0x1018, sub) for sub in (1, 2, 3))
     pairs: list[tuple[str, object]] = [
-        ("VendorName", "fffo-drive"),
-        ("VendorNumber", f"0x{identity.vendor_id:08X}"),
-        ("ProductName", identity.device_name),
-        ("ProductNumber", f"0x{identity.product_code:08X}"),
-        ("RevisionNumber", f"0x{identity.revision:08X}"),
+        ("VendorName", "fffo-drive" if config.dictionary is None else ""),
+        ("VendorNumber", f"0x{vendor:08X}"),
+        ("ProductName", _name(config)),
+        ("ProductNumber", f"0x{product:08X}"),
+        ("RevisionNumber", f"0x{revision:08X}"),
         ("OrderCode", "simulated"),
         *((f"BaudRate_{rate}", 1) for rate in BIT_RATES),
         ("SimpleBootUpMaster", 0),
@@ -80,8 +96,8 @@ def _device_info(config: NodeConfig) -> Iterator[str]:
         ("Granularity", 8),
         ("DynamicChannelsSupported", 0),
         ("GroupMessaging", 0),
-        ("NrOfRXPDO", PDO_COUNT),
-        ("NrOfTXPDO", PDO_COUNT),
+        ("NrOfRXPDO", len(pdo_numbers(od, 0x1400))),
+        ("NrOfTXPDO", len(pdo_numbers(od, 0x1800))),
         ("LSS_Supported", 1),
     ]
     return _section("DeviceInfo", pairs)
@@ -94,37 +110,45 @@ def _object_list(title: str, indices: Iterable[int]) -> Iterator[str]:
 
 def _object(od: ObjectDictionary, index: int) -> Iterator[str]:
     entries = [entry for entry in od.entries if entry.index == index]
-    if index not in OBJECT_NAMES:
-        yield from _section(f"{index:04X}", _description(entries[0]))
+    if all(entry.sub == 0 for entry in entries):
+        yield from _section(f"{index:04X}", _description(od, entries[0]))
         return
-    kind, name = OBJECT_NAMES[index]
+    kind, name = OBJECT_NAMES.get(index, (ObjectKind.RECORD, f"Object {index:04X}"))
     head = [("ParameterName", name), ("ObjectType", f"0x{kind:X}"), ("SubNumber", len(entries))]
     yield from _section(f"{index:04X}", head)
     for entry in entries:
-        yield from _section(f"{index:04X}sub{entry.sub:X}", _description(entry))
+        yield from _section(f"{index:04X}sub{entry.sub:X}", _description(od, entry))
 
 
-def _description(entry: Entry) -> Iterator[tuple[str, object]]:
+def _description(od: ObjectDictionary, entry: Entry) -> Iterator[tuple[str, object]]:
     yield "ParameterName", entry.name
     yield "ObjectType", f"0x{ObjectKind.VARIABLE:X}"
     yield "DataType", f"0x{entry.data_type:04X}"
     yield "AccessType", entry.access
-    if entry.access != "ro":
-        yield "DefaultValue", _default(entry)
-    if entry.data_type in STRUCT_CODES:
+    default = entry.default
+    if default is None and entry.access != "ro" and not od.foreign:
+        default = od.power_on_value(entry)  # what the device itself has; another drive's file does not tell it
+    if default is not None:
+        yield "DefaultValue", _value(entry, default, entry.relative)
+    if entry.value is not None:
+        yield "ParameterValue", _value(entry, entry.value, entry.value_relative)
+    if entry.size:
         for name, limit in (("LowLimit", entry.low), ("HighLimit", entry.high)):
             if limit is not None:
                 yield name, _number(entry, limit)
     yield "PDOMapping", int(entry.mappable)
 
 
-def _default(entry: Entry) -> str:
-    if isinstance(entry.default, bytes):
-        return entry.default.decode("ascii")
-    number = _number(entry, entry.default)
-    return f"$NODEID+{number}" if entry.relative else number
+def _value(entry: Entry, value: Value, relative: bool) -> str:
+    if isinstance(value, bytes):
+        text = entry.data_type in TEXT_TYPES
+        return value.decode("ascii", "replace").replace("\ufffd", "?") if text else value.hex()
+    if entry.data_type in REAL_TYPES:
+        layout = "<f" if entry.data_type is DataType.REAL32 else "<d"
+        return repr(struct.unpack(layout, value.to_bytes(entry.size, "little"))[0])
+    number = _number(entry, value)
+    return f"$NODEID+{number}" if relative else number
 
 
 def _number(entry: Entry, value: int) -> str:
-    signed = entry.data_type in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
-    return str(value) if signed else f"0x{value:0{entry.size * 2}X}"
+    return str(value) if entry.data_type in SIGNED_TYPES else f"0x{value:0{entry.size * 2}X}"

@@ -15,7 +15,7 @@ from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_100_US, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
-from .objects import HISTORY_LENGTH, PDO_INVALID
+from .objects import PDO_INVALID
 
 ERROR_REGISTER = 0x1001
 HISTORY = 0x1003
@@ -57,14 +57,14 @@ def register_bit(code: int) -> int:
 
 
 class Emergency(Timed):
-    """Errors of the device. Bounded: the history holds 8, the queue to the bus 16; the oldest go."""
+    """Errors of the device. Bounded: the history by the places of 0x1003, the queue to the bus by 16; the oldest go."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
         super().__init__(bus)
         self.od, self.nmt = od, nmt
         self._active: dict[tuple[int, int], None] = {}
         self._queue: deque[bytes] = deque(maxlen=QUEUE_LENGTH)
-        self._history: deque[int] = deque(maxlen=HISTORY_LENGTH)
+        self._history: deque[int] = deque(maxlen=len(od.subs(HISTORY)))
         self._allowed_ns = 0  # inhibit time: no message before
         od.guard(HISTORY, self._check_history)
         od.on_write(HISTORY, lambda sub, value: self._history.clear())
@@ -122,7 +122,7 @@ class Emergency(Timed):
         """Send what may be sent now; the rest after the inhibit time."""
         self.deadline_ns = NEVER
         cob_id = self.od.number(COB_ID_EMCY)
-        if cob_id & PDO_INVALID:
+        if cob_id & PDO_INVALID or is_restricted(cob_id & STANDARD_MASK):
             self._queue.clear()
         if not self.nmt.communicates:
             return
@@ -137,6 +137,9 @@ class Emergency(Timed):
         if sub == 0:
             return len(self._history)
         if sub > len(self._history):
+            told = self.od.find(HISTORY, sub).default
+            if isinstance(told, int):  # some drives have an empty field, others none
+                return told
             raise SdoAbortError(Abort.NO_DATA)
         return self._history[sub - 1]
 

@@ -150,9 +150,10 @@ class FaultInjector(Timed):
         self._storm_count = 0
         self.dark = False  # off the bus
         self.quiet = True  # frames pass unhindered
-        od.guard(INJECTION, self._check)
-        od.on_write(INJECTION, self._on_write)
-        od.on_read(INJECTION, self._read)
+        self._injection = od.place(INJECTION)
+        od.guard(self._injection, self._check)
+        od.on_write(self._injection, self._on_write)
+        od.on_read(self._injection, self._read)
 
     def start(self) -> None:
         """The node's life begins now: `at_s` counts from here."""
@@ -254,7 +255,7 @@ class FaultInjector(Timed):
     def _check(self, sub: int, value: int) -> None:
         if sub == 1 and value and value not in FaultKind._value2member_map_:
             raise SdoAbortError(Abort.INVALID_VALUE)
-        if sub == 6 and value == TRIGGER_INJECT and not self.od.number(INJECTION, 1):
+        if sub == 6 and value == TRIGGER_INJECT and not self.od.number(self._injection, 1):
             raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _on_write(self, sub: int, value: int) -> None:
@@ -264,18 +265,18 @@ class FaultInjector(Timed):
             self.clear()
         elif value == TRIGGER_INJECT:
             number = self.od.number
-            amount = number(INJECTION, 4)
+            amount = number(self._injection, 4)
             fault = Fault(
-                kind=FaultKind(number(INJECTION, 1)),
-                duration_s=number(INJECTION, 5) * NS_PER_MS / NS_PER_S,
-                can_id=number(INJECTION, 2),
-                probability=number(INJECTION, 3) / 1000.0,
+                kind=FaultKind(number(self._injection, 1)),
+                duration_s=number(self._injection, 5) * NS_PER_MS / NS_PER_S,
+                can_id=number(self._injection, 2),
+                probability=number(self._injection, 3) / 1000.0,
                 delay_s=min(max(0, amount), LONGEST_DELAY_US) / 1e6,
-                jitter_s=min(number(INJECTION, 8), LONGEST_DELAY_US) / 1e6,
+                jitter_s=min(number(self._injection, 8), LONGEST_DELAY_US) / 1e6,
                 jump_rev=amount / 1000.0,
                 rate_hz=min(max(float(amount), 0.1), 10_000.0),
             )
             self._plan(self.bus.now_ns, True, fault)  # after the answer: whoever injects a silence hears of it
 
     def _read(self, sub: int) -> int:
-        return len(self._active) if sub == 7 else self.od.number(INJECTION, sub)
+        return len(self._active) if sub == 7 else self.od.number(self._injection, sub)

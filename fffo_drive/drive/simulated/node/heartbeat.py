@@ -13,7 +13,6 @@ from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed, identifier
 from .dictionary import ObjectDictionary
 from .nmt import UNCONFIGURED, NmtSlave
-from .objects import MONITORED_NODES
 
 PRODUCER_TIME = 0x1017
 CONSUMER_TIME = 0x1016
@@ -44,9 +43,10 @@ class HeartbeatProducer(Timed):
 
 
 class HeartbeatConsumer(Timed):
-    """Supervises up to four nodes. `on_loss(node_id)` and `on_recovery(node_id)` tell of heartbeat events.
+    """Supervises as many nodes as 0x1016 has places.
 
-    `on_change()` follows a change of `node_ids`.
+    `on_loss(node_id)` and `on_recovery(node_id)` tell of heartbeat events. `on_change()` follows a change of
+    `node_ids`.
     """
 
     def __init__(
@@ -63,6 +63,7 @@ class HeartbeatConsumer(Timed):
         self._period_ns: dict[int, int] = {}  # configured
         self._due_ns: dict[int, int] = {}  # supervised: heard since configured
         self._lost: set[int] = set()
+        self._subs = od.subs(CONSUMER_TIME)
         od.guard(CONSUMER_TIME, self._check)
         od.on_write(CONSUMER_TIME, lambda sub, value: self._configure())
 
@@ -84,14 +85,14 @@ class HeartbeatConsumer(Timed):
             raise SdoAbortError(Abort.INVALID_VALUE)
         if not node_id or not milliseconds:
             return
-        for other in range(1, MONITORED_NODES + 1):
+        for other in self._subs:
             existing = self.od.number(CONSUMER_TIME, other)
             if other != sub and existing & 0xFFFF and existing >> 16 == node_id:
                 raise SdoAbortError(Abort.INCOMPATIBLE)
 
     def _configure(self) -> None:
         wanted: dict[int, int] = {}
-        for sub in range(1, MONITORED_NODES + 1):
+        for sub in self._subs:
             value = self.od.number(CONSUMER_TIME, sub)
             if value >> 16 and value & 0xFFFF:
                 wanted[value >> 16] = (value & 0xFFFF) * NS_PER_MS

@@ -44,7 +44,8 @@ _TARGETS = {
 class NmtSlave:
     """The state machine. `on_change(old, new)` follows each change, `on_reset(whole_node)` initialises.
 
-    A reset leads through INITIALISING to PRE-OPERATIONAL, announced by the boot-up message. `on_reset` may change the
+    A reset leads through INITIALISING to PRE-OPERATIONAL, announced by the boot-up message, and on to OPERATIONAL in a
+    node that starts itself. `on_reset` may change the
     node-ID.
     """
 
@@ -54,6 +55,7 @@ class NmtSlave:
         node_id: int,
         on_change: Callable[[NmtState, NmtState], None],
         on_reset: Callable[[bool], None],
+        starts_itself: Callable[[], bool] = lambda: False,
     ) -> None:
         self.bus = bus
         self.node_id = node_id
@@ -62,6 +64,7 @@ class NmtSlave:
         self.exchanges = False  # PDOs exist: OPERATIONAL
         self._on_change = on_change
         self._on_reset = on_reset
+        self._starts_itself = starts_itself
 
     def receive(self, frame: bytes) -> None:
         """An NMT command; one for another node, of a wrong length or unknown is ignored."""
@@ -81,6 +84,8 @@ class NmtSlave:
             return
         self.bus.send(HEARTBEAT + self.node_id, b"\x00")
         self.enter(NmtState.PRE_OPERATIONAL)
+        if self._starts_itself():
+            self.enter(NmtState.OPERATIONAL)
 
     def enter(self, state: NmtState) -> None:
         """Change the state (also from within: 0x1029)."""

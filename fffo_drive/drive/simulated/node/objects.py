@@ -1,10 +1,13 @@
 """Every object of the simulated drive, as one table: CiA 301 communication, manufacturer, CiA 402 profile.
 
-The store, the SDO server's checks, the PDO mapping rules and the EDS are all made from `ENTRIES`. What
-depends on the configured drive (ratings, counts, identity) is overridden per device in `config.py`.
+The store, the SDO server's checks, the PDO mapping rules and the EDS are all made from `ENTRIES`, or from the entries
+of another drive that the node wears (`worn.py`). What depends on the configured drive (ratings, counts, identity) has
+no default here: `config.py` has it.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from .dictionary import DataType, Entry, ObjectKind
 
@@ -18,6 +21,8 @@ HISTORY_LENGTH = 8
 MONITORED_NODES = 4
 STORAGE_GROUPS = 4
 
+OWN_OBJECTS = range(0x2000, 0x2200)  # of this program alone
+
 PDO_INVALID = 0x80000000  # bit 31 of a PDO or EMCY COB-ID
 PDO_NO_RTR = 0x40000000  # bit 30 of a PDO COB-ID
 
@@ -27,6 +32,9 @@ MODE_TORQUE_PROFILE = 4
 MODE_CYCLIC_TORQUE = 10
 SUPPORTED_MODES = 1 << (MODE_TORQUE_PROFILE - 1) | 1 << (MODE_CYCLIC_TORQUE - 1)
 DEVICE_TYPE = 0x00020192  # servo drive, device profile 402
+WAITS_FOR_MASTER = 1 << 2  # of 0x1F80 (CiA 302-2): clear in a node that starts itself
+INCREMENTS = 0x00B50000  # notation of CiA 303-2
+INCREMENTS_PER_S = 0x00B50300
 
 
 def _numbered(index: int, count: int, name: str, data_type: DataType, access: str, default: int) -> list[Entry]:
@@ -93,9 +101,9 @@ _COMMUNICATION = [
     Entry(0x1005, 0, "COB-ID SYNC message", U32, "rw", 0x80),
     Entry(0x1006, 0, "Communication cycle period", U32, "rw"),
     Entry(0x1007, 0, "Synchronous window length", U32, "rw"),
-    Entry(0x1008, 0, "Manufacturer device name", TEXT, "const", b"fffo-drive simulated servo drive"),
-    Entry(0x1009, 0, "Manufacturer hardware version", TEXT, "const", b"simulated"),
-    Entry(0x100A, 0, "Manufacturer software version", TEXT, "const", b"0"),
+    Entry(0x1008, 0, "Manufacturer device name", TEXT, "const", None),
+    Entry(0x1009, 0, "Manufacturer hardware version", TEXT, "const", None),
+    Entry(0x100A, 0, "Manufacturer software version", TEXT, "const", None),
     Entry(0x100C, 0, "Guard time", U16, "rw"),
     Entry(0x100D, 0, "Life time factor", U8, "rw"),
     *_numbered(0x1010, STORAGE_GROUPS, "Store parameters of group", U32, "rw", 1),
@@ -105,10 +113,10 @@ _COMMUNICATION = [
     *_numbered(0x1016, MONITORED_NODES, "Consumer heartbeat time", U32, "rw", 0),
     Entry(0x1017, 0, "Producer heartbeat time", U16, "rw"),
     Entry(0x1018, 0, "Highest sub-index supported", U8, "const", 4),
-    Entry(0x1018, 1, "Vendor-ID", U32, "const"),
-    Entry(0x1018, 2, "Product code", U32, "const"),
-    Entry(0x1018, 3, "Revision number", U32, "const"),
-    Entry(0x1018, 4, "Serial number", U32, "const"),
+    Entry(0x1018, 1, "Vendor-ID", U32, "const", None),
+    Entry(0x1018, 2, "Product code", U32, "const", None),
+    Entry(0x1018, 3, "Revision number", U32, "const", None),
+    Entry(0x1018, 4, "Serial number", U32, "const", None),
     Entry(0x1019, 0, "Synchronous counter overflow value", U8, "rw", 0, 0, 240),
     Entry(0x1029, 0, "Highest sub-index supported", U8, "const", 1),
     Entry(0x1029, 1, "Communication error", U8, "rw", 0, 0, 2),
@@ -117,11 +125,12 @@ _COMMUNICATION = [
     Entry(0x1200, 2, "COB-ID server to client", U32, "const", 0x580, relative=True),
     *(row for number in range(PDO_COUNT) for row in _rpdo(number)),
     *(row for number in range(PDO_COUNT) for row in _tpdo(number)),
+    Entry(0x1F80, 0, "NMT startup", U32, "rw", WAITS_FOR_MASTER),
 ]
 
 _MANUFACTURER = [
     Entry(0x2000, 0, "User text", TEXT, "rw", b"", high=64),
-    Entry(0x2010, 0, "Tolerated loss of SYNC", U16, "rw", 50),
+    Entry(0x2010, 0, "Tolerated loss of SYNC", U16, "rw", None),
     Entry(0x2020, 0, "Highest sub-index supported", U8, "const", 6),
     Entry(0x2020, 1, "SYNC messages received", U32, "ro"),
     Entry(0x2020, 2, "SYNC messages missed", U32, "ro"),
@@ -145,46 +154,85 @@ _DRIVE = [
     Entry(0x603F, 0, "Error code", U16, "ro", mappable=True),
     Entry(0x6040, 0, "Controlword", U16, "rww", mappable=True),
     Entry(0x6041, 0, "Statusword", U16, "ro", mappable=True),
-    Entry(0x605A, 0, "Quick stop option code", I16, "rw", 2, 0, 7),
+    Entry(0x605A, 0, "Quick stop option code", I16, "rw", None, 0, 7),
     Entry(0x605B, 0, "Shutdown option code", I16, "rw", 0, 0, 1),
     Entry(0x605C, 0, "Disable operation option code", I16, "rw", 1, 0, 1),
     Entry(0x605D, 0, "Halt option code", I16, "rw", 1, 1, 3),
-    Entry(0x605E, 0, "Fault reaction option code", I16, "rw", 2, 0, 3),
+    Entry(0x605E, 0, "Fault reaction option code", I16, "rw", None, 0, 3),
     Entry(0x6060, 0, "Modes of operation", I8, "rww", mappable=True),
     Entry(0x6061, 0, "Modes of operation display", I8, "ro", mappable=True),
     Entry(0x6064, 0, "Position actual value", I32, "ro", mappable=True),
     Entry(0x606C, 0, "Velocity actual value", I32, "ro", mappable=True),
     Entry(0x6071, 0, "Target torque", I16, "rww", mappable=True),
-    Entry(0x6072, 0, "Max torque", U16, "rww", 1000, mappable=True),
-    Entry(0x6073, 0, "Max current", U16, "rw", 1000),
+    Entry(0x6072, 0, "Max torque", U16, "rww", None, mappable=True),
+    Entry(0x6073, 0, "Max current", U16, "rw", None),
     Entry(0x6074, 0, "Torque demand", I16, "ro", mappable=True),
-    Entry(0x6075, 0, "Motor rated current", U32, "const"),
-    Entry(0x6076, 0, "Motor rated torque", U32, "const"),
+    Entry(0x6075, 0, "Motor rated current", U32, "rw", None),
+    Entry(0x6076, 0, "Motor rated torque", U32, "rw", None),
     Entry(0x6077, 0, "Torque actual value", I16, "ro", mappable=True),
     Entry(0x6078, 0, "Current actual value", I16, "ro", mappable=True),
     Entry(0x6079, 0, "DC link circuit voltage", U32, "ro", mappable=True),
-    Entry(0x6080, 0, "Max motor speed", U32, "rww", mappable=True),
-    Entry(0x6084, 0, "Profile deceleration", U32, "rww", low=1, mappable=True),
-    Entry(0x6085, 0, "Quick stop deceleration", U32, "rww", low=1, mappable=True),
+    Entry(0x607E, 0, "Polarity", U8, "rw"),
+    Entry(0x6080, 0, "Max motor speed", U32, "rww", None, mappable=True),
+    Entry(0x6084, 0, "Profile deceleration", U32, "rww", None, low=1, mappable=True),
+    Entry(0x6085, 0, "Quick stop deceleration", U32, "rww", None, low=1, mappable=True),
     Entry(0x6087, 0, "Torque slope", U32, "rww", 1_000_000, low=1, mappable=True),
     Entry(0x608F, 0, "Highest sub-index supported", U8, "const", 2),
-    Entry(0x608F, 1, "Encoder increments", U32, "const"),
-    Entry(0x608F, 2, "Motor revolutions", U32, "const", 1),
+    Entry(0x608F, 1, "Encoder increments", U32, "rw", None, low=1),
+    Entry(0x608F, 2, "Motor revolutions", U32, "rw", 1, low=1),
     Entry(0x6090, 0, "Highest sub-index supported", U8, "const", 2),
-    Entry(0x6090, 1, "Encoder increments per second", U32, "const"),
+    Entry(0x6090, 1, "Encoder increments per second", U32, "const", None),
     Entry(0x6090, 2, "Motor revolutions per second", U32, "const", 1),
+    Entry(0x6091, 0, "Highest sub-index supported", U8, "const", 2),
+    Entry(0x6091, 1, "Motor revolutions", U32, "rw", 1, low=1),
+    Entry(0x6091, 2, "Shaft revolutions", U32, "rw", 1, low=1),
+    Entry(0x6092, 0, "Highest sub-index supported", U8, "const", 2),
+    Entry(0x6092, 1, "Feed", U32, "rw", None, low=1),
+    Entry(0x6092, 2, "Shaft revolutions", U32, "rw", 1, low=1),
+    Entry(0x60A8, 0, "SI unit position", U32, "rw", INCREMENTS),
+    Entry(0x60A9, 0, "SI unit velocity", U32, "rw", INCREMENTS_PER_S),
     Entry(0x60B2, 0, "Torque offset", I16, "rww", mappable=True),
     Entry(0x60C2, 0, "Highest sub-index supported", U8, "const", 2),
     Entry(0x60C2, 1, "Interpolation time period value", U8, "rw", 1, low=1),
     Entry(0x60C2, 2, "Interpolation time index", I8, "rw", -3, -6, 0),
-    Entry(0x60E0, 0, "Positive torque limit value", U16, "rww", 1000, mappable=True),
-    Entry(0x60E1, 0, "Negative torque limit value", U16, "rww", 1000, mappable=True),
+    Entry(0x60E0, 0, "Positive torque limit value", U16, "rww", None, mappable=True),
+    Entry(0x60E1, 0, "Negative torque limit value", U16, "rww", None, mappable=True),
+    Entry(0x60FD, 0, "Digital inputs", U32, "ro", mappable=True),
+    Entry(0x60FE, 0, "Highest sub-index supported", U8, "const", 2),
+    Entry(0x60FE, 1, "Physical outputs", U32, "rww", mappable=True),
+    Entry(0x60FE, 2, "Bit mask", U32, "rw"),
     Entry(0x6402, 0, "Motor type", U16, "const", 10),
     Entry(0x6502, 0, "Supported drive modes", U32, "const", SUPPORTED_MODES),
     Entry(0x67FF, 0, "Single device type", U32, "const", DEVICE_TYPE),
 ]
 
-ENTRIES: tuple[Entry, ...] = (*_COMMUNICATION, *_MANUFACTURER, *_DRIVE)
+ENTRIES: tuple[Entry, ...] = tuple(
+    replace(entry, default=None) if entry.access == "ro" else entry  # measured
+    for entry in (*_COMMUNICATION, *_MANUFACTURER, *_DRIVE)
+)
+
+# What a drive does that does not have the object, where it is not what ours does by default
+_WITHOUT = {
+    (0x1014, 0): PDO_INVALID,  # no emergency messages
+    (0x6007, 0): 0,  # no action when the connection is lost
+    (0x6075, 0): 0,
+    (0x6076, 0): 0,
+    (0x6087, 0): 0xFFFFFFFF,  # as fast as it can
+    (0x608F, 1): 0,
+    (0x608F, 2): 0,
+    (0x6090, 1): 0,
+    (0x6090, 2): 0,
+    (0x6092, 1): 0,
+    (0x6092, 2): 0,
+    (0x60A8, 0): 0,
+    (0x60A9, 0): 0,
+}
+PDO_OBJECTS = range(0x1400, 0x1C00)
+ABSENT: tuple[Entry, ...] = tuple(
+    replace(entry, default=_WITHOUT.get((entry.index, entry.sub), entry.default))
+    for entry in ENTRIES
+    if entry.index not in PDO_OBJECTS and entry.index not in (0x1003, 0x1010, 0x1011, 0x1016)
+)
 
 # Objects with more than one sub-index; every other is a variable.
 OBJECT_NAMES: dict[int, tuple[ObjectKind, str]] = {
@@ -203,5 +251,8 @@ OBJECT_NAMES: dict[int, tuple[ObjectKind, str]] = {
     0x2100: (ObjectKind.RECORD, "Fault injection"),
     0x608F: (ObjectKind.RECORD, "Position encoder resolution"),
     0x6090: (ObjectKind.RECORD, "Velocity encoder resolution"),
+    0x6091: (ObjectKind.RECORD, "Gear ratio"),
+    0x6092: (ObjectKind.RECORD, "Feed constant"),
+    0x60FE: (ObjectKind.RECORD, "Digital outputs"),
     0x60C2: (ObjectKind.RECORD, "Interpolation time period"),
 }

@@ -17,12 +17,12 @@ from .dictionary import (
     MAPPABLE_IN_RPDO,
     MAPPABLE_IN_TPDO,
     STRUCT_CODES,
+    DataType,
     Entry,
     ObjectDictionary,
-    multiplexer,
 )
-from .emcy import check_can_id
-from .objects import MAPPED_OBJECTS, PDO_INVALID, PDO_NO_RTR
+from .emcy import check_can_id, is_restricted
+from .objects import PDO_INVALID, PDO_NO_RTR
 
 COB_ID, TYPE, INHIBIT_TIME, EVENT_TIMER, SYNC_START = 1, 2, 3, 5, 6
 HIGHEST_SYNC_TYPE = 240
@@ -30,7 +30,7 @@ EVENT_TYPES = (254, 255)
 PDO_BITS = 64
 
 # Dummy entries (CiA 301, 7.4.7.3) fill gaps in an RPDO: a data type in place of an object
-DUMMIES = {data_type.value: struct.calcsize(code) * 8 for data_type, code in STRUCT_CODES.items()}
+DUMMIES = {data_type: 8 * struct.calcsize(STRUCT_CODES[DataType(data_type)]) for data_type in range(0x02, 0x08)}
 
 
 class Mapping(NamedTuple):
@@ -52,50 +52,70 @@ EMPTY = Mapping(struct.Struct("<"), (), ())
 class PdoParameters:
     """The parameters of one PDO, guarded; `on_change()` is called when any of them was written."""
 
-    def __init__(self, od: ObjectDictionary, number: int, receives: bool, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        od: ObjectDictionary,
+        number: int,
+        receives: bool,
+        on_change: Callable[[], None],
+        rtr_required: bool = False,
+    ) -> None:
+        """`rtr_required`: bit 30 of a TPDO's COB-ID must be 1, as a device may ask that answers no remote frames."""
         self.od = od
         self.receives = receives
+        self._rtr_required = rtr_required
         self.communication = (0x1400 if receives else 0x1800) + number
         self.mapping_index = self.communication + 0x200
         od.guard(self.communication, self._check_communication)
         od.guard(self.mapping_index, self._check_mapping)
         od.on_write(self.communication, lambda sub, value: on_change())
         od.on_write(self.mapping_index, lambda sub, value: on_change())
+        self._places = len(od.subs(self.mapping_index))
 
     @property
     def valid(self) -> bool:
         """The PDO exists: bit 31 of its COB-ID is clear."""
-        return not self.od.number(self.communication, COB_ID) & PDO_INVALID
+        return not self._cob_id & PDO_INVALID and not is_restricted(self.can_id)
+
+    @property
+    def _cob_id(self) -> int:
+        return self.od.number_or(self.communication, COB_ID, PDO_INVALID)
 
     @property
     def can_id(self) -> int:
         """The 11-bit identifier."""
-        return self.od.number(self.communication, COB_ID) & STANDARD_MASK
+        return self._cob_id & STANDARD_MASK
 
     @property
     def transmission_type(self) -> int:
         """0 to 240 with SYNC, 254 and 255 on events."""
-        return self.od.number(self.communication, TYPE)
+        return self.od.number_or(self.communication, TYPE, EVENT_TYPES[1])
 
     @property
     def inhibit_ns(self) -> int:
         """Shortest time between two transmissions."""
-        return self.od.number(self.communication, INHIBIT_TIME) * NS_PER_100_US
+        return self.od.number_or(self.communication, INHIBIT_TIME, 0) * NS_PER_100_US
 
     @property
     def event_timer_ns(self) -> int:
         """TPDO: longest time between two transmissions. RPDO: deadline of reception. 0: none."""
-        return self.od.number(self.communication, EVENT_TIMER) * NS_PER_MS
+        return self.od.number_or(self.communication, EVENT_TIMER, 0) * NS_PER_MS
 
     @property
     def sync_start(self) -> int:
         """SYNC counter value with which a TPDO's count begins; 0: any."""
-        return self.od.number(self.communication, SYNC_START)
+        return self.od.number_or(self.communication, SYNC_START, 0)
 
     def mapping(self) -> Mapping:
-        """The mapping in force; empty while sub 0 is 0."""
-        count = self.od.number(self.mapping_index, 0)
-        return self._parse(count) if count else EMPTY
+        """The mapping in force; empty while sub 0 is 0.
+
+        A default that names what the drive's file does not describe is a gap: zeros, or data that nothing takes.
+        """
+        count = min(self.od.number_or(self.mapping_index, 0, 0), self._places)
+        try:
+            return self._parse(count, strict=False) if count else EMPTY
+        except SdoAbortError:  # a default that is no mapping
+            return EMPTY
 
     def _check_communication(self, sub: int, value: int) -> None:
         if sub == COB_ID:
@@ -106,8 +126,8 @@ class PdoParameters:
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
 
     def _check_cob_id(self, value: int) -> None:
-        check_can_id(value & ~(PDO_INVALID | PDO_NO_RTR))
-        if not self.receives and not value & PDO_NO_RTR:
+        check_can_id(value & ~(PDO_INVALID | (0 if self.receives else PDO_NO_RTR)))  # reserved in an RPDO
+        if not self.receives and self._rtr_required and not value & PDO_NO_RTR:
             raise SdoAbortError(Abort.INVALID_VALUE)  # answering remote frames is not supported
         stays_valid = self.valid and not value & PDO_INVALID
         if stays_valid and value & STANDARD_MASK != self.can_id:
@@ -117,32 +137,39 @@ class PdoParameters:
         if self.valid:
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
         if sub == 0:
-            if value > MAPPED_OBJECTS:
+            if value > self._places:
                 raise SdoAbortError(Abort.PDO_TOO_LONG)
             if value:
-                self._parse(value)
+                self._parse(value, strict=True)
             return
-        if self.od.number(self.mapping_index, 0):
+        if self.od.number_or(self.mapping_index, 0, 0):
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
         if value:  # 0 empties an entry that is not used
             self._resolve(value)
 
-    def _parse(self, count: int) -> Mapping:
+    def _parse(self, count: int, strict: bool) -> Mapping:
         code, bits = "<", 0
         entries: list[Entry] = []
         for sub in range(1, count + 1):
-            raw = self.od.number(self.mapping_index, sub)
-            entry = self._resolve(raw)
+            raw = self.od.number_or(self.mapping_index, sub, 0)
+            entry = self._resolve(raw) if strict else self._found(raw)
             bits += raw & 0xFF
             if entry is None:
                 code += f"{(raw & 0xFF) // 8}x"
             else:
                 entries.append(entry)
-                code += STRUCT_CODES[entry.data_type]
+                code += self.od.struct_code(entry)
         if bits > PDO_BITS:
             raise SdoAbortError(Abort.PDO_TOO_LONG)
-        slots = tuple(self.od.slots[multiplexer(entry.index, entry.sub)] for entry in entries)
+        slots = tuple(self.od.slots[entry.multiplexer] for entry in entries)
         return Mapping(struct.Struct(code), tuple(entries), slots)
+
+    def _found(self, raw: int) -> Entry | None:
+        """As `_resolve`; None also for what the drive does not have."""
+        try:
+            return self._resolve(raw)
+        except SdoAbortError:
+            return None
 
     def _resolve(self, raw: int) -> Entry | None:
         """The object that a mapping entry names; None for a dummy. Raises SdoAbortError."""
@@ -151,6 +178,7 @@ class PdoParameters:
             return None
         entry = self.od.find(index, sub)
         direction = MAPPABLE_IN_RPDO if self.receives else MAPPABLE_IN_TPDO
-        if not entry.mappable or entry.access not in direction or entry.size * 8 != bits:
+        carried = entry.data_type in STRUCT_CODES and entry.size * 8 == bits
+        if not self.od.mappable(entry) or entry.access not in direction or not carried:
             raise SdoAbortError(Abort.NOT_MAPPABLE)
         return entry

@@ -19,6 +19,8 @@ class Ratings(NamedTuple):
     undervoltage_v: float
     overvoltage_v: float
     highest_temperature_k: float  # above the surroundings
+    slow_rps2: float  # ramps of the drive, where no object tells them
+    quick_rps2: float
     brake_a_per_rps: float  # the drive's own velocity loop, which it closes to brake
     standstill_rps: float
 
@@ -72,6 +74,10 @@ class PlantPort(Protocol):
 
     def lose_resolver(self, lost: bool, jump_rev: float) -> None:
         """Take the resolver's signal away, or give it back; its angle jumps by `jump_rev`."""
+        ...
+
+    def hold(self, held: bool) -> None:
+        """A holding brake shuts (at once, on a shaft that turns too), or opens."""
         ...
 
     def lose_dc_link(self, lost: bool) -> None:

@@ -6,6 +6,7 @@ rehearsed before it begins, so that nothing is compiled while the bus waits.
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import os
 import resource
@@ -26,6 +27,7 @@ from .bus import NS_PER_MS
 from .config import NodeConfig
 from .core import Node
 from .inbox import BOXED, Box, Inbox, wait_for_frame
+from .personality import Personality
 from .simulated_plant import SimulatedPlant
 from .sync import STATISTICS
 
@@ -93,8 +95,9 @@ def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> Summary:
 
 
 def rehearse(config: NodeConfig) -> None:
-    """Enable, turn and stop a drive like this one on no bus: everything that will run is then compiled."""
-    node = Node(config, SimulatedPlant(config.plant))
+    """Enable, turn and stop a drive with this plant on no bus: everything that will run is then compiled."""
+    plain = dataclasses.replace(config, personality=Personality(), dictionary=None)
+    node = Node(plain, SimulatedPlant(config.plant))
     now_ns = 0
     node.start(now_ns)
     request = SDO_REQUEST + config.node_id
@@ -185,18 +188,19 @@ class _Shell:
     def _count_drops(self, now_ns: int) -> None:
         self._drops_ns = now_ns
         self.dropped = self.link.dropped_frames()
-        self.node.od.put(STATISTICS, 5, max(0, self.dropped))
+        od = self.node.od
+        od.put(od.place(STATISTICS), 5, max(0, self.dropped))
 
     def summary(self) -> Summary:
         """The run so far."""
         now_ns = time.monotonic_ns()
         self._count_drops(now_ns)
-        number = self.node.od.number
+        number, statistics = self.node.od.number, self.node.od.place(STATISTICS)
         return Summary(
             duration_s=(now_ns - self._started_ns) / NS_PER_S,
-            syncs=number(STATISTICS, 1),
-            missed_syncs=number(STATISTICS, 2),
-            rpdos=number(STATISTICS, 3),
+            syncs=number(statistics, 1),
+            missed_syncs=number(statistics, 2),
+            rpdos=number(statistics, 3),
             dropped_frames=self.dropped,
             send_errors=self.send_errors,
             state=STATE_NAMES[self.node.drive.state],

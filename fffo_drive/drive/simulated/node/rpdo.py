@@ -37,7 +37,8 @@ class Rpdo(Timed):
         self.number = number + 1
         self._announce_change = on_change
         self._on_timeout = on_timeout
-        self._applied_slot = od.slots[multiplexer(STATISTICS, 3)]
+        self._statistics = od.place(STATISTICS)
+        self._applied_slot = od.slots[multiplexer(self._statistics, 3)]
         self.parameters = PdoParameters(od, number, True, self._changed)
         self.configure()
         self.restart()
@@ -87,7 +88,7 @@ class Rpdo(Timed):
         elif self.sync.in_window():
             self._buffer = frame
         else:
-            self.od.put(STATISTICS, 4, self.od.number(STATISTICS, 4) + 1 & 0xFFFFFFFF)
+            self.od.put(self._statistics, 4, self.od.number(self._statistics, 4) + 1 & 0xFFFFFFFF)
 
     def _supervise_length(self, length: int) -> None:
         self._troubled = True

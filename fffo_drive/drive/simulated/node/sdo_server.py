@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, SDO_REQUEST, SDO_RESPONSE
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed
-from .dictionary import ObjectDictionary
+from .dictionary import ObjectDictionary, longest_of
 from .nmt import NmtSlave
 from .sdo_block import LONGEST_BLOCK, WITH_CRC, BlockDownload, BlockUpload, checked_block
 
@@ -140,7 +140,7 @@ class SdoServer(Timed):
         else:
             transfer.announced = _SIZE.unpack_from(data, 4)[0] if size_given else None
             entry = self.od.check_download(transfer.index, transfer.sub, transfer.announced)
-            transfer.limit = entry.size or entry.high or 0
+            transfer.limit = longest_of(entry)
             self.deadline_ns = self.bus.now_ns + TIMEOUT_NS
         self._answer(0x60, transfer.index, transfer.sub)
 
@@ -191,7 +191,7 @@ class SdoServer(Timed):
         transfer.block = BlockDownload(
             bool(data[0] & WITH_CRC),
             announced,
-            entry.size or entry.high or 0,
+            longest_of(entry),
             lambda content: self.od.download(index, sub, content),
         )
         self.deadline_ns = self.bus.now_ns + TIMEOUT_NS

@@ -2,7 +2,7 @@
 
 CiA 402-2: cyclic synchronous torque (10) takes 0x6071 + 0x60B2 as they come with each SYNC; torque profile
 (4) approaches 0x6071 with the slope 0x6087. Both obey 0x6072, 0x60E0, 0x60E1, 0x6073 and the speed limit
-0x6080.
+0x6080. A torque mode of the vendor's own has its own target, in units of its own, and the same limits.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from operator import itemgetter
 from ....units import NS_PER_S, rps_from_rpm
 from .dictionary import ObjectDictionary, multiplexer
 from .objects import MODE_CYCLIC_TORQUE, MODE_TORQUE_PROFILE
-from .plant_port import Ratings
+from .personality import Personality, named
+from .scales import Scales
 
+NO_SLOPE = 1e9  # per mille in one call: 0x6087 = 0 is a slope that was never set, and torque jumps
 SPEED_TAPER = 0.02  # below the speed limit by this share, torque that drives on begins to fall
 
 _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
@@ -22,19 +24,32 @@ _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
 class Setpoint:
     """Torque demand in thousandths of the rated torque. `limited` and `reached` are for the statusword."""
 
-    def __init__(self, od: ObjectDictionary, ratings: Ratings) -> None:
-        self.od, self.ratings = od, ratings
+    def __init__(self, od: ObjectDictionary, scales: Scales, personality: Personality) -> None:
+        self.od, self.scales = od, scales
         self._pick = itemgetter(*(od.slots[multiplexer(index, 0)] for index in _ADJUSTABLE))
-        self._a_per_permille = ratings.a_per_permille
+        self._vendor_mode = personality.vendor_mode
+        self._vendor_slot = od.slots[named(personality.vendor_target)] if self._vendor_mode else -1
+        self._vendor_units_per_a = personality.vendor_units_per_a
         self._demand_slot = od.slots[multiplexer(0x6074, 0)]
         self.ramped = 0.0
         self.limited = False
         self.reached = False
+        self.renew()
+        scales.on_change.append(self.renew)
+
+    def renew(self) -> None:
+        """Take the scales as they are."""
+        scales = self.scales
+        self._a_per_permille = scales.a_per_permille
+        self._peak = scales.peak_permille
+        self._current_share = scales.current_a_per_permille / scales.a_per_permille
 
     def clear(self) -> None:
         """Zero the target: on entering and leaving OPERATION ENABLED, and with a change of mode."""
         self.od.put(0x6071, 0, 0)
         self.od.put(0x60B2, 0, 0)
+        if self._vendor_mode:
+            self.od.values[self._vendor_slot] = 0
         self.ramped = 0.0
         self.idle()
 
@@ -56,17 +71,20 @@ class Setpoint:
             wanted: float = target + offset
         elif mode == MODE_TORQUE_PROFILE:
             wanted = self._ramp(target, slope, elapsed_ns) + offset
+        elif mode == self._vendor_mode and mode:
+            wanted = self.od.values[self._vendor_slot] / self._vendor_units_per_a / self._a_per_permille
         else:
             self.idle()
             return 0.0
-        demand = min(max(wanted, -min(most, most_current, backward)), min(most, most_current, forward))
+        most = min(most, most_current * self._current_share, self._peak)
+        demand = min(max(wanted, -min(most, abs(backward))), min(most, forward))  # 0x60E1 has a sign in some drives
         demand = self._within_speed(demand, velocity_rps, rps_from_rpm(speed_rpm))
         self.limited = demand != wanted
-        self.od.values[self._demand_slot] = round(demand)
+        self.od.values[self._demand_slot] = min(max(round(demand), -32768), 32767)
         return demand * self._a_per_permille
 
     def _ramp(self, target: int, slope: int, elapsed_ns: int) -> float:
-        step = slope * elapsed_ns / NS_PER_S
+        step = slope * elapsed_ns / NS_PER_S if slope else NO_SLOPE
         self.ramped = min(max(float(target), self.ramped - step), self.ramped + step)
         self.reached = self.ramped == target
         return self.ramped

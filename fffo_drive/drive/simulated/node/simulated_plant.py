@@ -46,6 +46,7 @@ class SimulatedPlant:
         self._memory = (*self._parameters, *self._state)
         self._supply_v = float(self._parameters.numbers[at.DC_LINK_V])
         self._counts_per_rev = float(self._parameters.numbers[at.COUNTS_PER_REV])
+        self._speed_per_torque = float(self._parameters.numbers[at.SPEED_PER_TORQUE])
         self._supplied = True
         self._sensed = True
         self._offset_counts = 0
@@ -89,6 +90,13 @@ class SimulatedPlant:
             self._offset_counts += jump
             self.counts += jump
             self.velocity_rps = 0.0
+
+    def hold(self, held: bool) -> None:
+        """Nothing moves a held shaft."""
+        numbers = self._parameters.numbers
+        if held:
+            self._state.values[at.VELOCITY_RPS] = 0.0
+        numbers[at.SPEED_PER_TORQUE] = 0.0 if held else self._speed_per_torque
 
     def lose_dc_link(self, lost: bool) -> None:
         """The link discharges through what it feeds; the supply comes back at once."""

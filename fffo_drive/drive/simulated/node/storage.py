@@ -1,10 +1,13 @@
 """Store and restore parameters (0x1010, 0x1011) and what an NMT reset makes of the values.
 
 "save" keeps the present values of a group; "load" makes the defaults valid at the next reset. The memory
-lasts as long as the process. 0x1010 answers 1 (saves on command), 0x1011 answers 1 (restores).
+lasts as long as the process. 0x1010 answers 1 (saves on command), 0x1011 answers 1 (restores), or what the file of a
+drive says.
 """
 
 from __future__ import annotations
+
+import functools
 
 from .abort import Abort, SdoAbortError
 from .dictionary import WRITABLE, Entry, ObjectDictionary, Value, multiplexer
@@ -15,12 +18,13 @@ SAVE_SIGNATURE = int.from_bytes(b"save", "little")
 LOAD_SIGNATURE = int.from_bytes(b"load", "little")
 
 COMMUNICATION = range(0x1000, 0x2000)
+MANUFACTURER = range(0x2000, 0x6000)  # what the other sub-indices store is the maker's affair
 # sub-index of 0x1010 and 0x1011: the objects that belong to it
 GROUPS = {
     1: range(0x1000, 0x10000),
     2: COMMUNICATION,
     3: range(0x6000, 0xA000),
-    4: range(0x2000, 0x6000),
+    4: MANUFACTURER,
 }
 # commands and signatures are no parameters
 TRANSIENT = frozenset({0x1003, STORE, RESTORE, 0x2100, 0x6040, 0x6060, 0x6071, 0x60B2})
@@ -34,15 +38,16 @@ class Storage:
         self._saved: dict[int, Value] = {}
         od.guard(STORE, lambda sub, value: _check_signature(value, SAVE_SIGNATURE))
         od.guard(RESTORE, lambda sub, value: _check_signature(value, LOAD_SIGNATURE))
-        od.on_write(STORE, lambda sub, value: self._save(GROUPS[sub]))
-        od.on_write(RESTORE, lambda sub, value: self._forget(GROUPS[sub]))
-        od.on_read(STORE, self._capability)
-        od.on_read(RESTORE, self._capability)
+        od.on_write(STORE, lambda sub, value: self._save(GROUPS.get(sub, MANUFACTURER)))
+        od.on_write(RESTORE, lambda sub, value: self._forget(GROUPS.get(sub, MANUFACTURER)))
+        for index in (STORE, RESTORE):
+            od.on_read(index, functools.partial(self._capability, index))
 
     def reset(self, whole_node: bool) -> None:
         """Power-on values: the saved ones, or the defaults. A communication reset leaves the rest alone."""
-        for slot, entry in enumerate(self.od.entries):
-            changeable = entry.access in WRITABLE or entry.relative  # the node-ID may be another one now
+        for slot, entry in enumerate(self.od.cells):
+            relative = entry.relative or entry.value_relative  # the node-ID may be another one now
+            changeable = entry.access in WRITABLE or relative
             if changeable and (whole_node or entry.index in COMMUNICATION):
                 saved = self._saved.get(multiplexer(entry.index, entry.sub))
                 self.od.values[slot] = self.od.power_on_value(entry) if saved is None else saved
@@ -56,8 +61,8 @@ class Storage:
         for wanted in [k for k in self._saved if k >> 8 in group]:
             del self._saved[wanted]
 
-    def _capability(self, sub: int) -> int:
-        return len(GROUPS) if sub == 0 else 1
+    def _capability(self, index: int, sub: int) -> Value:
+        return self.od.power_on_value(self.od.find(index, sub))
 
 
 def _is_parameter(entry: Entry) -> bool:

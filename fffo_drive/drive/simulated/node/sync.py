@@ -13,7 +13,7 @@ from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus, Timed
 from .dictionary import ObjectDictionary, multiplexer
-from .emcy import SYNC_LENGTH, SYNC_LOSS, Emergency, check_can_id
+from .emcy import SYNC_LENGTH, SYNC_LOSS, Emergency, check_can_id, is_restricted
 from .nmt import NmtSlave
 
 COB_ID_SYNC = 0x1005
@@ -46,12 +46,14 @@ class SyncConsumer(Timed):
         self.od, self.nmt, self.emergency = od, nmt, emergency
         self._on_sync, self._on_loss = on_sync, on_loss
         self.supervised = True  # False where time is made of SYNCs
-        self._received_slot = od.slots[multiplexer(STATISTICS, 1)]
+        self._statistics = od.place(STATISTICS)
+        self._tolerance = od.place(LOSS_TOLERANCE)
+        self._received_slot = od.slots[multiplexer(self._statistics, 1)]
         od.guard(COB_ID_SYNC, self._check_cob_id)
         od.guard(COUNTER_OVERFLOW, self._check_overflow)
         od.guard(CYCLE_PERIOD, self._check_period)
         od.on_write(COB_ID_SYNC, lambda sub, value: on_change())
-        for index in (CYCLE_PERIOD, WINDOW_LENGTH, COUNTER_OVERFLOW, LOSS_TOLERANCE):
+        for index in (CYCLE_PERIOD, WINDOW_LENGTH, COUNTER_OVERFLOW, self._tolerance):
             od.on_write(index, lambda sub, value: self._reconfigure(on_change))
         self.last_ns = -NEVER
         self.lost = False
@@ -67,7 +69,7 @@ class SyncConsumer(Timed):
         self.period_ns = number(CYCLE_PERIOD) * NS_PER_US
         self.window_ns = number(WINDOW_LENGTH) * NS_PER_US or NEVER
         self.counted = number(COUNTER_OVERFLOW) != 0
-        tolerance_ns = max(number(LOSS_TOLERANCE) * NS_PER_MS, self.period_ns // 2)
+        tolerance_ns = max(number(self._tolerance) * NS_PER_MS, self.period_ns // 2)
         self._patience_ns = self.period_ns + tolerance_ns
         self.watch()
 
@@ -81,7 +83,7 @@ class SyncConsumer(Timed):
     @property
     def can_id(self) -> int:
         """The identifier to listen to."""
-        return self.od.number(COB_ID_SYNC) & STANDARD_MASK
+        return sync_id(self.od.number(COB_ID_SYNC))
 
     def watch(self) -> None:
         """When the SYNC counts as lost: after each of them, and with each change of the NMT state."""
@@ -112,7 +114,7 @@ class SyncConsumer(Timed):
         now_ns = self.bus.now_ns
         if self.period_ns and now_ns - self.last_ns > 1.5 * self.period_ns and self.last_ns >= 0:
             missed = round((now_ns - self.last_ns) / self.period_ns) - 1
-            self.od.put(STATISTICS, 2, self.od.number(STATISTICS, 2) + missed & 0xFFFFFFFF)
+            self.od.put(self._statistics, 2, self.od.number(self._statistics, 2) + missed & 0xFFFFFFFF)
         self.last_ns = now_ns
         self.watch()
         values = self.od.values
@@ -142,3 +144,9 @@ class SyncConsumer(Timed):
             raise SdoAbortError(Abort.INVALID_VALUE)
         if self.od.number(CYCLE_PERIOD) != 0:
             raise SdoAbortError(Abort.DEVICE_STATE)
+
+
+def sync_id(cob_id: int) -> int:
+    """The identifier in 0x1005; where a file has none that could be one, that of the pre-defined connection set."""
+    can_id = cob_id & STANDARD_MASK
+    return SYNC if is_restricted(can_id) else can_id

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import STANDARD_MASK, pack_frame
+from ....can.frame import pack_frame
 from .bus import NEVER, NS_PER_US, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
-from .sync import COB_ID_SYNC, COUNTER_OVERFLOW, CYCLE_PERIOD, SYNC_PRODUCER
+from .sync import COB_ID_SYNC, COUNTER_OVERFLOW, CYCLE_PERIOD, SHORTEST_PERIOD_US, SYNC_PRODUCER, sync_id
 
 
 class SyncProducer(Timed):
@@ -28,8 +28,9 @@ class SyncProducer(Timed):
         """The objects or the NMT state may have changed: with other values the first SYNC comes a period from now."""
         number = self.od.number
         produces = number(COB_ID_SYNC) & SYNC_PRODUCER and self.nmt.communicates
-        period_ns = number(CYCLE_PERIOD) * NS_PER_US if produces else 0
-        settings = (number(COB_ID_SYNC) & STANDARD_MASK, period_ns, number(COUNTER_OVERFLOW))
+        period_us = number(CYCLE_PERIOD) if produces else 0
+        period_ns = period_us * NS_PER_US if period_us >= SHORTEST_PERIOD_US else 0
+        settings = (sync_id(number(COB_ID_SYNC)), period_ns, number(COUNTER_OVERFLOW))
         if settings != self._settings:
             self._settings = settings
             self._counter = 0

@@ -24,12 +24,18 @@ class Tpdo(Timed):
     """One transmit PDO. `on_sync`, `check_event` and `poll` queue its frame when it is due."""
 
     def __init__(
-        self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave, number: int, on_change: Callable[[], None]
+        self,
+        bus: Bus,
+        od: ObjectDictionary,
+        nmt: NmtSlave,
+        number: int,
+        on_change: Callable[[], None],
+        rtr_required: bool = False,
     ) -> None:
         super().__init__(bus)
         self.od, self.nmt = od, nmt
         self._announce_change = on_change
-        self.parameters = PdoParameters(od, number, False, self._changed)
+        self.parameters = PdoParameters(od, number, False, self._changed, rtr_required)
         self.configure()
 
     def _changed(self) -> None:

@@ -1,0 +1,134 @@
+"""The dictionary of another drive, which the node wears: its objects and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from .dictionary import STRUCT_CODES, DataType, Entry, ObjectDictionary, Value, type_range
+from .objects import ABSENT, ENTRIES, OWN_OBJECTS, PDO_OBJECTS
+from .personality import Personality, named
+
+ABORT_CONNECTION = 0x6007
+_TARGET_TYPES = {8: DataType.INTEGER8, 16: DataType.INTEGER16, 32: DataType.INTEGER32}
+_OWN = {entry.multiplexer: entry for entry in ENTRIES if entry.index not in OWN_OBJECTS}
+# what the device writes itself: the size is that of CiA 301 and 402
+WRITTEN = (0x1001, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x60FD)
+_WRITTEN = {index << 8 for index in WRITTEN}
+# 0x6502 where the file does not tell it: the modes whose target the drive has
+_TARGETS = {1: (0x607A,), 3: (0x60FF,), 4: (0x6071,), 6: (0x6098,), 7: (0x60C1,), 10: (0x6071, 0x60C2)}
+
+
+@dataclass(frozen=True)
+class WornDictionary:
+    """Objects of a drive as its EDS, DCF or list of objects has them."""
+
+    drive: str  # its name
+    entries: tuple[Entry, ...]
+
+    def problems(self) -> Iterator[tuple[Entry, str]]:
+        """Entries that no drive of CiA 402 has so: the node could not work with them."""
+        for entry in self.entries:
+            own = _OWN.get(entry.multiplexer)
+            if own is None or not own.size or entry.index in PDO_OBJECTS:
+                continue
+            if not entry.size:
+                yield entry, f"is {entry.data_type.name}; CiA 301 and 402 have a number here ({own.data_type.name})"
+            elif entry.multiplexer in _WRITTEN and entry.size != own.size:
+                yield entry, f"is {entry.data_type.name}; CiA 301 and 402 have {own.data_type.name}"
+
+
+class Wearer(Protocol):
+    """What a configuration says of the dictionary."""
+
+    @property
+    def dictionary(self) -> WornDictionary | None:
+        """None: its own."""
+        ...
+
+    @property
+    def personality(self) -> Personality:
+        """With the objects that have other values."""
+        ...
+
+
+def entries_of(config: Wearer) -> tuple[Entry, ...]:
+    """The objects of the drive: its own or those that it wears, as its personality has them."""
+    entries = ENTRIES if config.dictionary is None else config.dictionary.entries
+    return tuple(_characterised(entries, config.personality))
+
+
+def dictionary_of(config: Wearer, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
+    """The object dictionary of the drive. `defaults`: of objects that tell none."""
+    entries = entries_of(config)
+    if config.dictionary is None:
+        return ObjectDictionary(entries, node_id, defaults)
+    loss = config.personality.connection_loss_option
+    absent = [replace(e, default=loss) if e.index == ABORT_CONNECTION else e for e in ABSENT]
+    codes = {key: STRUCT_CODES[_OWN[key].data_type] for key in _WRITTEN}
+    return ObjectDictionary(entries, node_id, defaults, absent, OWN_OBJECTS, codes)
+
+
+def told_modes(entries: Iterable[Entry], personality: Personality) -> int:
+    """0x6502 of a drive whose file does not tell it."""
+    indices = {entry.index for entry in entries}
+    modes = [mode for mode, needed in _TARGETS.items() if indices.issuperset(needed)]
+    bits = sum(1 << mode - 1 for mode in modes)
+    return bits | 1 << 15 - personality.vendor_mode if -16 <= personality.vendor_mode < 0 else bits
+
+
+def personality_problems(config: Wearer) -> Iterator[tuple[str, str]]:
+    """Objects that the personality names and that cannot be so: pairs of key and text."""
+    personality = config.personality
+    entries = {entry.multiplexer: entry for entry in entries_of(replace_personality(config))}
+    for name in ("values", "lowest", "highest"):
+        numbers: Mapping[str, int] = getattr(personality, name)
+        for text, value in numbers.items():
+            entry = entries.get(named(text))
+            if entry is None or not entry.size:
+                yield f"{name}.{text}", "the drive has no such number"
+                continue
+            low, high = type_range(entry.data_type)
+            if not low <= value <= high:
+                yield f"{name}.{text}", f"{value} is outside {low} to {high}, the range of {entry.data_type.name}"
+            if name == "highest" and value < personality.lowest.get(text, low):
+                yield f"{name}.{text}", f"{value} is below the lowest, {personality.lowest[text]}"
+    target = personality.vendor_target
+    if target and (found := entries.get(named(target))) is not None and not found.size:
+        yield "vendor_target", f"{target} is {found.data_type.name}, no number"
+
+
+@dataclass(frozen=True)
+class _Plain:
+    dictionary: WornDictionary | None
+    personality: Personality
+
+
+def replace_personality(config: Wearer) -> Wearer:
+    """The same drive with the vendor's target and nothing else of its personality."""
+    p = config.personality
+    kept = Personality(vendor_target=p.vendor_target, vendor_target_bits=p.vendor_target_bits)
+    return _Plain(config.dictionary, kept)
+
+
+def _characterised(entries: tuple[Entry, ...], personality: Personality) -> Iterator[Entry]:
+    values = {named(text): value for text, value in personality.values.items()}
+    lowest = {named(text): value for text, value in personality.lowest.items()}
+    highest = {named(text): value for text, value in personality.highest.items()}
+    plain = not (values or lowest or highest)
+    target = named(personality.vendor_target) if personality.vendor_target else None
+    for entry in entries:
+        key = entry.multiplexer
+        if key == target:
+            target = None
+        if plain or not (key in values or key in lowest or key in highest):
+            yield entry
+            continue
+        changed = replace(entry, low=lowest.get(key, entry.low), high=highest.get(key, entry.high))
+        if key in values:
+            changed = replace(changed, default=values[key], relative=False, value=None)
+        yield changed
+    if target is not None:
+        data_type = _TARGET_TYPES[personality.vendor_target_bits]
+        yield Entry(target >> 8, target & 0xFF, "Target of the vendor's torque mode", data_type, "rww", mappable=True)
