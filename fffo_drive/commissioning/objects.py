@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from ..drive.canopen.units_told import units_told
+from ..drive.canopen.units_told import counts_increments, units_told
 from ..drive.port import DriveRefusedError
 
 PERMILLE = 1000.0
@@ -66,6 +66,6 @@ def read_name_plate(source: object) -> NamePlate:
         told.get("velocity_units_per_rps"),
         torque / current if torque and current else None,
         current / MILLI if current else None,
-        "0x60A8" if objects.value(0x60A8) else "0x608F",
+        "0x608F" if counts_increments(objects.value(0x60A8)) else "0x60A8",
         "0x60A9" if objects.value(0x60A9) else "0x6090",
     )

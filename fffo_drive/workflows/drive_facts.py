@@ -17,7 +17,7 @@ from ..config.drive_proposal import config_of, propose
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
-from ..drive.canopen.units_told import units_told
+from ..drive.canopen.units_told import counts_increments, units_told
 from .told import ToldObjects
 
 TORQUE_UNITS_NM = {"mNm": 1e-3, "uNm": 1e-6}  # of one of 0x6076
@@ -162,7 +162,8 @@ def _own_units(keys: Mapping[str, Any]) -> list[str]:
 def _source(objects: ToldObjects, key: str) -> str:
     """The object in which the drive tells a scale; empty for other keys."""
     if key == "counts_per_rev":
-        return f"0x60A8 is 0x{objects.value(0x60A8):08X}" if objects.value(0x60A8) else "0x608F"
+        unit = objects.value(0x60A8)
+        return "0x608F" if counts_increments(unit) else f"0x60A8 is 0x{unit:08X}"
     if key == "velocity_units_per_rps":
         return f"0x60A9 is 0x{objects.value(0x60A9):08X}" if objects.value(0x60A9) else "0x6090"
     return {"rated_torque_nm": "0x6076", "rated_current_a": "0x6075"}.get(key, "")
