@@ -55,8 +55,10 @@ class Format(NamedTuple):
 HAND = "by hand"
 NOBODY = "programs of others"
 
-MODEL = Format("model", "model of an axis", f"identify, diagnose, {HAND}", "all that runs or fits an axis")
-AXIS = Format("axis", "an axis: drive, model, law, limits, profile", f"close-the-loop, {HAND}", "all that runs an axis")
+MODEL = Format("model", "model of an axis", f"bring-up, identify, diagnose, {HAND}", "all that runs or fits an axis")
+AXIS = Format(
+    "axis", "an axis: drive, model, law, limits, profile", f"bring-up, close-the-loop, {HAND}", "all that runs an axis"
+)  # fmt: skip
 DRIVE_PROFILE = Format(
     "drive_profile", "what a family of drives needs", f"drive-info, {HAND}", "all that reads an axis"
 )

@@ -14,6 +14,7 @@ from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
 # subcommand -> (module, one line for --help)
 COMMANDS = {
     "run": ("run", "run one profile on a drive, in process or on a bus, and record it"),
+    "bring-up": ("bring_up", "from a drive on a bus to its axis file: scan, read, measure, write; moves nothing"),
     "commission": ("commission", "check signs, scales, delay and limits of an axis, and write a record"),
     "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
     "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),

@@ -35,6 +35,8 @@ class Beliefs(NamedTuple):
     sensor_delay_s: float
     static_nm: float
     torque_constant_nm_per_a: float
+    assumed_kg_m2: float | None = None  # an inertia that nobody has said: its check measures it, and cannot fail
+    delay_assumed: bool = False
 
 
 def beliefs_of(model: ModelFile) -> Beliefs:
@@ -47,6 +49,8 @@ def beliefs_of(model: ModelFile) -> Beliefs:
         model.sensor_delay_s.value,
         axis.friction.static_nm,
         constant,
+        model.inertia_kg_m2.value if model.inertia_kg_m2.assumed else None,
+        model.delay_s.assumed,
     )
 
 
@@ -148,11 +152,11 @@ def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declare
     declared, object_608f = facts.counts_per_rev, plate.counts_per_rev
     text = f"the position travels {1.0 / fit.ratio:.4g} of the integrated velocity" if fit.ratio else "no travel"
     if declared is not None and object_608f is not None:
-        text += f"; declared {declared:g} counts, 0x608F says {object_608f:g}"
+        text += f"; declared {declared:g} counts, {plate.counts_object} says {object_608f:g}"
         if object_608f != declared:
             remedy = (
-                "set drive.counts_per_rev to what 0x608F says; where they differ on purpose, a position factor "
-                "(0x6091, 0x6092) is active: set it to 1"
+                f"set drive.counts_per_rev to what {plate.counts_object} says; where they differ on purpose, a "
+                "position factor (0x6091, 0x6092) is active: set it to 1"
             )
             return told(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
     if suspected and name not in suspected:
@@ -173,8 +177,8 @@ def _velocity_units(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts:
     remedy = f"correct drive.velocity_units_per_rps{would}; see 0x6090, 0x6094 and the unit of 0x606C in the manual"
     check = graded(name, fit.ratio, 1.0, within(1.0, SCALE_OK, SCALE_WARNING), "-", text, remedy)
     if check.verdict == OK and None not in (declared, object_6090) and declared != object_6090:
-        text += f"; but 0x6090 says {object_6090:g} units for one rev/s, declared are {declared:g}"
-        remedy = "make 0x6090 and drive.velocity_units_per_rps agree"
+        text += f"; but {plate.velocity_object} says {object_6090:g} units for one rev/s, declared are {declared:g}"
+        remedy = f"make {plate.velocity_object} and drive.velocity_units_per_rps agree"
         check = check.model_copy(update={"verdict": WARNING, "text": text, "remedy": remedy})
     return check
 
@@ -235,6 +239,12 @@ def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
         "drive.rated_torque_nm is; or the scales of position and velocity are wrong by one factor"
     )
     limits = factor(expected, GAIN_OK, GAIN_WARNING)
+    if beliefs.assumed_kg_m2 is not None and ratio > 0.0:
+        limits = limits._replace(least=0.0, most=math.inf)
+        remedy = (
+            f"the inertia was assumed: set inertia_kg_m2: {{value: {beliefs.assumed_kg_m2 / ratio:.3g}, "
+            "source: commissioning} in the model, if torque_constant_nm_per_a is right"
+        )
     return graded("torque_per_inertia", gain_rps2_per_a, expected, limits, "rps2/A", text, remedy)
 
 
@@ -242,6 +252,8 @@ def delay(measured_s: float, period_s: float, beliefs: Beliefs) -> CheckRecord:
     """The margins are computed with the model's delay."""
     expected_s = beliefs.delay_s
     limits = within(expected_s, max(period_s, 0.2 * expected_s), max(3.0 * period_s, 0.6 * expected_s))
+    if beliefs.delay_assumed:
+        limits = limits._replace(least=0.0, most=math.inf)
     text = f"{measured_s * 1e3:.2f} ms, the model says {expected_s * 1e3:.2f} ms (both without the hold of a command)"
     remedy = (
         f"set delay_s: {{value: {measured_s:.5f}, source: commissioning}} in the model and check the margins again "

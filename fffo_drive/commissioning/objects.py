@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from ..drive.canopen.units_told import counts_increments, units_told
 from ..drive.port import DriveRefusedError
 
 PERMILLE = 1000.0
@@ -22,10 +23,12 @@ class ObjectSource(Protocol):
 class NamePlate(NamedTuple):
     """None where the drive does not say."""
 
-    counts_per_rev: float | None = None  # 0x608F: increments over revolutions
-    velocity_units_per_rps: float | None = None  # 0x6090: increments a second over revolutions a second
+    counts_per_rev: float | None = None  # 0x608F: increments over revolutions; 0x60A8 where the position has a unit
+    velocity_units_per_rps: float | None = None  # 0x6090: increments a second over revolutions a second; else 0x60A9
     torque_constant_nm_per_a: float | None = None  # 0x6076 over 0x6075
     rated_current_a: float | None = None  # 0x6075
+    counts_object: str = "0x608F"  # that tells the counts
+    velocity_object: str = "0x6090"
 
 
 def read_number(source: ObjectSource, index: int, sub: int, *, signed: bool = False) -> int | None:
@@ -36,19 +39,33 @@ def read_number(source: ObjectSource, index: int, sub: int, *, signed: bool = Fa
         return None
 
 
+class _Objects:
+    """A connected drive as `DriveObjects` has it. Raises BusUnavailableError."""
+
+    def __init__(self, source: ObjectSource) -> None:
+        self._source = source
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """There is such an object, and it can be read."""
+        return self.value(index, sub) is not None
+
+    def value(self, index: int, sub: int = 0) -> int | None:
+        """Its number."""
+        return read_number(self._source, index, sub)
+
+
 def read_name_plate(source: object) -> NamePlate:
     """Of a drive on a bus; a drive in process has none."""
     if not isinstance(source, ObjectSource):
         return NamePlate()
-
-    def ratio(index: int) -> float | None:
-        above, below = read_number(source, index, 1), read_number(source, index, 2)
-        return above / below if above and below else None
-
-    torque, current = read_number(source, 0x6076, 0), read_number(source, 0x6075, 0)
+    objects = _Objects(source)
+    told = units_told(objects)
+    torque, current = objects.value(0x6076), objects.value(0x6075)
     return NamePlate(
-        ratio(0x608F),
-        ratio(0x6090),
+        told.get("counts_per_rev"),
+        told.get("velocity_units_per_rps"),
         torque / current if torque and current else None,
         current / MILLI if current else None,
+        "0x608F" if counts_increments(objects.value(0x60A8)) else "0x60A8",
+        "0x60A9" if objects.value(0x60A9) else "0x6090",
     )

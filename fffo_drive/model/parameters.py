@@ -33,7 +33,12 @@ class Quantity(Record):
 
     value: float
     sd: Annotated[float | None, Field(ge=0, description="standard deviation, where it was fitted")] = None
-    source: Annotated[str, Field(description="declared, fitted, or where it was taken from")] = "declared"
+    source: Annotated[str, Field(description="declared, fitted, assumed, or where it was taken from")] = "declared"
+
+    @property
+    def assumed(self) -> bool:
+        """Nobody has said or measured it: a first model of `fffo-drive bring-up`."""
+        return self.source.startswith("assumed")
 
 
 class FrictionModel(Record):

@@ -20,6 +20,18 @@ DRIVER_ADVICE = (
 )
 
 
+def interface_bitrate_hz(host: Host, bus: str) -> int | None:
+    """The bit rate of a CAN interface; None on a loopback bus, and where the system does not tell it."""
+    kind, _, name = bus.partition(":")
+    printed = host.output(IP_LINK) if kind == "socketcan" else None
+    try:
+        links = {link["ifname"]: link for link in json.loads(printed or "[]")}
+        found = links[name]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return found if isinstance(found, int) else None
+
+
 def bus_findings(host: Host, wanted: Wanted) -> list[Finding]:
     """All about the bus: of the axis's interface, or of every CAN interface when no axis is given."""
     subject = "can"

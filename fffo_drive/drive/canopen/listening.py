@@ -10,6 +10,7 @@ machine the lease of the bus settles that, and a SYNC of its own is a fault of t
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from ...can import frame as can
@@ -51,17 +52,47 @@ def masters_frames(config: CanopenDriveConfig) -> dict[int, str]:
     }
 
 
-class Heard:
-    """What was heard on a bus on which nothing of ours is sent, and what speaks against beginning there."""
+def frames_of_any_master() -> dict[int, str]:
+    """As `masters_frames`, where no drive is chosen yet: for any node, in the predefined connection set (CiA 301)."""
+    found = {can.SYNC: "SYNC (0x080)", can.NMT: "NMT commands (0x000)"}
+    for node in can.NODE_IDS:
+        found[can.SDO_REQUEST + node] = f"SDO requests to node {node} (0x{can.SDO_REQUEST + node:03X})"
+        for base in (can.RPDO1, can.RPDO2, can.RPDO3, can.RPDO4):
+            found[base + node] = f"commands to node {node} (RPDO 0x{base + node:03X})"
+    return found
 
-    def __init__(self, config: CanopenDriveConfig) -> None:
+
+class _Life:
+    """What the heartbeats of one node said since its last boot-up."""
+
+    def __init__(self) -> None:
+        self.states: list[int] = []  # each change
+        self.boot_ups = 0
+        self.disagree = ""
+
+    def take(self, state: int) -> None:
+        """No node takes a state again that it has left, but by a boot-up or for an NMT master, who is heard then."""
+        if state == STATE_BOOT_UP:
+            self.states.clear()
+            self.boot_ups += 1
+        elif self.states and state != self.states[-1] and state in self.states:
+            self.disagree = f"{_state_name(self.states[-1])} and {_state_name(state)} in turn"
+        if not self.states or state != self.states[-1]:
+            self.states.append(state)
+
+
+class Heard:
+    """What was heard on a bus on which nothing of ours is sent, and what speaks against beginning there.
+
+    With a configuration for its drive, without one for every node.
+    """
+
+    def __init__(self, config: CanopenDriveConfig | None = None) -> None:
         self.nodes: set[int] = set()  # ids of heartbeats and boot-ups
-        self._node_id = config.node_id
-        self._of_masters = masters_frames(config)
+        self._of_masters = frames_of_any_master() if config is None else masters_frames(config)
+        self._watched: Iterable[int] = can.NODE_IDS if config is None else (config.node_id,)
         self._masters: set[int] = set()
-        self._states: list[int] = []  # of the drive since its last boot-up, each change of it
-        self._boot_ups = 0
-        self._disagree = ""
+        self._lives: dict[int, _Life] = {}
 
     def take(self, frame: Frame) -> None:
         """One frame of the bus, in their order."""
@@ -70,19 +101,10 @@ class Heard:
         if frame.can_id in self._of_masters:
             self._masters.add(frame.can_id)
         if frame.can_id & ~NODE_ID_MASK == can.HEARTBEAT and len(frame.data) == 1:
-            self.nodes.add(frame.can_id & NODE_ID_MASK)
-            if frame.can_id == can.HEARTBEAT + self._node_id:
-                self._take_state(frame.data[0] & 0x7F)
-
-    def _take_state(self, state: int) -> None:
-        """No node takes a state again that it has left, but by a boot-up or for an NMT master, who is heard then."""
-        if state == STATE_BOOT_UP:
-            self._states.clear()
-            self._boot_ups += 1
-        elif self._states and state != self._states[-1] and state in self._states:
-            self._disagree = f"{_state_name(self._states[-1])} and {_state_name(state)} in turn"
-        if not self._states or state != self._states[-1]:
-            self._states.append(state)
+            node = frame.can_id & NODE_ID_MASK
+            self.nodes.add(node)
+            if node in self._watched:
+                self._lives.setdefault(node, _Life()).take(frame.data[0] & 0x7F)
 
     def obstacles(self) -> list[Obstacle]:
         """Why we must not begin here."""
@@ -90,9 +112,10 @@ class Heard:
         if self._masters:
             signs = ", ".join(text for can_id, text in self._of_masters.items() if can_id in self._masters)
             found.append(Obstacle(f"somebody else commands here: {signs}", ONE_MASTER))
-        if self._disagree or self._boot_ups > 1:
-            said = self._disagree or f"{self._boot_ups} boot-up messages"
-            found.append(Obstacle(f"node {self._node_id} says {said}", TWO_NODES))
+        for node, life in sorted(self._lives.items()):
+            if life.disagree or life.boot_ups > 1:
+                said = life.disagree or f"{life.boot_ups} boot-up messages"
+                found.append(Obstacle(f"node {node} says {said}", TWO_NODES))
         return found
 
 
@@ -103,12 +126,15 @@ def _state_name(state: int) -> str:
 class Listening:
     """A bus that is heard from now on, and not spoken to: the kernel keeps what comes until `heard` reads it."""
 
-    def __init__(self, config: CanopenDriveConfig, listen_s: float) -> None:
-        """Raises LinkError."""
-        self._config = config
-        heartbeats = CanFilter(can.HEARTBEAT, can.STANDARD_MASK & ~NODE_ID_MASK)
-        identifiers = [CanFilter(can_id) for can_id in masters_frames(config)]
-        self._link = open_link(config.bus, filters=[heartbeats, *identifiers])
+    def __init__(self, config: CanopenDriveConfig | str, listen_s: float) -> None:
+        """For the drive of a configuration, or for every node of a bus. Raises LinkError."""
+        self._config = None if isinstance(config, str) else config
+        bus = config if isinstance(config, str) else config.bus
+        filters = None
+        if self._config is not None:
+            heartbeats = CanFilter(can.HEARTBEAT, can.STANDARD_MASK & ~NODE_ID_MASK)
+            filters = [heartbeats, *(CanFilter(can_id) for can_id in masters_frames(self._config))]
+        self._link = open_link(bus, filters=filters)
         self._end_s = time.monotonic() + listen_s
 
     def heard(self) -> Heard:

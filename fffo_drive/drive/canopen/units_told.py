@@ -36,6 +36,11 @@ def units_told(objects: DriveObjects) -> dict[str, Any]:
     return found
 
 
+def counts_increments(unit: int | None) -> bool:
+    """Whether a position with this unit (0x60A8; 0 and None: no unit is told) is one in increments of the encoder."""
+    return not unit or unit >> 16 & 0xFF == INCREMENTS
+
+
 def remarks_told(objects: DriveObjects) -> list[str]:
     """What of the units must be known before an axis is commissioned."""
     found = []

@@ -1,0 +1,1 @@
+"""What a user does, as functions that return records; the commands parse and print."""

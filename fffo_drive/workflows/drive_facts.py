@@ -1,0 +1,238 @@
+"""What is known of a drive before it has moved: from its objects, the profile of its family, and people.
+
+Each value says where it came from. What the drive itself tells of its units stands before its profile, which knows how
+the family leaves the factory; what people say stands before both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from ..config.drive_profile import DriveProfile, merged, profile_for, profile_path, read_profile
+from ..config.drive_proposal import config_of, propose
+from ..drive.canopen.needs import check_device_type, check_modes, needs
+from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
+from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
+from ..drive.canopen.units_told import counts_increments, units_told
+from .told import ToldObjects
+
+TORQUE_UNITS_NM = {"mNm": 1e-3, "uNm": 1e-6}  # of one of 0x6076
+MILLI = 1e-3
+SAME = 0.01  # ratings that agree
+ASSUMED = "assumed: "
+
+
+class Answers(NamedTuple):
+    """What people know and no drive tells; None: not said."""
+
+    torque_constant_nm_per_a: float | None = None
+    counts_per_rev: int | None = None
+    velocity_units_per_rps: float | None = None
+    rated_torque_nm: float | None = None
+    rated_current_a: float | None = None
+    target_units_per_a: float | None = None
+    feedback_units_per_a: float | None = None
+    inertia_kg_m2: float | None = None
+
+
+OPTIONS = {  # field of `Answers` -> (option, what is asked)
+    "counts_per_rev": ("--counts", "counts of 0x6064 in a revolution (encoder: four times its lines)"),
+    "velocity_units_per_rps": ("--velocity-units", "0x606C at one revolution a second"),
+    "rated_torque_nm": ("--rated-torque", "rated torque of the motor in Nm"),
+    "torque_constant_nm_per_a": ("--torque-constant", "torque constant of the motor in Nm/A"),
+    "target_units_per_a": ("--target-units", "units of the vendor's own object of the torque command for one ampere"),
+    "feedback_units_per_a": ("--feedback-units", "units of the vendor's own object of the torque that comes back"),
+    "rated_current_a": ("--rated-current", "rated current of the motor in A"),
+}
+OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, the standard's object)
+    "target_units_per_a": ("target", TARGET_TORQUE),
+    "feedback_units_per_a": ("torque_feedback", TORQUE),
+}
+MOTOR = ("rated_torque_nm", "torque_constant_nm_per_a", "rated_current_a")  # one follows from the other two; best first
+OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
+
+
+class Fact(NamedTuple):
+    """One value and where it came from."""
+
+    value: Any
+    source: str
+
+    @property
+    def assumed(self) -> bool:
+        """Nobody in the know has said it."""
+        return self.source.startswith(ASSUMED)
+
+
+class DriveFacts(NamedTuple):
+    """Everything."""
+
+    scales: dict[str, Fact]  # by the names of `Answers`
+    section: dict[str, Fact]  # keys of the drive section that are not the profile's
+    profile: str | None  # its name
+    family: str
+    profile_keys: dict[str, Any]
+    profile_remarks: tuple[str, ...]  # of whoever wrote it, what was tried first
+    stand_ins: tuple[str, ...]  # what takes the place of what the drive lacks
+    remarks: tuple[str, ...]  # about units
+    problems: tuple[str, ...]  # what we need and the drive lacks
+    writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
+    silence: str  # how the drive notices a silent PC, and how it then stops
+    torque_limit_set: bool  # the profile writes 0x6072
+
+    @property
+    def unusable(self) -> list[str]:
+        """Of the problems those that no key of the axis file can help."""
+        return [problem for problem in self.problems if "drive." not in problem]
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Objects that the bring-up writes: what they say now does not matter."""
+        return (*self.writes, *(["0x6072:00"] if self.torque_limit_set else []))
+
+    @property
+    def missing(self) -> list[str]:
+        """What must be known, and is not, in the order in which it is asked. Of the motor two of three will do."""
+        asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in _own_units(self.profile_keys)]
+        found = [name for name in asked if name not in self.scales]
+        of_motor = [name for name in MOTOR if name in found]
+        enough = of_motor[max(0, len(of_motor) - 1) :]  # the last of them follows from the others
+        return [name for name in found if name not in enough]
+
+
+def drive_facts(
+    objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0,
+    profile: str | None = None,
+) -> DriveFacts:  # fmt: skip
+    """Ask the drive for what is needed, and put together what is known.
+
+    `profile`: of its family, in place of the one that vendor and product name. Raises BusUnavailableError,
+    DocumentError for a profile that there is not.
+    """
+    known = profile_for(vendor_id, product_code) if profile is None else named_profile(profile)
+    base = dict(known[1].keys) if known else {}
+    section = {
+        key: Fact(value, f"given ({OPTIONS[key][0]})")
+        for key, value in answers._asdict().items()
+        if key in OF_SECTION and value is not None
+    }
+    own = _own_units(base)
+    for name in own:
+        if (units := getattr(answers, name)) is not None:
+            section[OWN_OBJECTS[name][0]] = Fact({"units_per_a": units}, f"given ({OPTIONS[name][0]})")
+    raw = objects.value(0x6076)
+    unit = _torque_unit(raw, answers.rated_torque_nm, base.get("rated_torque_unit", "mNm"))
+    if unit != base.get("rated_torque_unit", "mNm"):
+        section["rated_torque_unit"] = Fact(unit, "0x6076 then says what was given")
+    if raw:
+        section.setdefault("rated_torque_nm", Fact(raw * TORQUE_UNITS_NM[unit], f"read: 0x6076 in {unit}"))
+    told = units_told(objects)
+    for key, index in (("counts_per_rev", 0x60A8), ("velocity_units_per_rps", 0x60A9)):
+        if key in told and key in base and objects.value(index) and told[key] != base[key]:
+            section.setdefault(key, Fact(told[key], f"read: 0x{index:04X}; the profile has {base[key]:g}"))
+    proposal = propose(objects, {**base, **{key: fact.value for key, fact in section.items()}})
+    for key, value in proposal.section.items():
+        section.setdefault(key, Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}"))
+    section = {key: section[key] for key in (*OF_SECTION, *section) if key in section}
+    merged_section = merged(base, {key: fact.value for key, fact in section.items()})
+    scales = _scales(section, base, known[0] if known else "", answers)
+    if "rated_torque_nm" in scales:
+        section.setdefault("rated_torque_nm", scales["rated_torque_nm"])
+    return DriveFacts(
+        scales, section, known[0] if known else None, known[1].family if known else "", base,
+        (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
+        tuple(_problems(objects, merged_section, node_id)),
+        _writes(objects, section, unit), _silence(merged_section), "max_torque_permille" in base,
+    )  # fmt: skip
+
+
+def _own_units(keys: Mapping[str, Any]) -> list[str]:
+    """What must be answered where a profile names an object of the vendor's, and not in which units it counts."""
+    return [
+        name
+        for name, (key, standard) in OWN_OBJECTS.items()
+        if (one := keys.get(key)) and one.get("object", standard) != standard and one.get("units_per_a") is None
+    ]
+
+
+def _source(objects: ToldObjects, key: str) -> str:
+    """The object in which the drive tells a scale; empty for other keys."""
+    if key == "counts_per_rev":
+        unit = objects.value(0x60A8)
+        return "0x608F" if counts_increments(unit) else f"0x60A8 is 0x{unit:08X}"
+    if key == "velocity_units_per_rps":
+        return f"0x60A9 is 0x{objects.value(0x60A9):08X}" if objects.value(0x60A9) else "0x6090"
+    return {"rated_torque_nm": "0x6076", "rated_current_a": "0x6075"}.get(key, "")
+
+
+def named_profile(name: str) -> tuple[str, DriveProfile]:
+    """A profile by its name. Raises DocumentError naming those that there are."""
+    return name, read_profile(profile_path(Path("--profile"), name))
+
+
+def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
+    """Unit of 0x6076: the one in which it says what was given, else what is expected of the family."""
+    if not raw or given_nm is None:
+        return expected
+    fitting = [name for name, one in TORQUE_UNITS_NM.items() if abs(raw * one - given_nm) <= SAME * given_nm]
+    return fitting[0] if fitting else expected
+
+
+def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, answers: Answers) -> dict[str, Fact]:
+    found = {key: section[key] for key in OF_SECTION if key in section}
+    for key in OF_SECTION:
+        if key in base:
+            found.setdefault(key, Fact(base[key], f"profile {profile}"))
+    for key in ("torque_constant_nm_per_a", *_own_units(base)):
+        if (value := getattr(answers, key)) is not None:
+            found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
+    if answers.inertia_kg_m2 is not None:
+        found["inertia_kg_m2"] = Fact(answers.inertia_kg_m2, "given (--inertia)")
+    torque, current, constant = (
+        found[name].value if name in found else None
+        for name in ("rated_torque_nm", "rated_current_a", "torque_constant_nm_per_a")
+    )
+    if torque and current:
+        source = f"{ASSUMED}rated torque over rated current; see the data sheet"
+        found.setdefault("torque_constant_nm_per_a", Fact(_six_digits(torque / current), source))
+    elif torque and constant:
+        found["rated_current_a"] = Fact(_six_digits(torque / constant), f"{ASSUMED}rated torque over torque constant")
+    elif current and constant:
+        source = f"{ASSUMED}torque constant times rated current"
+        found["rated_torque_nm"] = Fact(_six_digits(current * constant), source)
+    return found
+
+
+def _six_digits(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) -> list[str]:
+    """What bring-up would refuse: the list that `drive-info` reads a file against."""
+    try:
+        config = config_of(section, node_id)
+    except MappingError as error:
+        return [str(error)]
+    except ValidationError:  # what is still missing is asked for, and what no file can hold is named when it is made
+        return []
+    found = check_device_type(objects, config)
+    return found or [*check_modes(objects, config), *needs(objects, config)]
+
+
+def _silence(section: Mapping[str, Any]) -> str:
+    detection = DETECTIONS[section.get("silence_detection", HEARTBEAT)]
+    reaction = REACTIONS[section.get("silence_reaction", "abort_connection")]
+    return f"{detection.text}; {reaction.text}"
+
+
+def _writes(objects: ToldObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:
+    """Ratings that the drive has not been told, where people have said them."""
+    found = {}
+    for index, key, one in ((0x6076, "rated_torque_nm", TORQUE_UNITS_NM[unit]), (0x6075, "rated_current_a", MILLI)):
+        if objects.value(index) == 0 and key in section:
+            found[f"0x{index:04X}:00"] = round(section[key].value / one)
+    return found

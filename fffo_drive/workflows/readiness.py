@@ -1,0 +1,229 @@
+"""What stands between a drive and Operation Enabled, in plain words, from what it tells (CiA 402-2, CiA 301).
+
+A failure stands in the way. A warning may, or costs something later. Nothing here asks the drive to move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from ..drive.canopen.emergency import code_text, emergency_text, register_text
+from ..drive.canopen.service import Emergency
+from ..drive.cia402 import (
+    STATE_FAULT,
+    STATE_FAULT_REACTION_ACTIVE,
+    STATE_NOT_READY,
+    STATE_OPERATION_ENABLED,
+    STATE_QUICK_STOP_ACTIVE,
+    STATE_UNKNOWN,
+    STATUS_REMOTE,
+    STATUS_VOLTAGE_ENABLED,
+    STATUS_WARNING,
+    state_name,
+    state_of,
+)
+from ..system.findings import Finding, Level, failure, ok, warning
+from .told import ToldObjects
+
+INPUT_NEGATIVE_LIMIT, INPUT_POSITIVE_LIMIT, INPUT_INTERLOCK = 1 << 0, 1 << 1, 1 << 3  # 0x60FD
+OUTPUT_BRAKE = 1 << 0  # 0x60FE:01
+LOWEST_DC_LINK_V = 10.0  # below: the logic is supplied and the power stage is not
+LOWEST_TORQUE_LIMIT = 1000  # 0x6072, thousandths of the rated torque
+TORQUE_LIMIT_PERMILLE = 1000.0
+COARSE_SHARE = 0.1  # of the observer's feedback band: a coarser count of 0x606C is told
+FAULT_STATES = (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
+HISTORY = 3  # entries of 0x1003 that are told
+
+
+def stands_between(
+    objects: ToldObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = ()
+) -> list[Finding]:
+    """All of it, in the order in which it is to be mended.
+
+    `operational`: the drive was in NMT OPERATIONAL when it told its state. `written`: objects that the axis file writes
+    before the drive is enabled (0x6076:00).
+    """
+    word = objects.value(0x6041)
+    found: list[Finding] = []
+    for part in (
+        lambda: _state(objects, word),
+        lambda: _fault(objects, emergencies, word),
+        lambda: _supply(objects, word),
+        lambda: _control(word, operational),
+        lambda: _inputs(objects, word),
+        lambda: _brake(objects),
+        lambda: _motor(objects, written),
+        lambda: _unreadable(objects),
+    ):  # fmt: skip
+        look: Callable[[], Iterator[Finding]] = part
+        found += look()
+    order = {Level.FAILURE: 0, Level.WARNING: 1, Level.OK: 2}
+    return sorted(found, key=lambda finding: order[finding.level])
+
+
+def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> list[Finding]:
+    """How coarse the velocity is, against the band in which the friction observer takes it for rest."""
+    step_rps = 1.0 / velocity_units_per_rps
+    text = f"one count of 0x606C is {step_rps:.3g} rps"
+    if step_rps <= COARSE_SHARE * feedback_band_rps:
+        return [ok("velocity", text)]
+    return [
+        warning(
+            "velocity", f"{text}: coarse against the observer's band of {feedback_band_rps:g} rps",
+            "choose a finer unit in the drive (0x60A9, for example 0xFDB44700: thousandths of rpm)",
+        )
+    ]  # fmt: skip
+
+
+def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+    if word is None:
+        yield failure("state", "the drive tells no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
+        return
+    state, text = state_of(word), f"statusword 0x{word:04X}: {state_name(word)}"
+    if state in FAULT_STATES:
+        pass  # told with the fault
+    elif state == STATE_OPERATION_ENABLED:
+        yield failure(
+            "state", f"{text}: somebody has enabled it", "let its other master disable it; end the vendor's tool"
+        )
+    elif state == STATE_QUICK_STOP_ACTIVE:
+        yield warning("state", text, "it is left when the drive is disabled, which the bring-up does")
+    elif state == STATE_NOT_READY:
+        yield failure("state", text, "the drive starts, tests itself or has no supply: wait, then look at the supply")
+    elif state == STATE_UNKNOWN:
+        yield failure("state", f"{text} (no state of CiA 402)", "is this the drive's statusword (0x6041)?")
+    else:
+        yield ok("state", text)
+    if word & STATUS_WARNING:
+        yield warning("warning", "the drive warns (bit 7 of the statusword)", "see its codes")
+
+
+def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[Finding]:
+    said = []
+    if code := objects.value(0x603F):
+        said.append(f"0x603F {code_text(code)}")
+    if errors := [one for one in emergencies if one.code]:
+        said.append(emergency_text(errors[-1]))
+    if register := objects.value(0x1001):
+        said.append(f"error register 0x1001 {register_text(register)}")
+    kept = [objects.value(0x1003, sub) for sub in range(1, HISTORY + 1)]
+    history = ", ".join(_history_text(entry) for entry in kept[: objects.value(0x1003) or 0] if entry)
+    past = [f"kept in 0x1003: {history}"] * bool(history)
+    if word is not None and state_of(word) in FAULT_STATES:
+        yield failure(
+            "fault", "; ".join([f"statusword 0x{word:04X}: {state_name(word)}", *said, *past]),
+            "look the code up in the vendor's manual and mend the cause; then switch the drive off and on, or reset "
+            "the fault with the vendor's tool",
+        )  # fmt: skip
+    elif said:
+        yield warning("fault", "; ".join([*said, *past]), "look the code up in the vendor's manual")
+    elif history:
+        yield ok("history", f"of earlier errors, in 0x1003: {history}")
+
+
+def _history_text(entry: int) -> str:
+    """An error code, and the vendor's word in the upper half."""
+    vendor = entry >> 16
+    return code_text(entry & 0xFFFF) + (f" with 0x{vendor:04X}" if vendor else "")
+
+
+def _supply(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+    """DC link, and bit 4 of the statusword."""
+    link_mv = objects.value(0x6079)
+    link_v = None if link_mv is None else link_mv * 1e-3
+    powered = bool(word and word & STATUS_VOLTAGE_ENABLED)
+    if link_v is not None and link_v < LOWEST_DC_LINK_V:
+        text = f"DC link (0x6079): {link_v:.1f} V: the power stage is not supplied"
+        if powered:
+            yield warning("supply", f"{text}, though bit 4 of the statusword says that it is", "measure it")
+        else:
+            yield failure("supply", text, "switch the power supply on; look at fuse, contactor and emergency stop")
+        return
+    if powered:
+        yield ok("supply", "voltage at the power stage" + (f", DC link {link_v:.1f} V" if link_v is not None else ""))
+        return
+    if word is None or _interlock(objects):
+        return  # what is missing is told elsewhere
+    if link_v is None:
+        text = "bit 4 of the statusword is 0: no voltage at the power stage"
+        yield warning("supply", text, "is the power supply on, is STO (safe torque off) wired and released?")
+    else:
+        text = f"bit 4 of the statusword is 0 although the DC link has {link_v:.1f} V"
+        yield warning("supply", text, "is STO (safe torque off) wired and released? Some drives set it when enabled")
+
+
+def _control(word: int | None, operational: bool) -> Iterator[Finding]:
+    if word is None or word & STATUS_REMOTE:
+        return
+    text = "bit 9 of the statusword is 0: the drive ignores our controlword (local control)"
+    remedy = "end the vendor's tool, and choose CANopen as the source of commands in the drive"
+    if operational:
+        yield failure("control", text, remedy)
+    else:
+        yield warning("control", f"{text}; some drives set it in NMT OPERATIONAL only", remedy)
+
+
+def _interlock(objects: ToldObjects) -> bool:
+    inputs = objects.value(0x60FD)
+    return inputs is not None and bool(inputs & INPUT_INTERLOCK)
+
+
+def _inputs(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+    inputs = objects.value(0x60FD)
+    if inputs is None:
+        return
+    if _interlock(objects):
+        text = f"0x60FD is 0x{inputs:08X}: the interlock input (bit 3; STO in most drives) is active"
+        if word is not None and not word & STATUS_VOLTAGE_ENABLED:
+            yield failure("STO", text, "release STO: both channels need their voltage, and the safety relay its reset")
+        else:
+            yield warning("STO", f"{text}, though there is voltage at the power stage", "see the manual for this bit")
+    switches = [
+        name for bit, name in ((INPUT_NEGATIVE_LIMIT, "negative"), (INPUT_POSITIVE_LIMIT, "positive")) if inputs & bit
+    ]
+    if len(switches) == 2:
+        yield failure(
+            "limit switches", f"0x60FD is 0x{inputs:08X}: both limit switches are active",
+            "they are not wired, or their polarity is wrong in the drive: a drive then moves neither way",
+        )  # fmt: skip
+    elif switches:
+        yield warning(
+            "limit switches", f"0x60FD is 0x{inputs:08X}: the {switches[0]} limit switch is active",
+            "the axis stands at its end: move it off by hand, with the brake released and the power off",
+        )  # fmt: skip
+    if not switches and not _interlock(objects):
+        yield ok("inputs", f"0x60FD is 0x{inputs:08X}: no limit switch, no interlock")
+
+
+def _brake(objects: ToldObjects) -> Iterator[Finding]:
+    outputs = objects.value(0x60FE, 1)
+    if outputs is None or not outputs & OUTPUT_BRAKE:
+        return
+    yield warning(
+        "brake", "the brake is set (0x60FE:01, bit 0)",
+        "the drive must release it when it is enabled: set its brake control and times with the vendor's tool",
+    )  # fmt: skip
+
+
+def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[Finding]:
+    for index, what in ((0x6076, "rated torque"), (0x6075, "rated current")):
+        if objects.value(index) == 0:
+            text = f"0x{index:04X} ({what}) is 0: the drive has not been told its motor"
+            if f"0x{index:04X}:00" in written:
+                yield warning("motor", f"{text}; the axis file writes it", "see that the drive's motor data are right")
+            else:
+                yield failure("motor", text, "enter the motor's data with the vendor's tool and tune its current loop")
+    limit = objects.value(0x6072)
+    if "0x6072:00" in written:
+        return
+    if limit == 0:
+        yield failure("torque limit", "0x6072 is 0: the drive makes no torque", "set drive.max_torque_permille")
+    elif limit is not None and limit < LOWEST_TORQUE_LIMIT:
+        text = f"0x6072 limits the torque to {limit / TORQUE_LIMIT_PERMILLE:.0%} of the rated torque"
+        yield warning("torque limit", text, "set drive.max_torque_permille if that is too little")
+
+
+def _unreadable(objects: ToldObjects) -> Iterator[Finding]:
+    if objects.unreadable:
+        told = ", ".join(f"{name} ({reason})" for name, reason in sorted(objects.unreadable.items()))
+        yield warning("not read", f"objects that tell nothing: {told}", "see the vendor's manual")

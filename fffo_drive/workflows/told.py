@@ -1,0 +1,98 @@
+"""The objects of a drive that answers, each asked once: numbers, and what it does not tell with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from ..drive.canopen.service import SdoRefusedError, object_name
+from ..drive.port import BusUnavailableError
+
+Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
+
+NO_DATA = 0x08000024  # abort code of an object that is there and empty, such as 0x1003:01 without errors
+MOST_SILENCES = 3  # objects in a row without an answer: then the drive has gone
+# what is read of a drive before anything is asked of it (CiA 301, CiA 402-2)
+WANTED: tuple[tuple[int, int], ...] = (
+    (0x1000, 0), (0x1001, 0), (0x1003, 0), (0x1003, 1), (0x1003, 2), (0x1003, 3), (0x1005, 0), (0x100C, 0), (0x100D, 0),
+    (0x1014, 0), (0x1016, 1), (0x1017, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4), (0x1029, 1),
+    (0x1400, 1), (0x1400, 2), (0x1400, 5), (0x1800, 1), (0x1800, 2), (0x1801, 1), (0x1801, 2), (0x1802, 1), (0x1802, 2),
+    (0x1802, 3), (0x6007, 0), (0x603F, 0), (0x6041, 0), (0x605A, 0), (0x605E, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0),
+    (0x6071, 0), (0x6072, 0), (0x6073, 0), (0x6075, 0), (0x6076, 0), (0x6077, 0), (0x6079, 0), (0x607E, 0), (0x6080, 0),
+    (0x608F, 1), (0x608F, 2), (0x6090, 1), (0x6090, 2), (0x6091, 1), (0x6091, 2), (0x6092, 1), (0x6092, 2),
+    (0x60A8, 0), (0x60A9, 0), (0x60C2, 1), (0x60C2, 2), (0x60FD, 0), (0x60FE, 1), (0x6502, 0),
+)  # fmt: skip
+CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # asked again once SYNC has run
+
+
+class ToldObjects:
+    """What a drive tells, as `DriveObjects` of the list of needs has it."""
+
+    def __init__(self, read: Read) -> None:
+        self._read: Read | None = read
+        self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
+        self._silences = 0
+        self.unreadable: dict[str, str] = {}  # objects that are there, or may be, and tell nothing: the reason
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """False where the drive says that it lacks the object. Raises BusUnavailableError."""
+        return self._ask(index, sub)[0]
+
+    def value(self, index: int, sub: int = 0) -> int | None:
+        """Unsigned, of whatever size. Raises BusUnavailableError."""
+        return self._ask(index, sub)[1]
+
+    def signed(self, index: int, sub: int, bits: int) -> int | None:
+        """As `value`, for a signed object of so many bits."""
+        value = self.value(index, sub)
+        return value if value is None or value < 1 << bits - 1 else value - (1 << bits)
+
+    def ask_all(self, told: Callable[[float], None] = lambda share: None) -> None:
+        """Read all that is wanted; `told` gets the share done."""
+        for k, (index, sub) in enumerate(WANTED, 1):
+            self._ask(index, sub)
+            told(k / len(WANTED))
+
+    def ask_again(self, read: Read, indices: Iterable[int] = CHANGING) -> None:
+        """Read these objects anew, by another way; what does not answer then stays as it was."""
+        wanted = set(indices)
+        before = dict(self._known)
+        self._read, self._silences = read, 0
+        try:
+            for where in [where for where in before if where[0] in wanted]:
+                del self._known[where]
+                self._ask(*where)
+        except BusUnavailableError:
+            self._known = {**before, **self._known}
+        self._read = None
+
+    def ask_no_more(self) -> None:
+        """The way to the drive is closed: what was not asked yet is not there."""
+        self._read = None
+
+    @property
+    def told(self) -> dict[str, int]:
+        """0x6041:00 -> number, of all that was asked."""
+        return {object_name(*where): value for where, (_, value) in sorted(self._known.items()) if value is not None}
+
+    def _ask(self, index: int, sub: int) -> tuple[bool, int | None]:
+        where = index, sub
+        if self._read is None:
+            return self._known.get(where, (False, None))
+        if where not in self._known:
+            self.unreadable.pop(object_name(*where), None)
+            try:
+                data = self._read(index, sub)
+                self._known[where] = True, int.from_bytes(data, "little")
+                self._silences = 0
+            except SdoRefusedError as refusal:
+                self._known[where] = not refusal.absent, None
+                self._silences = 0
+                if not refusal.absent and refusal.code != NO_DATA:
+                    self.unreadable[object_name(*where)] = f"abort 0x{refusal.code:08X}"
+            except BusUnavailableError:
+                self._silences += 1
+                if self._silences >= MOST_SILENCES:
+                    raise
+                self._known[where] = True, None
+                self.unreadable[object_name(*where)] = "no answer"
+        return self._known[where]
