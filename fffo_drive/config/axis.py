@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -26,6 +26,7 @@ from ..control.reference import (
 from ..documents import Record, load, refuse
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig
 from ..drive.canopen.sdo_writes import SdoWrite, WritePhase, reserved_reason
+from ..drive.cia402 import STATUS_FOLLOWS_COMMAND, STATUS_REMOTE
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -68,6 +69,7 @@ TRIP_NAMES = {
     if name.startswith("TRIP_") and isinstance(value, int) and name not in ("TRIP_COUNT", "TRIP_NONE")
 }
 DEFAULT_RESOLVER_BITS = 15
+WATCHED_STATUS_BITS = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
 RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
 REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
 
@@ -79,6 +81,8 @@ class SimulatedDriveSection(Record):
 
     kind: Literal["simulated"]
     file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
+    enable_delay_s: ClassVar[float] = 0.0  # it has no brake, and sets every bit
+    unserved_status_bits: ClassVar[tuple[int, ...]] = ()
 
 
 class SdoWriteSection(Record):
@@ -156,6 +160,17 @@ class CanopenDriveSection(Record):
         list[SdoWriteSection],
         Field(default_factory=list, description="objects that this drive needs written, in order"),
     ]
+    warning_codes: Annotated[
+        list[Annotated[int, Field(ge=1, le=0xFFFF)]],
+        Field(description="EMCY codes that only warn, as 0xFF00: told as an event, no reason to stop"),
+    ] = Field(default_factory=list)
+    unserved_status_bits: Annotated[
+        list[Literal[9, 12]],
+        Field(description="statusword bits that this drive never sets: 9 remote, 12 follows the target torque"),
+    ] = Field(default_factory=list)
+    enable_delay_s: Annotated[
+        float, Field(ge=0, le=10, description="from Operation Enabled to the law: a holding brake opens meanwhile")
+    ] = 0.0
     eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
     listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
     answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
@@ -202,6 +217,8 @@ class CanopenDriveSection(Record):
             fault_reaction_option=self.fault_reaction_option,
             max_torque_permille=self.max_torque_permille,
             sdo=tuple(entry.write() for entry in self.sdo),
+            warning_codes=tuple(self.warning_codes),
+            unserved_status_bits=tuple(self.unserved_status_bits),
             listen_s=self.listen_s,
             answer_timeout_s=self.answer_timeout_s,
             attempts=self.attempts,
@@ -330,6 +347,8 @@ def loop_config(axis: AxisFile) -> LoopConfig:
         round(STOP_S * loop.rate_hz),
         round(loop.tail_s * loop.rate_hz),
         0,
+        enable_delay_ticks=round(axis.drive.enable_delay_s * loop.rate_hz),
+        served_status_bits=WATCHED_STATUS_BITS & ~sum(1 << bit for bit in set(axis.drive.unserved_status_bits)),
     )
 
 
