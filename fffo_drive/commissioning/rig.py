@@ -169,7 +169,7 @@ class Runner:
             else:
                 self._pass(ENABLE_S + self._delay_s + profile.duration_s + watch_s)
         finally:
-            self._statusword = session.status(b.STATUSWORD)
+            self._statusword = session.telling_statusword
             session.request(b.GOAL, GOAL_DISABLED)
             session.request(b.PROFILE_ABORT, number)
         if self.realtime:

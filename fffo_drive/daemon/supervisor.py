@@ -185,7 +185,7 @@ class Supervisor:
         if self.state in (State.FAULT, State.OFFLINE):
             return
         latches = trouble.event is not Event.DRIVE_LOST or self.state in TORQUE_STATES
-        statusword = None if self.connection is None else self.connection.session.status(b.STATUSWORD)
+        statusword = None if self.connection is None else self.connection.session.telling_statusword
         text = self._heard(trouble.text, statusword)
         if latches:
             tick = -1 if self.connection is None else self.connection.last_tick
@@ -269,7 +269,7 @@ class Supervisor:
             return
         self._deadline_s = NEVER_S
         if self.state in WANTING_TORQUE:
-            statusword = None if self.connection is None else self.connection.session.status(b.STATUSWORD)
+            statusword = None if self.connection is None else self.connection.session.telling_statusword
             self.not_enabled = self._heard(NOT_ENABLED, statusword)
             self.log.add("state", self.not_enabled, Level.ERROR)
             self._hear_out(NOT_ENABLED, statusword)

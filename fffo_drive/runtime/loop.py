@@ -175,6 +175,7 @@ def run_loop(
         if found != TRIP_NONE and trip == TRIP_NONE and reset_ticks == 0:
             trip = found
             status[b.TRIP_TICK] = timing.tick
+            status[b.TRIP_STATUSWORD] = seen.statusword
         if trip != TRIP_NONE:
             command_a = 0.0
 

@@ -150,7 +150,7 @@ def record_live(
 
 def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
     """What the drive says where a run did not end as planned: into the recording too. The drive is disabled first."""
-    statusword = session.status(b.STATUSWORD)  # of the fault, before anything is changed
+    statusword = session.telling_statusword  # before anything is changed
     session.request(b.GOAL, GOAL_DISABLED)
     trip = session.status(b.TRIP)
     if started and trip == TRIP_NONE:

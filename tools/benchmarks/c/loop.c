@@ -340,6 +340,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         if (found != TRIP_NONE && trip == TRIP_NONE && reset_ticks == 0) {
             trip = found;
             status[TRIP_TICK] = timing.tick;
+            status[TRIP_STATUSWORD] = seen.statusword;
         }
         if (trip != TRIP_NONE)
             command_a = 0.0;
