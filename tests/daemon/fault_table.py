@@ -152,8 +152,8 @@ REACTIONS_HEAD = """
 # Reactions
 
 What the loop asks of the drive after a trip where `envelope.reactions` of the axis file names nothing else. Whatever it
-asks, no torque of ours is commanded from the tick of the trip on. The drive's own words (EMCY, 0x603F, 0x1003, statusword)
-come with each trip.
+asks, no torque of ours is commanded from the tick of the trip on. The drive's own words (EMCY, 0x603F, 0x1003,
+statusword) come with each trip.
 
 | trip | text | reaction | why |
 | --- | --- | --- | --- |
