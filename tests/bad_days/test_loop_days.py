@@ -122,10 +122,10 @@ def test_a_drive_that_left_operational_stops_the_axis_when_its_heartbeat_says_so
 
 
 def test_a_process_that_was_stopped_finds_a_drive_that_stopped_by_itself(days):
-    """The first thing that it sends is no torque: what came of the drive meanwhile is read before."""
+    """The first thing that it sends is a quick stop: what came of the drive meanwhile is read before."""
     day = days["stopped_long"]
     assert day["trip_tick"] == BEGIN + 800
-    assert day["first_back"] == [0, 0]
+    assert day["first_back"] == [0x02, 0]
     assert day["applied_back"] == 0
 
 
