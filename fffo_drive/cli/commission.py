@@ -1,8 +1,8 @@
 """Check signs, scales, delay and limits of an axis before any loop is closed, and write a record of it.
 
-The axis moves: small current pulses of both signs grow until it turns a little. Current, speed, travel and time are
-bounded, and the first surprise ends it. `fffo-drive run` enables a drive on a bus only with a record that has passed,
-for this drive and these declared facts: name it under `commissioning:` in the axis file.
+The axis moves: small current pulses of both signs grow until it turns a little; it asks first (`--yes`: it does not).
+Current, speed, travel and time are bounded, and the first surprise ends it. `fffo-drive run` enables a drive on a bus
+only with a record that has passed, for this drive and these declared facts: name it under `commissioning:` in the file.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.box import SIMPLE
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .. import __version__
@@ -22,6 +24,9 @@ from ..commissioning.bounds import Bounds, BoundsError, make_bounds
 from ..commissioning.procedure import Outcome, commission
 from ..commissioning.record import (
     FAILED,
+    NOT_DONE,
+    OK,
+    WARNING,
     BoundsRecord,
     CheckRecord,
     CommissioningRecord,
@@ -33,9 +38,10 @@ from ..config.axis import beside, build_profile, model_of, read_axis
 from ..config.checks import bus_problems, require
 from ..config.commissioning import declared_facts
 from ..config.drive_section import CanopenDriveSection
+from ..config.resolution import coarse_words, resolution_lines
 from ..model.parameters import content_hash
 from .drives import Plan, open_drive, plan_session
-from .exits import DriveFaultError
+from .exits import DriveFaultError, UnconfirmedError
 
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}
 
@@ -49,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="record to write (default: the file's commissioning, else NAME.commissioning.yaml)",
     )
+    parser.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
     bounds = parser.add_argument_group("bounds", "defaults are made from the file's envelope, and stay inside it")
     bounds.add_argument("--current", type=float, metavar="A", help="largest current (default: half the continuous)")
@@ -67,13 +74,20 @@ def execute(options: argparse.Namespace) -> int:
         require(plan.path, [f"envelope: {error}"])
         raise
     _claim(out)
-    drive = open_drive(plan, options.bus)
     console = Console(stderr=True, quiet=options.json)
+    for line in resolution_lines(plan.axis, plan.model):
+        console.print(line, soft_wrap=True, highlight=False)
+    for text in coarse_words(plan.axis, plan.model):
+        console.print(f"warning: {text}", soft_wrap=True, highlight=False)
     console.print(
         f"the axis will move: at most {bounds.current_a:g} A, {bounds.speed_rps:g} rps, {bounds.travel_rev:g} rev from "
         "here; Ctrl-C stops it",
-        soft_wrap=True,
-    )
+        soft_wrap=True, highlight=False,
+    )  # fmt: skip
+    if not _may_move(plan, options):
+        console.print("nothing was moved")
+        return 0
+    drive = open_drive(plan, options.bus)
     try:
         outcome = commission(
             drive, session, plan.model, declared_facts(plan.axis, plan.model), bounds,
@@ -91,6 +105,17 @@ def execute(options: argparse.Namespace) -> int:
         failed = [check.name for check in record.checks if check.verdict == FAILED]
         raise DriveFaultError(f"not passed: {', '.join(failed) or 'not all checks were made'}; the record is in {out}")
     return 0
+
+
+def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
+    """Whether somebody says so. A drive in process moves nothing. Raises UnconfirmedError where nobody can be asked."""
+    if options.yes or not isinstance(plan.axis.drive, CanopenDriveSection):
+        return True
+    if options.json or not sys.stdin.isatty():
+        raise UnconfirmedError(
+            "commission moves the axis, and here nobody can be asked: see that it may, and give --yes"
+        )
+    return input("may it move? [y/N] ").strip().lower() in ("y", "yes")
 
 
 def _plan(path: Path) -> Plan:
@@ -131,35 +156,69 @@ def make_record(plan: Plan, outcome: Outcome, bounds: Bounds, bus: str | None = 
     )
 
 
+def verdict_line(record: CommissioningRecord) -> str:
+    """Passed or not, and why, in one sentence."""
+    of = {
+        verdict: [check for check in record.checks if check.verdict == verdict]
+        for verdict in (FAILED, WARNING, NOT_DONE)
+    }
+    if of[FAILED]:
+        first = of[FAILED][0]
+        others = f" (and {len(of[FAILED]) - 1} more)" if len(of[FAILED]) > 1 else ""
+        return f"not passed: {first.name}{others}: {first.text}"
+    if of[NOT_DONE]:
+        return f"not passed: {len(of[NOT_DONE])} of {len(record.checks)} checks were not made: {of[NOT_DONE][0].text}"
+    if of[WARNING]:
+        names = ", ".join(check.name for check in of[WARNING])
+        return f"passed, with {len(of[WARNING])} of {len(record.checks)} checks to look at: {names}"
+    return f"passed: all {len(record.checks)} checks are ok"
+
+
+def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
+    """What to do now, in one sentence."""
+    if not record.passed:
+        remedy = next((check.remedy for check in record.checks if check.verdict == FAILED and check.remedy), "")
+        return remedy or "see what ended it, and commission again"
+    name = os.path.relpath(out, plan.path.parent)
+    if plan.axis.commissioning == name or not isinstance(plan.axis.drive, CanopenDriveSection):
+        return f"fffo-drive run {plan.path}"
+    return f"add to {plan.path}:  commissioning: {name}"
+
+
 def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:
     console = Console()
-    table = Table(title=f"{record.axis}: {record.drive.device_name}", title_justify="left", box=SIMPLE)
+    console.print(f"[bold]{record.axis}: {escape(verdict_line(record))}[/]", soft_wrap=True, highlight=False)
+    console.print(f"next: {escape(next_line(record, plan, out))}", soft_wrap=True, highlight=False)
+    console.print(f"drive: {record.drive.device_name}; record: {out}", soft_wrap=True, highlight=False, markup=False)
+    table = Table(box=SIMPLE, show_edge=False)
     table.add_column("check", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    table.add_column("measured", justify="right", no_wrap=True)
-    table.add_column("ok", justify="right", no_wrap=True)
     table.add_column("found")
+    missing: str | None = None  # one cause has many results: told once
     for check in record.checks:
+        found = "the same" if check.verdict == NOT_DONE and check.text == missing else found_text(check)
+        missing = check.text if check.verdict == NOT_DONE else missing
         verdict = f"[{COLOURS[check.verdict]}]{check.verdict.replace('_', ' ')}[/]"
-        table.add_row(check.name, verdict, *_numbers(check), check.text)
+        table.add_row(check.name, verdict, escape(found))
     console.print(table)
-    for check in record.checks:
-        if check.remedy:
-            console.print(f"{check.name}: {check.remedy}", soft_wrap=True, highlight=False)
-    console.print(f"{record.verdict}: {out}", soft_wrap=True, highlight=False)
-    name = os.path.relpath(out, plan.path.parent)
-    if record.passed and plan.axis.commissioning != name and isinstance(plan.axis.drive, CanopenDriveSection):
-        console.print(f"add to {plan.path}:  commissioning: {name}", soft_wrap=True, highlight=False)
 
 
-def _numbers(check: CheckRecord) -> tuple[str, str]:
-    """Measured value, and the range that is ok."""
-    if check.measured is None:
-        return "", ""
-    unit = "" if check.unit == "-" else f" {check.unit}"
+def found_text(check: CheckRecord) -> str:
+    """What was found; of what is not ok also the range that is, and what to do."""
+    lines = [check.text]
+    if check.verdict != OK and check.measured is not None:
+        lines.append(f"measured {_number(check.measured, check.unit)}, ok is {_range(check)}")
+    if check.remedy:
+        lines.append(f"-> {check.remedy}")
+    return "\n".join(lines)
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.4g}" if unit == "-" else f"{value:.4g} {unit}"
+
+
+def _range(check: CheckRecord) -> str:
     low, high = check.lowest, check.highest
     if low is None:
-        limits = f"≤ {high:.3g}" if high is not None else ""
-    else:
-        limits = f"{low:.3g} .. {high:.3g}" if high is not None else f"≥ {low:.3g}"
-    return f"{check.measured:.4g}{unit}", limits
+        return f"at most {_number(high, check.unit)}" if high is not None else "any"
+    return f"{low:.4g} to {_number(high, check.unit)}" if high is not None else f"at least {_number(low, check.unit)}"

@@ -19,6 +19,7 @@ from ..config.axis import AxisFile
 from ..config.checks import bus_sum, law_margins, shared_buses
 from ..config.drive_profile import DriveProfile, read_profile, shipped_profiles
 from ..config.drive_section import CanopenDriveSection
+from ..config.resolution import coarse_words, resolution_lines
 from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
@@ -96,6 +97,8 @@ def _check(plan: Plan) -> None:
     )
     print(f"  profile: {plan.profile.name}, {plan.profile.duration_s:g} s, {plan.profile.values.size} samples")
     if isinstance(axis.drive, CanopenDriveSection):
+        for line in resolution_lines(axis, model):
+            print(f"  {line}")
         load, chain = bus_sum(axis, model)
         print(
             f"  bus load at {axis.drive.bitrate_hz / 1e6:g} Mbit/s: worst {load.worst:.1%}, typical {load.typical:.1%}"
@@ -110,6 +113,8 @@ def _check(plan: Plan) -> None:
             )
     else:
         open_drive(plan)
+    for text in coarse_words(axis, model):
+        print(f"  warning: {text}")
     for key in ("scope", "foxglove"):
         listen = getattr(axis.daemon, key)
         problem = sandbox_problem(address_of(listen)) if listen is not None else None

@@ -19,6 +19,10 @@ class DriveFaultError(Exception):
     """A run that ended with a fault."""
 
 
+class UnconfirmedError(Exception):
+    """Something would move, and nobody said that it may."""
+
+
 class RecordingGapError(Exception):
     """A run whose recording is not whole."""
 
@@ -37,6 +41,7 @@ def exit_code_of(error: Exception) -> int | None:
 
     codes: list[tuple[type[Exception], int]] = [
         (DocumentError, EXIT_BAD_INPUT),
+        (UnconfirmedError, EXIT_BAD_INPUT),
         (MappingError, EXIT_BAD_INPUT),
         (PlantConfigError, EXIT_BAD_INPUT),
         (BusUnavailableError, EXIT_UNAVAILABLE),

@@ -119,6 +119,7 @@ def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
         "axis": plan.axis.name,
         "toggle": toggle_name(toggle),
         "fault": outcome.fault_text,
+        "warnings": list(outcome.warnings),
         "files": [str(file) for file in outcome.files],
         "rows_written": recorder.rows_written,
         "rows_lost": recorder.rows_lost,
@@ -149,5 +150,7 @@ def _print(summary: dict[str, Any]) -> None:
         wire = [f"{ticks[name]} {name}" for name in ExchangeCounts._fields if ticks[name]]
         if wire:
             print(f"on the wire: {', '.join(wire)}")
+    for warning in summary["warnings"]:
+        print(warning)
     for file in summary["files"]:
         print(file)

@@ -30,6 +30,13 @@ SHORTEST_STRETCH = 8  # rows
 LARGEST_UNEXPLAINED = 0.1  # of the variance: beyond, the axis does not slide as the equation says
 
 
+class HeldCurrent(NamedTuple):
+    """0x6078 under a current that the axis stands under."""
+
+    ratio: float  # mean of what the drive reports, over what was sent
+    resolution: float  # one per mille, over what was sent: how far a right drive may be off
+
+
 class ScaleFit(NamedTuple):
     """Velocity against position."""
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.parameters import ModelFile
-from .estimate import GainFit, ScaleFit
+from .estimate import GainFit, HeldCurrent, ScaleFit
 from .judge import Range, factor, graded, told, within
 from .motion import Motion, Response
 from .objects import NamePlate
@@ -206,13 +206,15 @@ def velocity_age(fit: ScaleFit, period_s: float, believed_s: float) -> CheckReco
 
 
 def current_scale(
-    slope: float, samples: int, held_ratio: float | None, plate: NamePlate, beliefs: Beliefs
+    slope: float, samples: int, held: HeldCurrent | None, plate: NamePlate, beliefs: Beliefs
 ) -> CheckRecord:
     """0x6077 (and 0x6078 with 0x6075, where they are) against the commanded current, and Kt against the name plate."""
-    limits = within(1.0, CURRENT_OK, CURRENT_WARNING)
-    ratio, source = (slope, "0x6077") if held_ratio is None else (held_ratio, "0x6078")
-    numbers = {"by_0x6077": slope, "samples": float(samples)}
+    ratio, source, count = (slope, "0x6077", 0.0) if held is None else (held.ratio, "0x6078", held.resolution)
+    limits = within(1.0, CURRENT_OK + count, CURRENT_WARNING + count)
+    numbers = {"by_0x6077": slope, "samples": float(samples), "resolution": count}
     text = f"{source} reports {ratio:.3f} of the commanded current"
+    if count:
+        text += f", in steps of {count:.3f}"
     remedy = (
         "the drive makes another current than commanded: check rated torque and current (0x6076, 0x6075), "
         "torque_constant_nm_per_a, the torque limits 0x6072, 0x60E0, 0x60E1 and the tuning of the current loop"
@@ -224,7 +226,7 @@ def current_scale(
         if within(1.0, PLATE_OK, PLATE_WARNING).verdict(of_plate) != OK and limits.verdict(ratio) == OK:
             remedy = "0x6076 over 0x6075 is another torque constant than the model's: make them agree"
             return told("current_scale", WARNING, text, remedy, numbers)
-    if not samples and held_ratio is None:
+    if not samples and held is None:
         return told("current_scale", WARNING, "the drive reported no current during the pulses", remedy, numbers)
     return graded("current_scale", ratio, 1.0, limits, "-", text, remedy, numbers)
 

@@ -26,7 +26,16 @@ from ..model.parameters import ModelFile
 from ..runtime.session import SessionConfig
 from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
-from .estimate import ScaleFit, coasting_s, current_slope, fit_gain, fit_scale, travel_ratio, update_interval_s
+from .estimate import (
+    HeldCurrent,
+    ScaleFit,
+    coasting_s,
+    current_slope,
+    fit_gain,
+    fit_scale,
+    travel_ratio,
+    update_interval_s,
+)
 from .judge import CHECKS, not_done, told
 from .motion import Motion, Response, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
@@ -46,6 +55,7 @@ MEASURING_PAIRS = 5
 REST_FACTOR = 1.3  # of the time that the axis coasted
 HOLD_SHARE = 0.6  # of the current that just moves the axis
 HOLD_S = 1.0
+FEWEST_PERMILLE = 20.0  # of the rated current: below, the steps of 0x6078 say more than the current
 FEWEST_READINGS = 5
 CLAMP_SHARE, CLAMP_ASK = 0.5, 1.5  # of the current that just moves the axis
 TRIP_SHARE = 0.6  # of what the same pulse reached without the limit
@@ -158,8 +168,8 @@ class _Procedure:
                 probe.amplitude_a, probe.length_s, rest_s, self.rig.period_s, min(MEASURING_PAIRS, pairs)
             )
             motion = self._run(runner, profile).motion
-            held_ratio = self._hold(runner, HOLD_SHARE * probe.stood_a)
-        self._measure(motion, held_ratio, probe)
+            held = self._hold(runner, HOLD_SHARE * probe.stood_a)
+        self._measure(motion, held, probe)
         self.stop_if_failed("counts_per_rev", "velocity_scale")
         return probe
 
@@ -273,11 +283,11 @@ class _Procedure:
             remedy = "a load pulls it, or it stands at an end stop: balance or move it, or give a larger --current"
         self.add(told("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
 
-    def _hold(self, runner: Runner, current_a: float) -> float | None:
-        """0x6078 over the commanded current, while the axis stands under it. None where it cannot be told."""
+    def _hold(self, runner: Runner, current_a: float) -> HeldCurrent | None:
+        """0x6078 over the current on the wire, while the axis stands under it. None where it cannot be told."""
         source = self.rig.drive
         rated_a = self.plate.rated_current_a
-        if not isinstance(source, ObjectSource) or rated_a is None or current_a * PERMILLE < 20.0 * rated_a:
+        if not isinstance(source, ObjectSource) or rated_a is None or current_a * PERMILLE < FEWEST_PERMILLE * rated_a:
             return None
         reported: list[float] = []
 
@@ -286,10 +296,13 @@ class _Procedure:
             if raw is not None:
                 reported.append(raw / PERMILLE * rated_a)
 
-        self._run(runner, pulses.holding_current(current_a, HOLD_S, self.rig.period_s), meanwhile=read)
-        return float(np.median(reported)) / current_a if len(reported) >= FEWEST_READINGS else None
+        held = self._run(runner, pulses.holding_current(current_a, HOLD_S, self.rig.period_s), meanwhile=read).motion
+        sent_a = float(np.max(held.command_a)) if held.size else 0.0  # whole per mille of what was asked for
+        if len(reported) < FEWEST_READINGS or sent_a <= 0.0:
+            return None
+        return HeldCurrent(float(np.median(reported)) / sent_a, rated_a / PERMILLE / sent_a)
 
-    def _measure(self, motion: Motion, held_ratio: float | None, probe: _Probe) -> None:
+    def _measure(self, motion: Motion, held: HeldCurrent | None, probe: _Probe) -> None:
         period_s, beliefs = self.rig.period_s, self.beliefs
         scale = fit_scale(motion)
         gain = fit_gain(motion)
@@ -298,7 +311,7 @@ class _Procedure:
         self.add(motion_checks.velocity_update(update_interval_s(motion, period_s), period_s))
         self.add(motion_checks.velocity_age(scale, period_s, beliefs.sensor_delay_s))
         slope, samples = current_slope(motion)
-        self.add(motion_checks.current_scale(slope, samples, held_ratio, self.plate, beliefs))
+        self.add(motion_checks.current_scale(slope, samples, held, self.plate, beliefs))
         if gain is None:
             self._did_not_slide(probe, bool(suspected))
             return

@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.envelope import TRIP_NONE, TRIP_TEXTS, EnvelopeConfig
+from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
 from ..drive.port import Drive, DriveIdentity
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
+from ..runtime.runs import fault_text
 from ..runtime.session import Session, SessionConfig
 from .bounds import open_loop
 from .motion import Motion, motion_of
@@ -50,10 +51,7 @@ class Run(NamedTuple):
     @property
     def fault_text(self) -> str | None:
         """Why the profile did not run to its end; None when it did."""
-        said = f" ({self.drive_words})" if self.drive_words else ""
-        if self.trip != TRIP_NONE:
-            return TRIP_TEXTS[self.trip] + said
-        return None if self.enabled else "the drive did not reach Operation Enabled" + said
+        return fault_text(self.trip, self.enabled, self.drive_words)
 
 
 class Rig:
@@ -87,6 +85,13 @@ class Rig:
                     self._tell(f"without real-time properties: {refusal}")
             yield Runner(session, self)
 
+    def pass_on(self, warnings: list[str]) -> None:
+        """Tell what the drive warns of, each thing once."""
+        for text in warnings:
+            if text not in self._told:
+                self._told.add(text)
+                self._tell(text)
+
     def take_time(self, duration_s: float) -> None:
         """Count time in which the axis may move. Raises TimeBoundError."""
         self._left_s -= duration_s
@@ -101,6 +106,8 @@ class Runner:
         self.session = session
         self._rig = rig
         self._reader = RingReader(session.ring)
+        self._delay_s = session.config.loop.enable_delay_s
+        self._statusword = 0  # when the last profile ended, before the drive was disabled
 
     @property
     def realtime(self) -> bool:
@@ -120,7 +127,8 @@ class Runner:
         motion = self._collect(lambda: self._act(profile, watch_s, meanwhile))
         tripped = motion.trip[motion.trip != TRIP_NONE]
         enabled = bool(motion.enabled.any())
-        words = self.session.drive.fault_words() if tripped.size or not enabled else ""
+        words = self.session.drive.fault_words(self._statusword) if tripped.size or not enabled else ""
+        self._rig.pass_on(self.session.drive.warnings())
         return Run(motion, int(tripped[0]) if tripped.size else TRIP_NONE, enabled, words)
 
     def _act(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:
@@ -159,8 +167,9 @@ class Runner:
                 self._follow(number, meanwhile)
                 time.sleep(watch_s)
             else:
-                self._pass(ENABLE_S + profile.duration_s + watch_s)
+                self._pass(ENABLE_S + self._delay_s + profile.duration_s + watch_s)
         finally:
+            self._statusword = session.telling_statusword
             session.request(b.GOAL, GOAL_DISABLED)
             session.request(b.PROFILE_ABORT, number)
         if self.realtime:
@@ -174,7 +183,7 @@ class Runner:
         def over() -> bool:
             return session.status(b.PROFILE_DONE) == number or session.status(b.TRIP) != TRIP_NONE
 
-        self._until(lambda: over() or session.status(b.PROFILE_SAMPLE) >= 0, ENABLE_TIMEOUT_S)
+        self._until(lambda: over() or session.status(b.PROFILE_SAMPLE) >= 0, ENABLE_TIMEOUT_S + self._delay_s)
         while session.running and not over() and session.status(b.PROFILE_SAMPLE) >= 0:
             if meanwhile is not None:
                 meanwhile()

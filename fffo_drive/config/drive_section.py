@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -31,6 +31,8 @@ class SimulatedDriveSection(Record):
 
     kind: Literal["simulated"]
     file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
+    enable_delay_s: ClassVar[float] = 0.0  # it has no brake, and sets every bit
+    unserved_status_bits: ClassVar[tuple[int, ...]] = ()
 
 
 class SdoWriteSection(Record):
@@ -143,6 +145,17 @@ class CanopenDriveSection(Record):
         list[SdoWriteSection],
         Field(default_factory=list, description="objects that this drive needs written, in order"),
     ]
+    warning_codes: Annotated[
+        list[Annotated[int, Field(ge=1, le=0xFFFF)]],
+        Field(description="EMCY codes that only warn, as 0xFF00: told as an event, no reason to stop"),
+    ] = Field(default_factory=list)
+    unserved_status_bits: Annotated[
+        list[Literal[9, 12]],
+        Field(description="statusword bits that this drive never sets: 9 remote, 12 follows the target torque"),
+    ] = Field(default_factory=list)
+    enable_delay_s: Annotated[
+        float, Field(ge=0, le=10, description="from Operation Enabled to the law: a holding brake opens meanwhile")
+    ] = 0.0
     profile: Annotated[
         str | None,
         Field(
@@ -242,6 +255,8 @@ class CanopenDriveSection(Record):
             fault_reaction_option=self.fault_reaction_option,
             max_torque_permille=self.max_torque_permille,
             sdo=tuple(entry.write() for entry in self.sdo),
+            warning_codes=tuple(self.warning_codes),
+            unserved_status_bits=tuple(self.unserved_status_bits),
             listen_s=self.listen_s,
             answer_timeout_s=self.answer_timeout_s,
             attempts=self.attempts,

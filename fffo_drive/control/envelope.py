@@ -35,7 +35,9 @@ TRIP_REBOOT = 12
 TRIP_DRIVE_LEFT = 13
 TRIP_NOT_OPERATIONAL = 14
 TRIP_FOREIGN_SYNC = 15
-TRIP_COUNT = 16
+TRIP_LOCAL_CONTROL = 16
+TRIP_NOT_FOLLOWING = 17
+TRIP_COUNT = 18
 
 TRIP_TEXTS = {
     TRIP_NONE: "no fault",
@@ -54,10 +56,48 @@ TRIP_TEXTS = {
     TRIP_DRIVE_LEFT: "the drive left Operation Enabled by itself",
     TRIP_NOT_OPERATIONAL: "the drive left NMT state operational, as its heartbeat says",
     TRIP_FOREIGN_SYNC: "a SYNC that is not ours: another master is on the bus",
+    TRIP_LOCAL_CONTROL: (
+        "the drive is in local control and ignores the controlword (statusword bit 9 is 0): give control to the bus; "
+        "for a drive that never sets this bit: drive.unserved_status_bits: [9]"
+    ),
+    TRIP_NOT_FOLLOWING: (
+        "the drive does not follow the target torque 0x6071 (statusword bit 12 is 0 in Operation Enabled): see its "
+        "mode, limit switches and interlock; for a drive that never sets this bit: drive.unserved_status_bits: [12]"
+    ),
 }
 
 REACTION_COAST = 0
 REACTION_QUICK_STOP = 1
+
+_BRAKES = "the drive still obeys, and brakes by itself: what we compute or measure is not needed for it"
+_IN_CASE = "nothing is lost where the drive does not hear or obey it; where it does, it brakes"
+# reaction to each trip where envelope.reactions names none, and why
+DEFAULT_REACTIONS = {
+    TRIP_NOT_A_NUMBER: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_OVERSPEED: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_POSITION_WINDOW: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_FOLLOWING_ERROR: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_I2T: (REACTION_QUICK_STOP, "braking is short beside the time constant of the heat"),
+    TRIP_FEEDBACK_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
+    TRIP_STATUS_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
+    TRIP_DRIVE_FAULT: (REACTION_QUICK_STOP, "its fault reaction (0x605E) runs already; 0x0000 could cut that short"),
+    TRIP_EMERGENCY: (
+        REACTION_QUICK_STOP, "a drive that stays in Operation Enabled trusts its own feedback and brakes; one that "
+        "does not goes through its fault reaction (0x605E), which a quick stop does not disturb",
+    ),
+    TRIP_BUS_OFF: (REACTION_QUICK_STOP, "nothing can be sent: the drive stops by 0x6007; this waits for the bus"),
+    TRIP_HEARTBEAT: (REACTION_QUICK_STOP, _IN_CASE),
+    TRIP_REBOOT: (
+        REACTION_COAST, "no torque is left to brake with, and its quick stop is no longer the one that we have set"
+    ),
+    TRIP_DRIVE_LEFT: (REACTION_QUICK_STOP, _IN_CASE),
+    TRIP_NOT_OPERATIONAL: (REACTION_QUICK_STOP, "the drive stops by 0x6007; this waits for its way back"),
+    TRIP_FOREIGN_SYNC: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_LOCAL_CONTROL: (REACTION_QUICK_STOP, _IN_CASE),
+    TRIP_NOT_FOLLOWING: (REACTION_QUICK_STOP, "the target is ignored, the controlword is not"),
+}  # fmt: skip
+
+UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 so much later than the state that they belong to
 
 STATUS_INTERNAL_LIMIT = 1 << 11  # CiA 402, 0x6041
 STATUS_FAULT = 1 << 3
@@ -90,6 +130,7 @@ class EnvelopeState(NamedTuple):
     i2t_a2s: float  # heat above the continuous current, A^2 s; a reset does not cool the motor
     following_s: float  # how long the velocity error has been too large
     was_enabled: bool
+    unheeded_s: float  # how long the drive has said that it ignores controlword or target
 
 
 class EnvelopeInputs(NamedTuple):
@@ -111,19 +152,21 @@ class EnvelopeInputs(NamedTuple):
     wanted: bool  # torque is wanted in this tick
     enabled: bool  # the drive is in Operation Enabled
     closed_loop: bool  # the error means something
+    local_control: bool  # the drive says that it ignores the controlword
+    ignores_target: bool  # it says that it ignores 0x6071 while it is commanded
     skipped_ticks: int  # since the last step: deadlines missed, with the last command held
 
 
 @njit
 def envelope_at_rest() -> EnvelopeState:
     """Memory before the first tick."""
-    return EnvelopeState(0.0, 0.0, 0.0, False)
+    return EnvelopeState(0.0, 0.0, 0.0, False, 0.0)
 
 
 @njit
 def envelope_after_reset(state: EnvelopeState) -> EnvelopeState:
     """Memory after a reset: at rest, but as warm as it was, or peak current could be had again with every reset."""
-    return EnvelopeState(0.0, state.i2t_a2s, 0.0, False)
+    return EnvelopeState(0.0, state.i2t_a2s, 0.0, False, 0.0)
 
 
 @njit
@@ -156,6 +199,8 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
         return TRIP_FEEDBACK_MISSING
     if seen.status_age >= config.status_missing_ticks:
         return TRIP_STATUS_MISSING
+    if state.unheeded_s > UNHEEDED_S:
+        return TRIP_LOCAL_CONTROL if seen.local_control else TRIP_NOT_FOLLOWING
     if abs(seen.velocity_rps) > config.speed_limit_rps:
         return TRIP_OVERSPEED
     if not config.position_low_rev <= seen.position_rev <= config.position_high_rev:
@@ -213,7 +258,10 @@ def envelope_step(
     following_s = 0.0
     if seen.wanted and seen.closed_loop and abs(seen.error_rps) > config.following_error_rps:
         following_s = state.following_s + held_s + config.period_s
-    state = EnvelopeState(state.last_command_a, heat_a2s, following_s, state.was_enabled)
+    unheeded_s = 0.0
+    if seen.wanted and (seen.local_control or seen.ignores_target):
+        unheeded_s = state.unheeded_s + held_s + config.period_s
+    state = EnvelopeState(state.last_command_a, heat_a2s, following_s, state.was_enabled, unheeded_s)
 
     trip = find_trip(config, state, seen)
     command_a = 0.0
@@ -224,12 +272,13 @@ def envelope_step(
             limits |= LIMIT_DRIVE
 
     heat_a2s = heat_after(config, heat_a2s, command_a, config.period_s)
-    return command_a, limits, trip, EnvelopeState(command_a, heat_a2s, following_s, seen.wanted and seen.enabled)
+    after = EnvelopeState(command_a, heat_a2s, following_s, seen.wanted and seen.enabled, unheeded_s)
+    return command_a, limits, trip, after
 
 
 def default_reactions() -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Quick stop where the drive can still brake, coast where nothing that it says can be trusted."""
+    """DEFAULT_REACTIONS by number: quick stop where the drive may still brake."""
     reactions = np.full(TRIP_COUNT, REACTION_QUICK_STOP, dtype=np.int64)
-    for trip in (TRIP_NOT_A_NUMBER, TRIP_DRIVE_FAULT, TRIP_EMERGENCY, TRIP_REBOOT):
-        reactions[trip] = REACTION_COAST
+    for trip, (reaction, _) in DEFAULT_REACTIONS.items():
+        reactions[trip] = reaction
     return reactions

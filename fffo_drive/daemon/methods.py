@@ -279,7 +279,10 @@ class Api:
         came = await supervisor.reached(lambda: condition() or no_more(), wait_s)
         if came and condition():
             return self._now(True)
-        reason = f": {supervisor.fault.text}" if supervisor.fault is not None else ""
+        await supervisor.heard_out()
+        said = supervisor.not_enabled if hopeless is not None else ""
+        said = supervisor.fault.text if supervisor.fault is not None else said
+        reason = f": {said}" if said else ""
         if not reason and supervisor.state in (State.OFFLINE, State.CONNECTED) and supervisor.obstacles:
             reason = f": {supervisor.obstacles[0]}"
         raise RpcError(

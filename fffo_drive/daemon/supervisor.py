@@ -26,6 +26,7 @@ from ..model.parameters import content_hash
 from ..recording.events import Level
 from ..runtime import blocks as b
 from ..runtime.journal import Journal
+from ..runtime.runs import NOT_ENABLED, with_words
 from ..runtime.states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
@@ -41,6 +42,7 @@ NEVER_S = float("inf")
 # the service's end, within five seconds in all
 ORDERLY_STOP_S = 2.0  # to brake in order; then it is a quick stop
 QUICK_STOP_S = 1.0
+HEARING_S = 2.0  # a client waits so long for the drive's words
 CLOSE_S = 1.5  # for the drive to be left and the recording to be closed
 
 
@@ -67,12 +69,14 @@ class Supervisor:
         self.obstacles: list[str] = ["not connected yet"]
         self.connection: Connection | None = None
         self.motion: Motion | None = None
+        self.not_enabled = ""  # why the last attempt did not come to Operation Enabled
         self.fatal: BaseException | None = None
         self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
         self._permission: Permission | None = None
         self._watcher: Watcher | None = None
         self._to_leave: Connection | None = None
         self._wake = asyncio.Event()
+        self._hearing: asyncio.Future[None] | None = None
         self._lived = asyncio.Event()  # `run` has ended, or has not begun
         self._lived.set()
         self._connections = 0
@@ -123,7 +127,7 @@ class Supervisor:
             return
         timeouts = self.plan.axis.daemon
         if action is Action.ENABLE:
-            self._torque_seen = False
+            self._torque_seen, self.not_enabled = False, ""
             self._deadline_s = now_s + timeouts.enable_timeout_s
             motion.ask(GOAL_ENABLED)
         elif action is Action.START:
@@ -144,7 +148,7 @@ class Supervisor:
 
     def _brake(self, motion: Motion, now_s: float) -> None:
         """To standstill under control; where there is no torque yet there is nothing to brake."""
-        if self._torque_seen:
+        if self._torque_seen and self._watcher is not None and self._watcher.commanding:
             motion.brake()
             motion.brake_when_settled(self.plan)
             self._quick = False
@@ -164,6 +168,8 @@ class Supervisor:
         now_s = self._clock()
         if self.connection is not None and self._watcher is not None:
             self.connection.beat()
+            for text in self.connection.drive.warnings():
+                self.log.add("drive", text, Level.WARNING)
             trouble = self._watcher.look(now_s)
             if trouble is not None:
                 self._meet(trouble)
@@ -179,12 +185,44 @@ class Supervisor:
         if self.state in (State.FAULT, State.OFFLINE):
             return
         latches = trouble.event is not Event.DRIVE_LOST or self.state in TORQUE_STATES
+        statusword = None if self.connection is None else self.connection.session.telling_statusword
+        text = self._heard(trouble.text, statusword)
         if latches:
             tick = -1 if self.connection is None else self.connection.last_tick
-            self.fault = Latched(trouble.name, trouble.text, tick)
-        self._said = trouble.text
-        self.obstacles = [trouble.text]
+            self.fault = Latched(trouble.name, text, tick)
+        self._said = text
+        self.obstacles = [text]
+        if trouble.event is Event.TRIPPED:
+            self._hear_out(trouble.text, statusword)
         self.apply(trouble.event)
+
+    def _heard(self, text: str, statusword: int | None) -> str:
+        """A reason, with what the drive has said without being asked."""
+        words = self.connection.drive.fault_words(statusword, ask=False) if self.connection is not None else ""
+        return with_words(text, words)
+
+    def _hear_out(self, text: str, statusword: int | None) -> None:
+        """Ask the drive for the rest of its words, on the bus's thread: they go into log and fault."""
+        if self.connection is not None and not self._closing:
+            self._hearing = asyncio.ensure_future(self._ask_drive(self.connection, text, self.fault, statusword))
+
+    async def _ask_drive(
+        self, connection: Connection, text: str, fault: Latched | None, statusword: int | None
+    ) -> None:
+        words = await self.bus_work.run(connection.drive.fault_words, statusword)
+        if not words:
+            return
+        if fault is None:
+            self.not_enabled = with_words(text, words)
+        elif self.fault is fault:
+            self.fault = fault._replace(text=with_words(text, words))
+        self.log.add("drive", f"the drive says: {words}", Level.ERROR)
+        self.changed()
+
+    async def heard_out(self) -> None:
+        """Until the drive has been asked for its words, if it is just being asked; for a bounded time."""
+        if self._hearing is not None:
+            await asyncio.wait({self._hearing}, timeout=HEARING_S)
 
     def _follow(self, now_s: float) -> None:
         """The loop runs and nothing is wrong."""
@@ -231,7 +269,10 @@ class Supervisor:
             return
         self._deadline_s = NEVER_S
         if self.state in WANTING_TORQUE:
-            self.log.add("state", "the drive did not reach Operation Enabled in time", Level.ERROR)
+            statusword = None if self.connection is None else self.connection.session.telling_statusword
+            self.not_enabled = self._heard(NOT_ENABLED, statusword)
+            self.log.add("state", self.not_enabled, Level.ERROR)
+            self._hear_out(NOT_ENABLED, statusword)
             self.apply(Event.ENABLE_TIMEOUT)
         elif self.state is State.STOPPING and not self._quick:
             self.log.add("state", "the ordered stop takes too long: quick stop", Level.ERROR)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from ..config.plan import Plan
 from ..control import envelope as env
+from ..control.reference import MODE_IDLE
 from ..drive.cia402 import (
     STATE_QUICK_STOP_ACTIVE,
     has_torque,
@@ -14,6 +15,7 @@ from ..drive.cia402 import (
 )
 from ..runtime import blocks as b
 from ..runtime.states import Event
+from ..runtime.tick import in_local_control
 from .connection import Connection
 
 RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
@@ -119,18 +121,12 @@ class Watcher:
     def _tripped(self, trip: int) -> Trouble | None:
         if trip != env.TRIP_NONE:
             event = Event.DRIVE_LOST if trip in LOST_TRIPS else Event.TRIPPED
-            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip] + self._code_of(trip))
+            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
         row = self.connection.last_row()
         if row is not None and int(row["velocity_age"]) > self._silent_ticks:
             text = f"no answer to {int(row['velocity_age'])} SYNCs"
             return Trouble(Event.DRIVE_LOST, "silent", text)
         return None
-
-    def _code_of(self, trip: int) -> str:
-        """What the drive said about it."""
-        code = int(self.connection.drive.feedback["emergency_code"][0])
-        told = trip in (env.TRIP_EMERGENCY, env.TRIP_DRIVE_FAULT, env.TRIP_DRIVE_LEFT)
-        return f": 0x{code:04X}" if told and code else ""
 
     def obstacles(self, missing_ticks: int, status_ticks: int) -> list[str]:
         """Why the drive may not be enabled now, as far as it is the drive's own matter."""
@@ -144,12 +140,19 @@ class Watcher:
             found.append(f"the statusword is {int(row['status_age'])} periods old")
         if not self.connection.clear:
             found.append("the drive is in fault")
+        if in_local_control(self.connection.session.config.loop.served_status_bits, int(row["statusword"])):
+            found.append(env.TRIP_TEXTS[env.TRIP_LOCAL_CONTROL])
         return found
 
     @property
     def torque_on(self) -> bool:
         """The drive is in Operation Enabled."""
         return bool(is_operation_enabled(self.connection.session.status(b.STATUSWORD)))
+
+    @property
+    def commanding(self) -> bool:
+        """The law acts: Operation Enabled, and the brake has had its time to open (drive.enable_delay_s)."""
+        return self.connection.session.status(b.MODE) != MODE_IDLE
 
     @property
     def torque_off(self) -> bool:

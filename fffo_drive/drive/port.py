@@ -29,7 +29,9 @@ FEEDBACK = np.dtype(
         ("statusword", "<i8"),
         # from the drive, outside the cycle
         ("emergency_code", "<i8"),  # error code of the last EMCY, 0 after a reset message
-        ("emergency_count", "<i8"),  # EMCY frames with a non-zero code
+        ("emergency_count", "<i8"),  # EMCY frames with an error; those that only warn are not among them
+        ("warning_code", "<i8"),  # of the last EMCY that only warns; 0 before the first
+        ("warning_count", "<i8"),  # EMCY frames that only warn
         ("heartbeat_ns", "<i8"),  # when the drive's last heartbeat came; -1 before the first
         ("boot_count", "<i8"),  # boot-up messages seen
         ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
@@ -72,6 +74,7 @@ class ExchangeCounts(NamedTuple):
     boot_count: int = 0  # the drive restarted
     nmt_exits: int = 0  # a heartbeat said that the drive left NMT operational
     foreign_syncs: int = 0  # SYNC frames of another producer
+    warning_count: int = 0  # EMCY messages that only warn
 
     def since(self, before: ExchangeCounts) -> ExchangeCounts:
         """What came after `before`."""
@@ -171,8 +174,15 @@ class Drive(Protocol):
         """True when the port's clock is the wall's: the loop then needs a thread and a priority of its own."""
         ...
 
-    def fault_words(self) -> str:
-        """What the drive itself says of a fault, or of why it is not enabled; empty where it says nothing."""
+    def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
+        """What the drive itself says of a fault, or of why it is not enabled; empty where it says nothing.
+
+        `statusword`: of the moment that matters, None for now. Not `ask`: only what was heard, without waiting.
+        """
+        ...
+
+    def warnings(self) -> list[str]:
+        """What the drive has warned of since the last call, a sentence each; never waits."""
         ...
 
     def close(self, loop_ended: bool = True) -> None:

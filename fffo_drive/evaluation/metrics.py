@@ -46,6 +46,7 @@ class TickStatistics(NamedTuple):
     boot_count: int
     nmt_exits: int
     foreign_syncs: int
+    warning_count: int
     lateness_us_p50: float
     lateness_us_p99: float
     lateness_us_max: float

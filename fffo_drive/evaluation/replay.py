@@ -51,6 +51,8 @@ from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
     FLAG_FOREIGN_SYNC,
+    FLAG_IGNORES_TARGET,
+    FLAG_LOCAL_CONTROL,
     FLAG_LOOP_BEGAN,
     FLAG_NOT_OPERATIONAL,
     FLAG_REBOOT,
@@ -150,6 +152,8 @@ def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> 
         wanted,
         is_operation_enabled(statusword),
         closed_loop,
+        flags & FLAG_LOCAL_CONTROL != 0,
+        flags & FLAG_IGNORES_TARGET != 0,
         skipped_ticks,
     )
 
@@ -236,7 +240,7 @@ def replay_into(
             # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says
             known, controller = True, controller_at_rest()
             compensation_rest(effects_memory)
-            envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False)
+            envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False, 0.0)
         # another law may have found a fault where the axis went on: what follows is what the axis did
         trip, controlword, resetting_before = _int64(row["trip"]), _int64(row["controlword"]), resetting
         row_number, tick = _int64(row["row_number"]), _int64(row["tick"])

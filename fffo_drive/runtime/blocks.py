@@ -51,7 +51,8 @@ PARAMETERS_IN_USE = 12
 FINISHED = 13  # 1 when the loop has returned
 ABANDONED = 14  # 1 when the loop stopped because the supervisor was silent
 EFFECTS_IN_USE = 15  # number of the effects that are compensated
-STATUS_WORDS = 16
+TRIP_STATUSWORD = 16  # of the tick of the trip: a moment later it shows the reaction
+STATUS_WORDS = 17
 
 PROFILE_ROWS = 2  # value and derivative
 

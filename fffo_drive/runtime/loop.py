@@ -96,6 +96,7 @@ def run_loop(
     abandoned = False
     trip = TRIP_NONE
     controlword = 0
+    enabled_ticks = 0
     stopping_ticks = 0
     head = load_acquire(ring.words, HEAD)
     last_sync_ns = first_deadline_ns - config.period_ns
@@ -148,23 +149,24 @@ def run_loop(
 
         # the law
         enabled = is_operation_enabled(feedback["statusword"])
+        enabled_ticks = enabled_ticks + timing.tick - tick + 1 if enabled else 0
         wanted = goal == GOAL_ENABLED and trip == TRIP_NONE and reset_ticks == 0
+        active = wanted and enabled_ticks > config.enable_delay_ticks
         was_running = cursor.start_tick >= 0
         cursor, sample, reference = follow_profile(
-            blocks, cursor, controller_config.feedforward, timing.tick, wanted and enabled, config.tail_ticks
+            blocks, cursor, controller_config.feedforward, timing.tick, active, config.tail_ticks
         )
         if was_running and cursor.start_tick < 0 and load_acquire(control, b.AUTOSTOP) != 0:
             stopping_ticks = 1
             goal = GOAL_DISABLED
-            wanted = False
-        active = wanted and enabled
+            wanted = active = False
         effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active, in_service)
         law, controller = apply_law(
             controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active, effects_nm
         )
 
         # the envelope
-        seen = look(feedback, timing, baseline, law, wanted, enabled, timing.tick - tick)
+        seen = look(feedback, config, timing, baseline, law, wanted, enabled, timing.tick - tick)
         command_a, limits, found, envelope = envelope_step(envelope_config, envelope, seen)
         if limits != 0:
             controller = with_limited(controller, True)
@@ -173,6 +175,7 @@ def run_loop(
         if found != TRIP_NONE and trip == TRIP_NONE and reset_ticks == 0:
             trip = found
             status[b.TRIP_TICK] = timing.tick
+            status[b.TRIP_STATUSWORD] = seen.statusword
         if trip != TRIP_NONE:
             command_a = 0.0
 

@@ -27,6 +27,7 @@ from .effect_monitor import EffectMonitor
 from .session import Session
 
 POLL_S = 0.05
+NOT_ENABLED = "the drive did not reach Operation Enabled in time"
 STOP_TIMEOUT_S = 2.0  # from disabling to no torque, a quick stop's braking included
 ENABLE_TIMEOUT_S = 5.0  # from the request to the first sample of the profile
 DISK_TIMEOUT_S = 30.0  # for the last rows; a disk that takes longer costs the end of the recording, not the command
@@ -42,17 +43,12 @@ class RunOutcome(NamedTuple):
     recorder: RecorderStatistics
     recorder_ended: bool = True  # False: the disk still holds it up
     drive_words: str = ""  # what the drive itself said of a fault
+    warnings: tuple[str, ...] = ()  # what it warned of
 
     @property
     def fault_text(self) -> str | None:
         """Why the run is no good; None when it is."""
-        if not self.started:
-            return "the drive did not reach Operation Enabled in time" + self._said
-        return None if self.trip == TRIP_NONE else TRIP_TEXTS[self.trip] + self._said
-
-    @property
-    def _said(self) -> str:
-        return f" ({self.drive_words})" if self.drive_words else ""
+        return fault_text(self.trip, self.started, self.drive_words)
 
     @property
     def gap_text(self) -> str | None:
@@ -67,6 +63,18 @@ class RunOutcome(NamedTuple):
             return None
         reason = recorder.last_error or "the disk was too slow for the ring"
         return f"{missing} of {missing + recorder.rows_written} rows are missing from the recording: {reason}"
+
+
+def fault_text(trip: int, enabled: bool, drive_words: str) -> str | None:
+    """Why a run did not end as planned, with what the drive says of it (`Drive.fault_words`); None when it did."""
+    if trip != TRIP_NONE:
+        return with_words(TRIP_TEXTS[trip], drive_words)
+    return None if enabled else with_words(NOT_ENABLED, drive_words)
+
+
+def with_words(text: str, drive_words: str) -> str:
+    """A reason, and behind it what the drive says."""
+    return f"{text} ({drive_words})" if drive_words else text
 
 
 def run_metadata(
@@ -106,8 +114,9 @@ def record_simulated(
     before = session.status(b.PROFILE_DONE)
     session.run_profile(profile, toggle)
     started = session.status(b.PROFILE_DONE) != before
+    words = _hear_out(session, recorder, started)
     recorder.close(_closing_facts(session, counted))
-    return _outcome(session, recorder, started, counted)
+    return _outcome(session, recorder, started, counted, words)
 
 
 def record_live(
@@ -125,26 +134,49 @@ def record_live(
     recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True, records=session.records)
     counted = exchange_counts(session.drive.feedback)
     recorder.start()
+    warnings: list[str] = []
     try:
         session.request(b.TOGGLE, toggle)
         number = session.start_profile(profile)
         session.request(b.GOAL, GOAL_ENABLED)
-        watch = _watch(session, recorder, monitor)
+        watch = _watch(session, recorder, monitor, warnings)
         started = _follow(session, profile, number, progress, watch)
+        words = _hear_out(session, recorder, started)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
         ended = recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
-    return _outcome(session, recorder, started, counted)._replace(recorder_ended=ended)
+    return _outcome(session, recorder, started, counted, words)._replace(recorder_ended=ended, warnings=tuple(warnings))
 
 
-def _watch(session: Session, recorder: Recorder, monitor: EffectMonitor | None) -> Callable[[], None]:
-    """What is looked at from time to time beside the run: whether the model's effects help."""
+def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
+    """What the drive says where a run did not end as planned: into the recording too. The drive is disabled first."""
+    statusword = session.telling_statusword  # before anything is changed
+    session.request(b.GOAL, GOAL_DISABLED)
+    trip = session.status(b.TRIP)
+    if started and trip == TRIP_NONE:
+        return ""
+    words = session.drive.fault_words(statusword)
+    recorder.event(Level.ERROR, "drive", fault_text(trip, started, words) or "")
+    return words
+
+
+def _watch(
+    session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str]
+) -> Callable[[], None]:
+    """What is looked at from time to time beside the run: what the drive warns of, whether the model's effects help."""
+
+    def listen() -> None:
+        for text in session.drive.warnings():
+            warnings.append(text)
+            recorder.event(Level.WARNING, "drive", text)
+
     if monitor is None:
-        return lambda: None
+        return listen
     reader = RingReader(session.ring, from_now=True)
     session.request(b.EFFECTS, monitor.effects)
 
     def look() -> None:
+        listen()
         for decision in monitor.observe(reader.read().rows):
             session.request(b.EFFECTS, decision.effects)
             verdict = decision.verdict
@@ -160,7 +192,7 @@ def _follow(
     watch: Callable[[], None],
 ) -> bool:  # fmt: skip
     """Wait until the profile is done, or the loop has tripped. False when the drive was never enabled."""
-    deadline = time.monotonic() + ENABLE_TIMEOUT_S
+    deadline = time.monotonic() + ENABLE_TIMEOUT_S + session.config.loop.enable_delay_s
     started = False
     while session.running and session.status(b.TRIP) == TRIP_NONE and session.status(b.PROFILE_DONE) != number:
         sample = session.status(b.PROFILE_SAMPLE)
@@ -192,12 +224,11 @@ def _closing_facts(session: Session, before: ExchangeCounts) -> dict[str, str]:
     return {"trip": TRIP_TEXTS[session.status(b.TRIP)], **counts}
 
 
-def _outcome(session: Session, recorder: Recorder, started: bool, before: ExchangeCounts) -> RunOutcome:
+def _outcome(session: Session, recorder: Recorder, started: bool, before: ExchangeCounts, words: str) -> RunOutcome:
     trip = session.status(b.TRIP)
     exchange = exchange_counts(session.drive.feedback).since(before)
     statistics = recorder.statistics
     fault = trip != TRIP_NONE
-    words = session.drive.fault_words() if fault or not started else ""
     return RunOutcome(statistics.files, trip, started or fault, exchange, statistics, drive_words=words)
 
 

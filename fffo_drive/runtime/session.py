@@ -16,7 +16,7 @@ import numpy as np
 from numba import typeof
 
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
-from ..control.envelope import EnvelopeConfig
+from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import Drive, port_now_ns
@@ -131,6 +131,11 @@ class Session:
     def status(self, word: int) -> int:
         """Read a status word (blocks.TRIP, PROFILE_DONE, ...)."""
         return load_acquire(self.blocks.status, word)
+
+    @property
+    def telling_statusword(self) -> int:
+        """The statusword that tells why the axis does not go on: of the tick of the trip, without one the last."""
+        return self.status(b.STATUSWORD if self.status(b.TRIP) == TRIP_NONE else b.TRIP_STATUSWORD)
 
     def set_model(self, model: ModelNote) -> None:
         """The model of the parameters and effects that come next, for the records."""

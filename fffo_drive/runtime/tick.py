@@ -9,9 +9,20 @@ from ..control.controller import ControllerConfig, ControllerState, ControllerTe
 from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
+from ..drive.cia402 import (
+    STATE_OPERATION_ENABLED,
+    STATE_READY_TO_SWITCH_ON,
+    STATE_SWITCH_ON_DISABLED,
+    STATE_SWITCHED_ON,
+    STATUS_FOLLOWS_COMMAND,
+    STATUS_INTERNAL_LIMIT,
+    STATUS_REMOTE,
+    state_of,
+)
 from ..drive.port import NMT_OPERATIONAL, port_now_ns, port_receive, port_sleep_until, port_sync
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
+from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Blocks, Words
 from .ring import HEAD, Ring
@@ -23,6 +34,8 @@ FLAG_REBOOT = 4  # ... a boot-up message
 FLAG_NOT_OPERATIONAL = 8  # ... a heartbeat that says that it is not in NMT state OPERATIONAL
 FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface gone
 FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
+FLAG_LOCAL_CONTROL = 64  # statusword bit 9 is 0 where the drive serves it: it ignores the controlword
+FLAG_IGNORES_TARGET = 128  # statusword bit 12 is 0 where the drive serves it, though the axis is commanded
 
 
 class LoopConfig(NamedTuple):
@@ -36,6 +49,13 @@ class LoopConfig(NamedTuple):
     tail_ticks: int  # standstill under control after a profile, before it counts as done
     max_ticks: int  # 0: no bound
     supervisor_ticks: int = 0  # a supervisor silent for so long: the loop stops the drive and ends; 0: never
+    enable_delay_ticks: int = 0  # from Operation Enabled to the law: a holding brake opens meanwhile
+    served_status_bits: int = 0  # of cia402.STATUS_REMOTE and STATUS_FOLLOWS_COMMAND those that the drive serves
+
+    @property
+    def enable_delay_s(self) -> float:
+        """From Operation Enabled to the law."""
+        return self.enable_delay_ticks * self.period_ns / NS_PER_S
 
 
 class Timing(NamedTuple):
@@ -166,9 +186,28 @@ def _terms_of_current(current_a: float) -> ControllerTerms:
 
 
 @njit
+def in_local_control(served_bits: int, statusword: int) -> bool:
+    """The drive says that it ignores controlwords; one that still starts, or is in fault, has other things to say."""
+    if served_bits & STATUS_REMOTE == 0 or statusword & STATUS_REMOTE != 0:
+        return False
+    return state_of(statusword) in (
+        STATE_SWITCH_ON_DISABLED, STATE_READY_TO_SWITCH_ON, STATE_SWITCHED_ON, STATE_OPERATION_ENABLED
+    )  # fmt: skip
+
+
+@njit
+def ignores_target(served_bits: int, statusword: int) -> bool:
+    """The drive says that it does not follow the target, and not because it limits it (bit 11: that is in the row)."""
+    if served_bits & STATUS_FOLLOWS_COMMAND == 0:
+        return False
+    return statusword & (STATUS_FOLLOWS_COMMAND | STATUS_INTERNAL_LIMIT) == 0
+
+
+@njit
 def look(
-    feedback: Any, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool, skipped_ticks: int
-) -> EnvelopeInputs:
+    feedback: Any, config: LoopConfig, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool,
+    skipped_ticks: int,
+) -> EnvelopeInputs:  # fmt: skip
     """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
     heartbeat_age_ns = -1
     if feedback["heartbeat_ns"] >= 0:
@@ -192,6 +231,8 @@ def look(
         wanted,
         enabled,
         law.mode == MODE_VELOCITY,
+        in_local_control(config.served_status_bits, feedback["statusword"]),
+        law.mode != MODE_IDLE and ignores_target(config.served_status_bits, feedback["statusword"]),
         skipped_ticks,
     )
 
@@ -204,6 +245,8 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool) -> int:
     flags |= FLAG_REBOOT if seen.reboots > 0 else 0
     flags |= FLAG_NOT_OPERATIONAL if seen.not_operational else 0
     flags |= FLAG_BUS_OFF if seen.bus_off else 0
+    flags |= FLAG_LOCAL_CONTROL if seen.local_control else 0
+    flags |= FLAG_IGNORES_TARGET if seen.ignores_target else 0
     return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
 
 

@@ -16,7 +16,7 @@ from fffo_drive.can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, pack_frame, unp
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen import cyclic  # noqa: F401  registers the kernels
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
-from fffo_drive.drive.canopen.object_map import MappedObject, PdoMap
+from fffo_drive.drive.canopen.object_map import MappedObject, MappingError, PdoMap
 from fffo_drive.drive.canopen.port_memory import SEND_ATTEMPTS, make_port
 from fffo_drive.drive.canopen.service_queue import MAX_AGE_NS, SLOTS, ServiceQueue
 from fffo_drive.drive.port import (
@@ -289,6 +289,25 @@ def test_emergency_and_its_reset(bench):
     bench.say(0x080 + NODE, bytes(8))
     bench.sync()
     assert (bench.count("emergency_code"), bench.count("emergency_count")) == (0, 1)
+
+
+def test_an_emergency_that_only_warns_is_counted_apart():
+    bench = Bench(warning_codes=(0xFF00, 0x8611))
+    try:
+        bench.sync()
+        for code in (0xFF00, 0x8611, 0xFF01, 0xFF00, 0x0000):
+            bench.say(0x080 + NODE, struct.pack("<HB5s", code, 0, b""))
+            bench.receive()
+        assert (bench.count("warning_code"), bench.count("warning_count")) == (0xFF00, 3)
+        assert (bench.count("emergency_code"), bench.count("emergency_count")) == (0, 1)  # 0xFF01, and its reset
+    finally:
+        bench.close()
+
+
+@pytest.mark.parametrize("code", [0, -1, 0x10000])
+def test_a_warning_code_is_an_error_code_of_an_emergency(code):
+    with pytest.raises(MappingError, match="warning_codes"):
+        CanopenDriveConfig(bus="loopback:1", **FACTS, warning_codes=(code,))
 
 
 def test_heartbeat_and_boot_up(bench):

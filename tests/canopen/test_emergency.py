@@ -3,13 +3,24 @@
 import struct
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scripted_node import ScriptedNode, servo_dictionary
 from test_bring_up import NODE, config  # noqa: F401  (a fixture)
 
 from fffo_drive.can.frame import pack_frame
 from fffo_drive.drive.canopen.drive import CanopenDrive
-from fffo_drive.drive.canopen.emergency import code_text, emergency_text, register_text, statusword_text
+from fffo_drive.drive.canopen.emergency import (
+    WarningNews,
+    burst_text,
+    code_text,
+    emergency_text,
+    inputs_text,
+    register_text,
+    statusword_text,
+)
 from fffo_drive.drive.canopen.service import Emergency
+from fffo_drive.units import NS_PER_S
 
 
 @pytest.mark.parametrize(
@@ -36,8 +47,13 @@ def test_a_message_has_its_register_and_what_the_vendor_adds():
 
 
 def test_a_statusword_tells_its_state_and_what_keeps_the_drive_from_being_enabled():
-    assert statusword_text(0x0237) == "statusword 0x0237: operation enabled"
-    assert "local control" in statusword_text(0x0037)
+    assert statusword_text(0x1237) == "statusword 0x1237: operation enabled"
+    assert statusword_text(0x0A37) == "statusword 0x0A37: operation enabled"  # it limits the target
+    assert statusword_text(0x0233) == "statusword 0x0233: switched on"
+    assert "bit 12 is 0: the drive ignores the target torque" in statusword_text(0x0237)
+    assert statusword_text(0x0037, (9, 12)) == "statusword 0x0037: operation enabled"
+    assert "bit 7: the drive warns" in statusword_text(0x12B7)
+    assert "local control" in statusword_text(0x1037)
     assert "no voltage at the power stage" in statusword_text(0x0240)
     assert "no state of CiA 402" in statusword_text(0x020C)
 
@@ -48,6 +64,7 @@ def test_a_drive_says_its_last_emergency_its_error_code_and_its_state(config):  
     }  # fmt: skip
     drive = CanopenDrive(config)
     assert drive.fault_words() == ""
+    assert drive.warnings() == []
     with ScriptedNode(config.bus, NODE, objects) as node, drive:
         before = len(drive.emergencies)
         node.link.send(pack_frame(0x080 + NODE, struct.pack("<HB5s", 0x7305, 0x81, b"abcde")))
@@ -56,5 +73,97 @@ def test_a_drive_says_its_last_emergency_its_error_code_and_its_state(config):  
         said = drive.fault_words()
     assert said == (
         "EMCY 0x7305 (incremental sensor 1), error register 0x81 (generic, manufacturer), vendor bytes 61 62 63 64 65; "
-        "0x603F 0x7305 (incremental sensor 1); statusword 0x0218: fault"
+        "0x603F 0x7305 (incremental sensor 1)"
     )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "words"),
+    [
+        (0, "no limit switch, no interlock"),
+        (0x1, "negative limit switch"),
+        (0x2, "positive limit switch"),
+        (0xC, "home switch, interlock (STO, enable)"),
+        (0x00050008, "interlock (STO, enable), the vendor's bits 16, 18"),
+        (0x0000FFF0, "no limit switch, no interlock"),  # reserved
+    ],
+)
+def test_digital_inputs_have_the_names_of_cia_402(inputs, words):
+    assert inputs_text(inputs) == f"0x60FD 0x{inputs:08X} ({words})"
+
+
+def test_everything_that_the_drive_has_is_told_and_a_drive_that_has_nothing_is_no_error(config):  # noqa: F811
+    objects = servo_dictionary(NODE) | {
+        (0x1003, 0): b"\x04", (0x1003, 1): struct.pack("<I", 0x00127305), (0x1003, 2): struct.pack("<I", 0x3220),
+        (0x1003, 3): struct.pack("<I", 0x8611), (0x1003, 4): struct.pack("<I", 0x2310), (0x603F, 0): bytes(2),
+        (0x60FD, 0): struct.pack("<I", 0x8), (0x6079, 0): struct.pack("<I", 24_130),
+    }  # fmt: skip
+    drive = CanopenDrive(config)
+    with ScriptedNode(config.bus, NODE, objects), drive:
+        assert drive.fault_words(0x0250) == (
+            "0x603F says no error; "
+            "0x1003, newest first: 0x7305 (incremental sensor 1) with 0x0012, 0x3220 (DC link under-voltage), "
+            "0x8611 (following error); statusword 0x0250: switch on disabled; "
+            "0x60FD 0x00000008 (interlock (STO, enable)); DC link 24.1 V (0x6079)"
+        )
+        assert drive.fault_words(0x0250, ask=False) == "statusword 0x0250: switch on disabled"
+        drive.port.feedback["statusword"], drive.port.feedback["status_tick"] = 0x0218, 3
+        assert drive.fault_words(ask=False) == "statusword 0x0218: fault"
+    with ScriptedNode(config.bus, NODE), drive:
+        assert drive.fault_words() == ""
+        assert drive.fault_words(0x0250) == "statusword 0x0250: switch on disabled"
+
+
+def at(seconds, code, register=0x01, vendor=bytes(5)):
+    return Emergency(round(seconds * NS_PER_S), code, register, vendor)
+
+
+def test_of_a_burst_all_are_told_and_what_is_old_has_its_age():
+    heard = [at(1.0, 0x2310), at(50.0, 0x3220), at(50.2, 0x8611), at(50.3, 0), at(50.4, 0xFF00)]
+    now_ns = round(50.5 * NS_PER_S)
+    codes = [text.split()[1] for text in burst_text(heard, (0xFF00,), now_ns)]
+    assert codes == ["0x3220", "0x8611"]
+    assert burst_text(heard[:1], (), round(13.0 * NS_PER_S))[0].endswith("12 s ago")
+    assert burst_text([at(1.0, 0)], (), now_ns) == []
+    assert burst_text([], (), now_ns) == []
+
+
+def test_an_emergency_without_an_error_in_its_register_names_the_key_for_warnings():
+    assert "drive.warning_codes: [0xFF00]" in burst_text([at(1.0, 0xFF00, 0)], (), NS_PER_S)[0]
+    assert "warning_codes" not in burst_text([at(1.0, 0xFF00, 1)], (), NS_PER_S)[0]
+
+
+def test_a_warning_is_told_once_and_the_same_one_several_times_in_one_sentence():
+    news = WarningNews((0xFF00,))
+    heard = [at(1.0, 0xFF00, 0), at(1.1, 0xFF00, 0), at(1.2, 0x8611)]
+    told = news.look(heard, 0x1237, round(1.3 * NS_PER_S))
+    assert len(told) == 1
+    assert "EMCY 0xFF00" in told[0]
+    assert told[0].endswith("(2 times)")
+    assert news.look(heard, 0x1237, round(3.0 * NS_PER_S)) == []
+    heard.append(at(3.1, 0xFF00, 0))
+    assert len(news.look(heard, 0x1237, round(3.2 * NS_PER_S))) == 1
+
+
+def test_the_warning_bit_is_told_when_it_rises_and_a_flood_once_a_second():
+    news = WarningNews(())
+    told = [news.look([], 0x12B7 if tick % 2 else 0x1237, round(tick * 0.04 * NS_PER_S)) for tick in range(251)]
+    counted = sum(map(len, told))
+    assert told[1] == ["the drive warns: statusword bit 7"]
+    assert 9 <= counted <= 11  # in ten seconds
+    steady = WarningNews(())
+    assert sum(len(steady.look([], 0x12B7, round(tick * 0.04 * NS_PER_S))) for tick in range(250)) == 1
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 20_000), st.sampled_from([0, 0xFF00, 0xFF01, 0x8611])), max_size=40),
+    st.lists(st.integers(0, 30_000), min_size=1, max_size=40),
+)
+def test_each_warning_is_told_exactly_once_whenever_it_is_looked_for(sent, looks):
+    warnings = [at(1e-3 * ms + 1e-3, code, 0, bytes([n, 0, 0, 0, 0])) for n, (ms, code) in enumerate(sorted(sent))]
+    news, told = WarningNews((0xFF00, 0xFF01)), []
+    for look_ms in [*sorted(looks), 40_000]:
+        now_ns = look_ms * 1_000_000
+        told += news.look([one for one in warnings if one.monotonic_ns <= now_ns], 0, now_ns)
+    expected = {emergency_text(one) for one in warnings if one.code in (0xFF00, 0xFF01)}
+    assert sorted(text.removeprefix("the drive warns: ") for text in told) == sorted(expected)

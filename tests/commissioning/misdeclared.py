@@ -118,8 +118,11 @@ class MisdeclaredDrive:
     def realtime(self):
         return False
 
-    def fault_words(self):
+    def fault_words(self, statusword=None, ask=True):
         return ""
+
+    def warnings(self):
+        return []
 
     def close(self):
         self.inner.close()

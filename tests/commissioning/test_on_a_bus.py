@@ -43,7 +43,7 @@ def test_an_axis_on_a_bus_is_commissioned_and_then_run(tmp_path, capsys):
     bus, out = f"loopback:{free_loopback_port()}", tmp_path / "run.mcap"
     run = ["run", str(axis), "--bus", bus, "--out", str(out), "--json"]
     with SimulatedProcess(tmp_path / "drive.yaml", bus):
-        code = main(["commission", str(axis), "--bus", bus])
+        code = main(["commission", str(axis), "--bus", bus, "--yes"])
         assert code in (0, 70), capsys.readouterr().err
         record = read_record(tmp_path / "record.yaml")
         checks = {check.name: check for check in record.checks}

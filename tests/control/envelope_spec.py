@@ -17,18 +17,20 @@ from fffo_drive.control import envelope as env
 PERIOD_S = 2.0**-11
 STEP_A = 2.0  # slew in a period
 CAPACITY_A2S = 150.0  # (10^2 - 5^2) 2 s
-REACTIONS = np.zeros(16, dtype=np.int64)
+UNHEEDED_S = 0.125  # a drive may set statusword bits 9 and 12 so much later than the state
+REACTIONS = np.zeros(18, dtype=np.int64)
 CONFIG = env.EnvelopeConfig(
     current_limit_a=10.0, slew_a_per_s=4096.0, speed_limit_rps=20.0, continuous_current_a=5.0, i2t_time_s=2.0,
     i2t_trips=True, position_low_rev=-3.0, position_high_rev=5.0, following_error_rps=2.0, following_error_s=2.0**-7,
     feedback_missing_ticks=10, status_missing_ticks=100, heartbeat_timeout_ns=500_000_000, period_s=PERIOD_S,
     reactions=REACTIONS,
 )  # fmt: skip
-REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False)
+REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False, unheeded_s=0.0)
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
     statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_syncs=0,
-    heartbeat_age_ns=0, wanted=True, enabled=True, closed_loop=True, skipped_ticks=0,
+    heartbeat_age_ns=0, wanted=True, enabled=True, closed_loop=True, local_control=False,
+    ignores_target=False, skipped_ticks=0,
 )  # fmt: skip
 
 # one cause of each trip, most certain first; numbers as in recordings, so that they never change
@@ -45,6 +47,8 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (1, {"requested_a": math.nan}, {}),
     (6, {"feedback_age": 10}, {}),
     (7, {"status_age": 100}, {}),
+    (16, {"local_control": True}, {"unheeded_s": 0.125}),
+    (17, {"ignores_target": True}, {"unheeded_s": 0.125}),
     (2, {"velocity_rps": 20.5}, {}),
     (3, {"position_rev": 5.5}, {}),
     (4, {"error_rps": 2.5}, {"following_s": 2.0**-7}),
@@ -53,7 +57,9 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
 WITHOUT_TORQUE = (10, 15, 12, 9, 8, 14, 11)  # also where no torque is wanted
 
 
-def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: float, was_enabled: bool, seen) -> int:
+def expected_trip(
+    config: env.EnvelopeConfig, heat_a2s: float, following_s: float, was_enabled: bool, unheeded_s: float, seen
+) -> int:  # fmt: skip
     """The most certain reason to stop, by the table of what is allowed."""
     numbers = (seen.requested_a, seen.error_rps, seen.velocity_rps, seen.position_rev)
     heard = config.heartbeat_timeout_ns == 0 or seen.heartbeat_age_ns in range(-1, config.heartbeat_timeout_ns + 1)
@@ -69,6 +75,8 @@ def expected_trip(config: env.EnvelopeConfig, heat_a2s: float, following_s: floa
         1: all(-math.inf < number < math.inf for number in numbers),
         6: seen.feedback_age in range(config.feedback_missing_ticks),
         7: seen.status_age in range(config.status_missing_ticks),
+        16: not (unheeded_s > UNHEEDED_S and seen.local_control),
+        17: not (unheeded_s > UNHEEDED_S and not seen.local_control),
         2: -config.speed_limit_rps <= seen.velocity_rps <= config.speed_limit_rps,
         3: config.position_low_rev <= seen.position_rev and not seen.position_rev > config.position_high_rev,
         4: not following_s > config.following_error_s,
@@ -104,7 +112,9 @@ def expected(config: env.EnvelopeConfig, state: env.EnvelopeState, seen: env.Env
         config.following_error_rps
     )  # fmt: skip
     lasting = state.following_s + held_s + config.period_s if beyond and not math.isnan(seen.error_rps) else 0.0
-    trip = expected_trip(config, heat, lasting, state.was_enabled, seen)
+    silent = seen.wanted and (seen.local_control or seen.ignores_target)
+    unheeded = state.unheeded_s + held_s + config.period_s if silent else 0.0
+    trip = expected_trip(config, heat, lasting, state.was_enabled, unheeded, seen)
     command, limits = 0.0, 0
     if seen.wanted and trip == 0:
         hot = not config.i2t_trips and heat > capacity_a2s(config)
@@ -120,7 +130,7 @@ def expected(config: env.EnvelopeConfig, state: env.EnvelopeState, seen: env.Env
             + 16 * ((seen.statusword // 2048) % 2)
         )
     heat = warmed(config, heat, command, config.period_s)
-    return command, limits, trip, env.EnvelopeState(command, heat, lasting, seen.wanted and seen.enabled)
+    return command, limits, trip, env.EnvelopeState(command, heat, lasting, seen.wanted and seen.enabled, unheeded)
 
 
 def around(edge: float, ulps: int = 3) -> list[float]:

@@ -13,7 +13,9 @@ PERIOD_S = 5e-4
 CONFIG = env.EnvelopeConfig(
     10.0, 4000.0, 20.0, 5.0, 2.0, True, -3.0, 3.0, 2.0, 0.01, 10, 100, 500_000_000, PERIOD_S, env.default_reactions()
 )
-HEALTHY = env.EnvelopeInputs(1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, True, True, True, 0)
+HEALTHY = env.EnvelopeInputs(
+    1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, True, True, True, False, False, 0
+)
 
 
 def step(config=CONFIG, state=None, **changes):
@@ -104,6 +106,20 @@ def test_a_following_error_trips_only_when_it_lasts():
     assert step(CONFIG, env.envelope_at_rest()._replace(following_s=1.0), error_rps=9.0, closed_loop=False)[2] == 0
 
 
+@pytest.mark.parametrize(
+    ("says", "trip"), [("local_control", env.TRIP_LOCAL_CONTROL), ("ignores_target", env.TRIP_NOT_FOLLOWING)]
+)
+def test_a_drive_that_does_not_heed_us_trips_when_that_lasts(says, trip):
+    state, trips = env.envelope_at_rest(), []
+    for _ in range(300):
+        _, _, found, state = step(CONFIG, state, **{says: True})
+        trips.append(found)
+    assert trips.index(trip) * PERIOD_S == pytest.approx(env.UNHEEDED_S, abs=2 * PERIOD_S)
+    assert set(trips) == {env.TRIP_NONE, trip}
+    assert step(CONFIG, state)[3].unheeded_s == 0.0
+    assert step(CONFIG, state, **{says: True, "wanted": False})[2] == env.TRIP_NONE
+
+
 def i2t_ticks(current_a: float, config=CONFIG, start=None) -> int:
     state = (start or env.envelope_at_rest())._replace(last_command_a=current_a)
     for tick in range(40_000):
@@ -121,8 +137,10 @@ def test_i2t_lets_the_limit_flow_for_its_time_and_the_continuous_current_for_eve
 
 
 def test_a_reset_does_not_cool_the_motor():
-    state = env.envelope_at_rest()._replace(last_command_a=10.0, i2t_a2s=149.0, following_s=0.005, was_enabled=True)
-    assert env.envelope_after_reset(state) == env.EnvelopeState(0.0, 149.0, 0.0, False)
+    state = env.envelope_at_rest()._replace(
+        last_command_a=10.0, i2t_a2s=149.0, following_s=0.005, was_enabled=True, unheeded_s=0.1
+    )
+    assert env.envelope_after_reset(state) == env.EnvelopeState(0.0, 149.0, 0.0, False, 0.0)
     # peak current cannot be had again by resetting: the time that it takes is that which it takes to cool
     ticks = [i2t_ticks(10.0, start=env.envelope_after_reset(state)), i2t_ticks(10.0)]
     assert ticks[0] < 0.02 * ticks[1]
@@ -159,4 +177,6 @@ def test_without_torque_wanted_nothing_but_the_drive_and_the_bus_can_trip():
 
 def test_every_trip_has_a_sentence_and_a_reaction():
     assert set(env.TRIP_TEXTS) == set(range(env.TRIP_COUNT))
+    assert set(env.DEFAULT_REACTIONS) == set(range(1, env.TRIP_COUNT))
+    assert all(len(why) > 20 for _, why in env.DEFAULT_REACTIONS.values())
     assert env.default_reactions().shape == (env.TRIP_COUNT,)

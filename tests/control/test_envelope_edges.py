@@ -52,9 +52,9 @@ def test_numbers_in_recordings_never_change():
     names = (
         "NONE", "NOT_A_NUMBER", "OVERSPEED", "POSITION_WINDOW", "FOLLOWING_ERROR", "I2T", "FEEDBACK_MISSING",
         "STATUS_MISSING", "DRIVE_FAULT", "EMERGENCY", "BUS_OFF", "HEARTBEAT", "REBOOT", "DRIVE_LEFT",
-        "NOT_OPERATIONAL", "FOREIGN_SYNC", "COUNT",
+        "NOT_OPERATIONAL", "FOREIGN_SYNC", "LOCAL_CONTROL", "NOT_FOLLOWING", "COUNT",
     )  # fmt: skip
-    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(17))
+    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(19))
     limits = ("CONTROLLER", "CURRENT", "SLEW", "I2T", "DRIVE")
     assert [getattr(env, f"LIMIT_{name}") for name in limits] == [1, 2, 4, 8, 16]
     assert (env.REACTION_COAST, env.REACTION_QUICK_STOP) == (0, 1)
@@ -62,15 +62,15 @@ def test_numbers_in_recordings_never_change():
 
 
 def test_default_reactions():
-    coast = {1, 8, 9, 12}  # where nothing that the drive says can be trusted, or it stops by itself
+    coast = {12}  # a drive that has restarted has no torque to brake with
     found = env.default_reactions()
     assert found.dtype == np.int64
-    assert found.tolist() == [0 if trip in coast else 1 for trip in range(16)]
+    assert found.tolist() == [0 if trip in coast else 1 for trip in range(18)]
 
 
 def test_memory_at_rest_and_after_a_reset():
     assert env.envelope_at_rest() == REST
-    warm = env.EnvelopeState(3.0, 120.0, 0.5, True)
+    warm = env.EnvelopeState(3.0, 120.0, 0.5, True, 0.1)
     assert env.envelope_after_reset(warm) == REST._replace(i2t_a2s=120.0)
 
 
@@ -94,7 +94,8 @@ def mixtures(count: int, seed: int):
         "emergencies": [0, 0, 0, 1], "reboots": [0, 0, 0, 1], "bus_off": [False, False, False, True],
         "foreign_syncs": [0, 0, 0, 1], "not_operational": [False, False, False, True],
         "heartbeat_age_ns": [-1, 0, 499_999_999, 500_000_000, 500_000_001], "wanted": [True, True, False],
-        "enabled": [True, True, False], "closed_loop": [True, False], "skipped_ticks": [0, 0, 1, 5],
+        "enabled": [True, True, False], "closed_loop": [True, False],
+        "local_control": [False, False, True], "ignores_target": [False, False, True], "skipped_ticks": [0, 0, 1, 5],
     }  # fmt: skip
     for _ in range(count):
         names = pick.sample(sorted(values), 4)
@@ -104,6 +105,7 @@ def mixtures(count: int, seed: int):
             pick.choice([0.0, 1e-3, *around(CAPACITY_A2S, 1)]),
             pick.choice([0.0, *around(2.0**-7 - PERIOD_S, 1)]),
             pick.choice([False, True]),
+            pick.choice([0.0, *around(0.125 - PERIOD_S, 1)]),
         )
         changes = {"i2t_trips": pick.choice([True, False]), "heartbeat_timeout_ns": pick.choice([0, 500_000_000])}
         yield CONFIG._replace(**changes), state, seen
@@ -224,6 +226,16 @@ def test_a_following_error_trips_after_its_time_and_not_before(skipped, allowed)
         _, _, trip, state = check(CONFIG, state, HEALTHY._replace(error_rps=-2.25, skipped_ticks=skipped))
         trips.append(trip)
     assert trips == [0] * allowed + [4]
+
+
+@pytest.mark.parametrize(("skipped", "allowed"), [(0, 256), (1, 128), (15, 16)])
+@pytest.mark.parametrize(("says", "trip"), [("local_control", 16), ("ignores_target", 17)])
+def test_a_drive_that_does_not_heed_us_trips_after_its_time_and_not_before(says, trip, skipped, allowed):
+    state, trips = REST, []
+    for _ in range(allowed + 1):
+        _, _, found, state = check(CONFIG, state, HEALTHY._replace(**{says: True}, skipped_ticks=skipped))
+        trips.append(found)
+    assert trips == [0] * allowed + [trip]
 
 
 def test_deadlines_that_were_missed_count_with_the_current_that_flowed():

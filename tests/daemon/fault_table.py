@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 
 from interpreted import hex_results
 
+from fffo_drive.control import envelope as env
+from fffo_drive.daemon.watch import TRIP_NAMES
+
 TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "faults.md"
 COAST, QUICK = "coasts", "quick stop"
 GOES_ON = "goes on and reports"
@@ -67,7 +70,13 @@ ROWS: tuple[Row, ...] = (
           501),
     stops("drive_fault", "the drive trips (overcurrent)", "the drive; the envelope by statusword and EMCY",
           f"{COAST} by the drive (0x605E), fault latched", 1),
-    stops("emergency", "EMCY without a fault state", "the envelope", RELEASED, 2),
+    stops("emergency", "EMCY without a fault state", "the envelope", LATCHED, 2),
+    Row("warning", "EMCY of a code in drive.warning_codes, or statusword bit 7 (warning)", "the supervisor", GOES_ON,
+        script="warning"),
+    stops("local_control", "the drive is switched to local control (statusword bit 9 is 0)",
+          "the envelope: bit 9 for 125 ms; at rest the supervisor, which then enables nothing", LATCHED, 127),
+    stops("not_following", "the drive does not follow 0x6071 (statusword bits 11 and 12 are 0)",
+          "the envelope: bit 12 for 125 ms", LATCHED, 127),
     stops("drive_rebooted", "the drive restarts", "the envelope: boot-up message", RELEASED, 1),
     stops("drive_not_operational", "somebody puts the drive into NMT stopped or pre-operational",
           "the drive; the envelope: heartbeat, or feedback_missing_ticks", f"{BY_DRIVE}; fault latched", 1),
@@ -139,9 +148,31 @@ def measured() -> dict[str, dict[str, Any]]:
     return {outcome["row"]: outcome for outcome in found}
 
 
+REACTIONS_HEAD = """
+# Reactions
+
+What the loop asks of the drive after a trip where `envelope.reactions` of the axis file names nothing else. Whatever it
+asks, no torque of ours is commanded from the tick of the trip on. The drive's own words (EMCY, 0x603F, 0x1003,
+statusword) come with each trip.
+
+| trip | text | reaction | why |
+| --- | --- | --- | --- |
+"""
+WORDS = {env.REACTION_COAST: "coast (disable voltage)", env.REACTION_QUICK_STOP: "quick stop"}
+
+
+def reactions() -> str:
+    """The trips, with what they lead to."""
+    lines = [
+        f"| `{TRIP_NAMES[trip]}` | {env.TRIP_TEXTS[trip]} | {WORDS[reaction]} | {why} |"
+        for trip, (reaction, why) in env.DEFAULT_REACTIONS.items()
+    ]
+    return REACTIONS_HEAD + "\n".join(lines) + "\n"
+
+
 def markdown(outcomes: dict[str, dict[str, Any]]) -> str:
-    """The whole table."""
-    return HEAD + "\n".join(line(row, outcomes.get(row.script or "")) for row in ROWS) + "\n"
+    """Both tables."""
+    return HEAD + "\n".join(line(row, outcomes.get(row.script or "")) for row in ROWS) + "\n" + reactions()
 
 
 if __name__ == "__main__":

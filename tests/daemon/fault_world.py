@@ -179,6 +179,24 @@ def foreign_sync(world: FaultWorld) -> None:
     world.at += [(tick, half_a_period_later) for tick in range(BEGIN + 1, TICKS)]
 
 
+WARNING_CODE = 0xFF42  # in drive.warning_codes of the axis file
+
+
+def warns(world: FaultWorld) -> None:
+    """An EMCY of a code that only warns."""
+    world.node.emergency.announce(WARNING_CODE, 0)
+
+
+def never_says(bits: int) -> Prepare:
+    """From now on the drive's statusword lacks these bits; it obeys all the same."""
+
+    def change(world: FaultWorld) -> None:
+        told = world.node.drive._statusword
+        world.node.drive._statusword = lambda: told() & ~bits  # type: ignore[method-assign]
+
+    return at_begin(change)
+
+
 def host_bus_off(world: FaultWorld) -> None:
     """Our CAN controller leaves the bus: nothing arrives any more, either way."""
     world.say(ERROR_BUS_OFF, error=True)
@@ -227,6 +245,9 @@ SCRIPTS: dict[str, Script] = {
     "drive_heartbeat_lost": Script(frames_lost(HEARTBEAT), ticks=LONG),
     "drive_fault": Script(drive_fault(FaultKind.OVERCURRENT)),
     "emergency": Script(drive_fault(FaultKind.EMCY_STORM, duration_s=0.005)),
+    "warning": Script(at_begin(warns), ticks=600),
+    "local_control": Script(never_says(1 << 9)),
+    "not_following": Script(never_says(1 << 12)),
     "drive_rebooted": Script(drive_fault(FaultKind.REBOOT, duration_s=0.002)),
     "drive_not_operational": Script(drive_put_into(0x02)),
     "supply_lost": Script(drive_fault(FaultKind.DC_LINK_LOSS)),

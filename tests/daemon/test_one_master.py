@@ -100,7 +100,7 @@ def test_the_commands_name_it_too(tmp_path, capsys, another_machine):
         rig.until("ready")
         axis, out = [str(rig.path), "--bus", rig.bus], ["--out", str(tmp_path / "out")]
         with Wire(rig):
-            for command in (["run", *axis, *out, "--uncommissioned"], ["commission", *axis, *out]):
+            for command in (["run", *axis, *out, "--uncommissioned"], ["commission", *axis, *out, "--yes"]):
                 assert main(command) == 69
                 assert REASON in capsys.readouterr().err
             main(["doctor", *axis, "--seconds", "0"])

@@ -150,7 +150,7 @@ def make(out: Path, circle: Path) -> None:
     node = subprocess.Popen([*command, "sim", str(out / "simulated.yaml"), "--bus", bus])
     try:
         time.sleep(20)
-        fffo("commission", axis, "--bus", bus, "--out", out / "commissioning.yaml")
+        fffo("commission", axis, "--yes", "--bus", bus, "--out", out / "commissioning.yaml")
         shutil.copy(out / "commissioning.yaml", work)
         daemon = subprocess.Popen([*command, "serve", str(axis), "--bus", bus, "--sockets", str(work / "s")], cwd=work)
         try:

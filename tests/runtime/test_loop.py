@@ -64,8 +64,8 @@ class Rig:
         self.ring = new_ring(4096)
         self.reader = RingReader(self.ring)
 
-    def run(self, ticks: int = 0, **changes) -> np.ndarray:
-        config = LOOP._replace(max_ticks=ticks or self.port.script.shape[0])
+    def run(self, ticks: int = 0, loop=None, **changes) -> np.ndarray:
+        config = LOOP._replace(max_ticks=ticks or self.port.script.shape[0], **(loop or {}))
         scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
         if not INTERPRETED:
             run_loop.disable_compile(False)  # a session of another test has forbidden it
@@ -189,7 +189,7 @@ def test_missing_feedback_holds_the_last_value_then_trips():
 @pytest.mark.parametrize(
     ("column", "value", "trip", "controlword"),
     [
-        (EMERGENCIES, 1, env.TRIP_EMERGENCY, 0x0000),
+        (EMERGENCIES, 1, env.TRIP_EMERGENCY, 0x0002),
         (BUS_OFF, 1, env.TRIP_BUS_OFF, 0x0002),
         (FOREIGN_SYNCS, 1, env.TRIP_FOREIGN_SYNC, 0x0002),
         (BOOTS, 1, env.TRIP_REBOOT, 0x0000),

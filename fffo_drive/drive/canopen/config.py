@@ -93,6 +93,8 @@ class CanopenDriveConfig:
     fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
     max_torque_permille: int | None = None  # 0x6072
     sdo: tuple[SdoWrite, ...] = ()  # what this drive needs beside all this
+    warning_codes: tuple[int, ...] = ()  # EMCY codes that only warn: told, and no reason to stop
+    unserved_status_bits: tuple[int, ...] = ()  # of the statusword: 9, 12
     # bring-up
     listen_s: float = LISTEN_S  # to the bus, before anything is sent
     answer_timeout_s: float = 0.3  # of one SDO answer
@@ -199,6 +201,9 @@ def _problems(config: CanopenDriveConfig) -> Iterator[str]:
     if not 1 <= config.status_every <= MAX_SYNC_TYPE:
         yield f"status_every {config.status_every}: 1 to {MAX_SYNC_TYPE} SYNCs"
         return
+    for code in config.warning_codes:
+        if not 1 <= code <= 0xFFFF:
+            yield f"warning_codes 0x{code:X}: EMCY codes are 0x0001 to 0xFFFF (0x0000 says that an error is over)"
     try:
         interpolation_period(config.period_ns)
     except MappingError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections import deque
 from types import TracebackType
 from typing import Any, Self
@@ -21,16 +22,15 @@ from .bring_up import bring_up, start
 from .config import ONE_MASTER, CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
-from .emergency import code_text, emergency_text, statusword_text
+from .emergency import WarningNews, asked_words, burst_text, statusword_text
 from .listening import Listening
-from .object_map import CONTROLWORD, STATUSWORD, command_payload
+from .object_map import CONTROLWORD, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .sdo_writes import write_phase
 from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
 from .service_queue import ServiceQueue
 from .silence import release
 
-ERROR_CODE = 0x603F
 LOOP_TIMEOUT_PERIODS = 20
 LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
 
@@ -51,6 +51,7 @@ class CanopenDrive:
         self._link: Link | None = None
         self._port: CanopenPort | None = None
         self._lock = threading.Lock()
+        self._news = WarningNews(config.warning_codes)
 
     def listen(self) -> None:
         """Take the bus's lease and begin to hear who else is there: `connect` does, unless it was done before.
@@ -155,18 +156,34 @@ class CanopenDrive:
         """The last EMCY messages with their vendor bytes, oldest first."""
         return self._connected().emergencies
 
-    def fault_words(self) -> str:
-        """The last EMCY with an error, 0x603F, and the state, as far as the drive says them."""
-        service = self._service
+    def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
+        """All that the drive says of a fault, or of why it is not enabled; empty when it is not connected.
+
+        EMCY, the statusword (the last one received, or `statusword`); with `ask` 0x603F, 0x1003, 0x60FD (limit
+        switches, interlock) and 0x6079 (DC link) by SDO, which takes `answer_timeout_s` where nobody answers.
+        """
+        service, port = self._service, self._port
         if service is None:
             return ""
-        found = [emergency_text(one) for one in service.emergencies if one.code][-1:]
-        with contextlib.suppress(DriveError):
-            if code := service.read_optional_int(ERROR_CODE, 0):
-                found.append(f"0x603F {code_text(code)}")
-        with contextlib.suppress(DriveError):
-            found.append(statusword_text(service.read_int(STATUSWORD, 0)))
-        return "; ".join(found)
+        found = burst_text(list(service.emergencies), self.config.warning_codes, time.monotonic_ns())
+        errors: list[str] = []
+        supplies: list[str] = []
+        if ask:
+            with contextlib.suppress(DriveError):
+                errors, supplies = asked_words(service, heard=bool(found))
+        if statusword is None and port is not None and port.feedback["status_tick"][0] >= 0:
+            statusword = int(port.feedback["statusword"][0])
+        if statusword is not None:
+            errors.append(statusword_text(statusword, self.config.unserved_status_bits))
+        return "; ".join([*found, *errors, *supplies])
+
+    def warnings(self) -> list[str]:
+        """What the drive has warned of since the last call, a sentence each; never waits."""
+        service, port = self._service, self._port
+        if service is None or port is None:
+            return []
+        statusword = int(port.feedback["statusword"][0])
+        return self._news.look(list(service.emergencies), statusword, time.monotonic_ns())
 
     def read_object(self, index: int, sub: int) -> bytes:
         """Read an object of the drive by SDO, at any time, from any thread but the loop's.

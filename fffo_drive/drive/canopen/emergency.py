@@ -1,4 +1,4 @@
-"""What a drive says of a fault, in words: EMCY codes, the error register, bits of the statusword.
+"""What a drive says of a fault, in words: EMCY codes, the error register, bits of the statusword, its own objects.
 
 Codes of CiA 301 (emergency error codes) and CiA 402-2 (error codes of 0x603F); a code in neither is named by its class,
 the upper half.
@@ -6,8 +6,32 @@ the upper half.
 
 from __future__ import annotations
 
-from ..cia402 import STATE_TABLE, STATUS_REMOTE, STATUS_VOLTAGE_ENABLED, state_of
-from .service import Emergency
+import contextlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from ...units import NS_PER_S
+from ..cia402 import (
+    STATE_OPERATION_ENABLED,
+    STATE_TABLE,
+    STATUS_FOLLOWS_COMMAND,
+    STATUS_INTERNAL_LIMIT,
+    STATUS_REMOTE,
+    STATUS_VOLTAGE_ENABLED,
+    STATUS_WARNING,
+    state_of,
+)
+from ..port import DriveRefusedError
+from .service import Emergency, Service
+
+ERROR_CODE, ERROR_HISTORY, DIGITAL_INPUTS, DC_LINK_MV = 0x603F, 0x1003, 0x60FD, 0x6079
+LONGEST_HISTORY = 3  # newest entries of 0x1003 that are told
+BURST_NS = NS_PER_S  # EMCY so close together have one cause: all are told
+LONGEST_BURST = 3
+OLD_NS = 2 * NS_PER_S  # from this age on an EMCY is told with its age
+WARNING_GAP_NS = NS_PER_S  # between two reports of what a drive warns of
+INPUT_BITS = {0: "negative limit switch", 1: "positive limit switch", 2: "home switch", 3: "interlock (STO, enable)"}
+FIRST_VENDOR_INPUT = 16  # bits of 0x60FD from here on have the vendor's meaning
 
 REGISTER_BITS = (
     "generic", "current", "voltage", "temperature", "communication", "device profile", "reserved", "manufacturer",
@@ -60,12 +84,104 @@ def emergency_text(emergency: Emergency) -> str:
     return text + (f", vendor bytes {emergency.vendor.hex(' ')}" if any(emergency.vendor) else "")
 
 
-def statusword_text(statusword: int) -> str:
-    """The state, and the bits that keep a drive from being enabled."""
+def statusword_text(statusword: int, unserved_bits: Sequence[int] = ()) -> str:
+    """The state, and the bits that keep a drive from being enabled or from following; `unserved_bits`: never set."""
+    unset = ~(statusword | sum(1 << bit for bit in unserved_bits))
     name = next((row.name for row in STATE_TABLE if row.state == state_of(statusword)), "no state of CiA 402")
     found = [f"statusword 0x{statusword:04X}: {name}"]
-    if not statusword & STATUS_REMOTE:
+    if unset & STATUS_REMOTE:
         found.append("bit 9 is 0: the drive is in local control and ignores our controlword")
-    if not statusword & STATUS_VOLTAGE_ENABLED:
+    if unset & STATUS_VOLTAGE_ENABLED:
         found.append("bit 4 is 0: no voltage at the power stage (supply, STO)")
+    limited = statusword & STATUS_INTERNAL_LIMIT
+    if state_of(statusword) == STATE_OPERATION_ENABLED and unset & STATUS_FOLLOWS_COMMAND and not limited:
+        found.append("bit 12 is 0: the drive ignores the target torque")
+    if statusword & STATUS_WARNING:
+        found.append("bit 7: the drive warns of something")
     return "; ".join(found)
+
+
+def inputs_text(inputs: int) -> str:
+    """0x60FD: limit switches, home switch and interlock by CiA 402, the vendor's bits by number."""
+    names = [name for bit, name in INPUT_BITS.items() if inputs >> bit & 1]
+    vendors = [str(bit) for bit in range(FIRST_VENDOR_INPUT, 32) if inputs >> bit & 1]
+    names += [f"the vendor's bits {', '.join(vendors)}"] if vendors else []
+    return f"0x60FD 0x{inputs:08X} ({', '.join(names) or 'no limit switch, no interlock'})"
+
+
+def burst_text(emergencies: Iterable[Emergency], warning_codes: Sequence[int], now_ns: int) -> list[str]:
+    """The last EMCY with an error, and those just before it, in their order: one cause often sends several."""
+    errors = [one for one in emergencies if one.code and one.code not in warning_codes]
+    found = []
+    for one in errors[-LONGEST_BURST:]:
+        if errors[-1].monotonic_ns - one.monotonic_ns > BURST_NS:
+            continue
+        age_ns = now_ns - one.monotonic_ns
+        age = f", {age_ns / NS_PER_S:.0f} s ago" if age_ns > OLD_NS else ""
+        hint = "" if one.error_register else f"; if it only warns: drive.warning_codes: [0x{one.code:04X}]"
+        found.append(emergency_text(one) + age + hint)
+    return found
+
+
+def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
+    """By SDO: error code and history; inputs and DC link. What the drive lacks or refuses is left out.
+
+    `heard`: an EMCY tells the error already, so that "no error" is no news. Raises BusUnavailableError.
+    """
+    errors, supplies = [], []
+    with contextlib.suppress(DriveRefusedError):
+        code = service.read_optional_int(ERROR_CODE, 0)
+        if code or (code is not None and not heard):
+            errors.append(f"0x603F {code_text(code)}" if code else "0x603F says no error")
+    with contextlib.suppress(DriveRefusedError):
+        history = _history(service)
+        if history:
+            errors.append(f"0x1003, newest first: {', '.join(history)}")
+    with contextlib.suppress(DriveRefusedError):
+        inputs = service.read_optional_int(DIGITAL_INPUTS, 0)
+        if inputs is not None:
+            supplies.append(inputs_text(inputs))
+    with contextlib.suppress(DriveRefusedError):
+        voltage_mv = service.read_optional_int(DC_LINK_MV, 0)
+        if voltage_mv is not None:
+            supplies.append(f"DC link {voltage_mv / 1e3:.1f} V (0x6079)")
+    return errors, supplies
+
+
+def _history(service: Service) -> list[str]:
+    """Newest entries of 0x1003: the code in the lower half, the vendor's number in the upper one (CiA 301 7.5.2.4)."""
+    entries = service.read_optional_int(ERROR_HISTORY, 0) or 0
+    found = []
+    for sub in range(1, min(entries, LONGEST_HISTORY) + 1):
+        entry = service.read_optional_int(ERROR_HISTORY, sub) or 0
+        vendors = entry >> 16 & 0xFFFF
+        found.append(code_text(entry & 0xFFFF) + (f" with 0x{vendors:04X}" if vendors else ""))
+    return found
+
+
+class WarningNews:
+    """What a drive warns of, once: EMCY of `codes`, and statusword bit 7. At most one report in WARNING_GAP_NS."""
+
+    def __init__(self, codes: Sequence[int]) -> None:
+        self._codes = codes
+        self._heard_ns = 0  # of the last EMCY told
+        self._told_ns = -WARNING_GAP_NS
+        self._bit = False
+        self._risen = False
+
+    def look(self, emergencies: Iterable[Emergency], statusword: int, now_ns: int) -> list[str]:
+        """A sentence for each warning that is new; the same one several times is one sentence."""
+        bit = bool(statusword & STATUS_WARNING)
+        self._risen |= bit and not self._bit
+        self._bit = bit
+        if now_ns - self._told_ns < WARNING_GAP_NS:
+            return []
+        new = [one for one in emergencies if one.code in self._codes and one.monotonic_ns > self._heard_ns]
+        counted = Counter(emergency_text(one) for one in new)
+        found = [text if count == 1 else f"{text} ({count} times)" for text, count in counted.items()]
+        if self._risen:
+            found.append("statusword bit 7")
+        if found:
+            self._told_ns, self._risen = now_ns, False
+            self._heard_ns = max([self._heard_ns, *(one.monotonic_ns for one in new)])
+        return [f"the drive warns: {text}" for text in found]

@@ -57,6 +57,7 @@ class CanopenPort(NamedTuple):
     command_frame: Bytes
     heartbeat_frame: Bytes
     queue: QueueMemory
+    warning_codes: Words  # codes of EMCY that only warn
 
 
 class Descriptors(NamedTuple):
@@ -102,6 +103,7 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
         command_frame=_frame_array(can.pack_frame(command.cob_id, command_payload(command, config.mode))),
         heartbeat_frame=_frame_array(heartbeat),
         queue=queue,
+        warning_codes=np.array(config.warning_codes, np.int64),
     )
 
 

@@ -95,6 +95,11 @@ def _take_node_message(port: CanopenPort, can_id: int, length: int) -> int:
             feedback["bad_frames"] += 1
             return 0
         code = np.int64(port.received[can.DATA_OFFSET]) | np.int64(port.received[can.DATA_OFFSET + 1]) << 8
+        for i in range(port.warning_codes.size):
+            if port.warning_codes[i] == code:
+                feedback["warning_code"] = code
+                feedback["warning_count"] += 1
+                return 0
         feedback["emergency_code"] = code
         if code != 0:
             feedback["emergency_count"] += 1

@@ -250,9 +250,13 @@ class SimulatedDrive:
         self._port.words[FAULT_PRESENT] = 0
         self._port.feedback[0]["emergency_code"] = 0
 
-    def fault_words(self) -> str:
+    def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
         """Nothing: its statusword is in every row."""
         return ""
+
+    def warnings(self) -> list[str]:
+        """It never warns."""
+        return []
 
     def close(self, loop_ended: bool = True) -> None:
         """Leave the drive without torque."""

@@ -164,8 +164,15 @@ static void take_node_message(struct canopen_port *port, int64_t can_id, int64_t
             feedback->bad_frames += 1;
             return;
         }
-        feedback->emergency_code = data[0] | data[1] << 8;
-        feedback->emergency_count += feedback->emergency_code != 0;
+        int64_t code = data[0] | data[1] << 8;
+        for (int64_t i = 0; i < port->warning_codes_n; i++)
+            if (port->warning_codes[i] == code) {
+                feedback->warning_code = code;
+                feedback->warning_count += 1;
+                return;
+            }
+        feedback->emergency_code = code;
+        feedback->emergency_count += code != 0;
     } else if (length != 1) {
         feedback->bad_frames += 1;
     } else {

@@ -130,6 +130,8 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
         return TRIP_FEEDBACK_MISSING;
     if (seen->status_age >= c->status_missing_ticks)
         return TRIP_STATUS_MISSING;
+    if (state->unheeded_s > UNHEEDED_S)
+        return seen->local_control ? TRIP_LOCAL_CONTROL : TRIP_NOT_FOLLOWING;
     if (fabs(seen->velocity_rps) > c->speed_limit_rps)
         return TRIP_OVERSPEED;
     if (!(c->position_low_rev <= seen->position_rev && seen->position_rev <= c->position_high_rev))
@@ -175,6 +177,8 @@ static double envelope_step(const struct envelope_config *c, struct envelope_sta
     if (seen->wanted && seen->closed_loop && fabs(seen->error_rps) > c->following_error_rps)
         following_s = state->following_s + held_s + c->period_s;
     state->following_s = following_s;
+    bool unheeded = seen->wanted && (seen->local_control || seen->ignores_target);
+    state->unheeded_s = unheeded ? state->unheeded_s + held_s + c->period_s : 0.0;
     *trip = find_trip(c, state, seen);
     *limits = 0;
     double command_a = 0.0;

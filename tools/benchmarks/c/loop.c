@@ -158,7 +158,17 @@ static struct law apply_law(const struct controller_config *config, struct contr
     return law;
 }
 
-static struct envelope_inputs look(const struct feedback *feedback, const struct timing *timing,
+static bool in_local_control(int64_t served_bits, int64_t statusword)
+{
+    if (!(served_bits & STATUS_REMOTE) || statusword & STATUS_REMOTE)
+        return false;
+    int64_t state = state_of(statusword);
+    return state == STATE_SWITCH_ON_DISABLED || state == STATE_READY_TO_SWITCH_ON || state == STATE_SWITCHED_ON ||
+           state == STATE_OPERATION_ENABLED;
+}
+
+static struct envelope_inputs look(const struct feedback *feedback, const struct loop_config *config,
+                                   const struct timing *timing,
                                    const struct baseline *baseline, const struct law *law, bool wanted, bool enabled,
                                    int64_t skipped_ticks)
 {
@@ -180,6 +190,9 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .wanted = wanted,
         .enabled = enabled,
         .closed_loop = law->mode == MODE_VELOCITY,
+        .local_control = in_local_control(config->served_status_bits, feedback->statusword),
+        .ignores_target = law->mode != MODE_IDLE && config->served_status_bits & STATUS_FOLLOWS_COMMAND &&
+                          !(feedback->statusword & (STATUS_FOLLOWS_COMMAND | STATUS_INTERNAL_LIMIT)),
         .skipped_ticks = skipped_ticks,
     };
 }
@@ -191,6 +204,8 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began)
     flags |= seen->reboots > 0 ? FLAG_REBOOT : 0;
     flags |= seen->not_operational ? FLAG_NOT_OPERATIONAL : 0;
     flags |= seen->bus_off ? FLAG_BUS_OFF : 0;
+    flags |= seen->local_control ? FLAG_LOCAL_CONTROL : 0;
+    flags |= seen->ignores_target ? FLAG_IGNORES_TARGET : 0;
     return flags | (seen->foreign_syncs > 0 ? FLAG_FOREIGN_SYNC : 0);
 }
 
@@ -257,7 +272,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
-    int64_t tick = 0, ticks_run = 0;
+    int64_t tick = 0, ticks_run = 0, enabled_ticks = 0;
 
     for (;;) {
         begin_cycle(cycle, larger_word(deadline_ns, last_sync_ns + config->minimum_gap_ns));
@@ -299,20 +314,23 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             goal = GOAL_DISABLED;
 
         bool enabled = state_of(feedback->statusword) == STATE_OPERATION_ENABLED;
+        enabled_ticks = enabled ? enabled_ticks + timing.tick - tick + 1 : 0;
         bool wanted = goal == GOAL_ENABLED && trip == TRIP_NONE && reset_ticks == 0;
+        bool active = wanted && enabled_ticks > config->enable_delay_ticks;
         bool was_running = cursor.start_tick >= 0;
         int64_t sample;
         struct reference reference = follow_profile(blocks, &cursor, &controller_config.feedforward, timing.tick,
-                                                    wanted && enabled, config->tail_ticks, &sample);
+                                                    active, config->tail_ticks, &sample);
         if (was_running && cursor.start_tick < 0 && load_acquire(&control[AUTOSTOP]) != 0) {
             stopping_ticks = 1;
             goal = GOAL_DISABLED;
-            wanted = false;
+            wanted = active = false;
         }
         struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
-                                   toggle, wanted && enabled);
+                                   toggle, active);
 
-        struct envelope_inputs seen = look(feedback, &timing, &baseline, &law, wanted, enabled, timing.tick - tick);
+        struct envelope_inputs seen = look(feedback, config, &timing, &baseline, &law, wanted, enabled,
+                                           timing.tick - tick);
         int64_t limits, found;
         double command_a = envelope_step(envelope_config, &envelope, &seen, &limits, &found);
         if (limits != 0)
@@ -322,6 +340,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         if (found != TRIP_NONE && trip == TRIP_NONE && reset_ticks == 0) {
             trip = found;
             status[TRIP_TICK] = timing.tick;
+            status[TRIP_STATUSWORD] = seen.statusword;
         }
         if (trip != TRIP_NONE)
             command_a = 0.0;

@@ -1,0 +1,90 @@
+"""Keys of the drive section on faults, warnings and the brake, and what one count on the wire is."""
+
+from __future__ import annotations
+
+import pytest
+from config.test_files import BUS, errors_of, write
+
+from fffo_drive.cli import main
+from fffo_drive.config.axis import loop_config, model_of, read_axis
+from fffo_drive.config.drive_section import CanopenDriveSection
+from fffo_drive.config.resolution import coarse_words, resolution_of
+from fffo_drive.units import NS_PER_S
+
+REMOTE, FOLLOWS = 1 << 9, 1 << 12
+
+
+def axis_with(tmp_path, *keys):
+    return read_axis(write(tmp_path, BUS.replace("node_id: 1", "\n  ".join(["node_id: 1", *keys]))))
+
+
+@pytest.mark.parametrize(
+    ("keys", "served", "delay_ticks"),
+    [
+        ((), REMOTE | FOLLOWS, 0),
+        (("unserved_status_bits: [12]",), REMOTE, 0),
+        (("unserved_status_bits: [9, 12]", "enable_delay_s: 0.35"), 0, 700),
+        (("unserved_status_bits: [9, 9]",), FOLLOWS, 0),
+    ],
+)
+def test_bits_and_delay_reach_the_loop(tmp_path, keys, served, delay_ticks):
+    loop = loop_config(axis_with(tmp_path, *keys))
+    assert (loop.served_status_bits, loop.enable_delay_ticks) == (served, delay_ticks)
+    assert loop.enable_delay_s == pytest.approx(delay_ticks / 2000)
+
+
+def test_codes_reach_the_drive(tmp_path):
+    section = axis_with(tmp_path, "warning_codes: [0xFF00, 0x8611]", "unserved_status_bits: [9]").drive
+    assert isinstance(section, CanopenDriveSection)
+    config = section.drive_config(0.148, NS_PER_S // 2000)
+    assert config.warning_codes == (0xFF00, 0x8611)
+    assert config.unserved_status_bits == (9,)
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("warning_codes: [0]", "warning_codes"), ("warning_codes: [0x10000]", "warning_codes"),
+        ("unserved_status_bits: [10]", "unserved_status_bits"), ("enable_delay_s: -0.1", "enable_delay_s"),
+        ("enable_delay_s: 11", "enable_delay_s"),
+    ],
+)  # fmt: skip
+def test_what_is_no_code_no_bit_and_no_delay_is_refused_with_its_key(tmp_path, key, said):
+    assert said in errors_of(write(tmp_path, BUS.replace("node_id: 1", f"node_id: 1\n  {key}")))
+
+
+def test_one_count_of_each_word(tmp_path):
+    axis = axis_with(tmp_path)
+    model = model_of(tmp_path / "axis.yaml", axis)
+    one = resolution_of(axis, model)
+    assert one.torque_nm == pytest.approx(1.2284e-3)
+    assert one.current_a == pytest.approx(1.2284e-3 / model.torque_constant_nm_per_a)
+    assert one.velocity_rps == one.position_rev == pytest.approx(2.0**-15)
+    assert coarse_words(axis, model) == []
+
+
+def test_rpm_are_coarse_against_the_observers_band(tmp_path, capsys):
+    """EPOS4 and Nanotec count rpm by default (0x60A9): 1/60 rps is a sixth of the band of 0.1 rps."""
+    axis = axis_with(tmp_path).model_copy()
+    axis = axis.model_copy(update={"drive": axis.drive.model_copy(update={"velocity_units_per_rps": 60.0})})
+    model = model_of(tmp_path / "axis.yaml", axis)
+    (said,) = coarse_words(axis, model)
+    assert said.startswith("drive.velocity_units_per_rps: one unit of 0x606C is 0.0167 rps, 17% of controller.observer")
+    fine = axis.model_copy(update={"drive": axis.drive.model_copy(update={"velocity_units_per_rps": 600.0})})
+    assert coarse_words(fine, model) == []
+
+
+def test_a_rated_torque_far_above_the_friction_is_told(tmp_path):
+    axis = axis_with(tmp_path)
+    model = model_of(tmp_path / "axis.yaml", axis)
+    large = axis.model_copy(update={"drive": axis.drive.model_copy(update={"rated_torque_nm": 12.0})})
+    (said,) = coarse_words(large, model)
+    assert said.startswith("drive.rated_torque_nm: one per mille of 0x6071 is 0.012 Nm, 18% of the model's static")
+
+
+def test_config_check_tells_the_counts(tmp_path, capsys):
+    path = write(tmp_path, BUS)
+    assert main(["config", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "one per mille of 0x6071 is" in said
+    assert "one unit of 0x606C is 3.05e-05 rps" in said
