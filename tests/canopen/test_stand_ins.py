@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scripted_node import ScriptedNode, servo_dictionary
 
-from fffo_drive.can.frame import unpack_frame
+from fffo_drive.can.frame import pack_frame, unpack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
@@ -15,7 +15,7 @@ from fffo_drive.drive.canopen.object_map import MappedObject, PdoSlots
 from fffo_drive.drive.canopen.port_memory import NO_LINK, make_port
 from fffo_drive.drive.canopen.service_queue import ServiceQueue
 from fffo_drive.drive.canopen.silence import life_factor
-from fffo_drive.drive.port import DriveRefusedError, port_command, port_housekeeping
+from fffo_drive.drive.port import DriveRefusedError, port_command, port_housekeeping, port_now_ns, port_sync
 
 NODE = 5
 U8, U16, U32 = (struct.Struct(code).pack for code in ("<B", "<H", "<I"))
@@ -69,6 +69,8 @@ def test_life_guarding_stands_in_for_the_heartbeat(config):
         with CanopenDrive(config) as drive:
             assert (node.number(0x100C), node.number(0x100D), node.number(0x1017)) == (50, 4, 0)
             assert node.asked >= 1
+            factors = [int.from_bytes(value, "little") for index, _, value in node.written if index == 0x100D]
+            assert factors == [0, 4]  # only once it is operational: the loop asks from then on
             port = drive.port
             question = unpack_frame(bytes(port.heartbeat_frame))
             assert (question.can_id, question.remote, len(question.data)) == (0x705, True, 1)
@@ -83,6 +85,24 @@ def test_the_loop_asks_in_place_of_its_heartbeat(config):
         port_housekeeping(port, 0)
         frame = unpack_frame(other.receive(1.0))
     assert (frame.can_id, frame.remote) == (0x700 + NODE, True)
+
+
+def test_a_guarding_request_of_the_service_is_no_bad_frame(config):
+    config = dataclasses.replace(config, silence_detection="life_guarding")
+    with open_link(config.bus) as ours, open_link(config.bus) as other:
+        port = make_port(config, ours, ServiceQueue(0).memory)
+        other.send(pack_frame(0x700 + NODE, bytes(1), remote=True))
+        other.send(pack_frame(0x700 + NODE, bytes([0x85])))  # the answer, toggle bit set
+        deadline_ns = port_now_ns(port) + 1_000_000_000
+        while port.feedback[0]["nmt_state"] < 0 and port_now_ns(port) < deadline_ns:
+            port_sync(port, 1)
+    assert (port.feedback[0]["bad_frames"], port.feedback[0]["nmt_state"]) == (0, 5)
+
+
+def test_an_emcy_identifier_in_use_is_switched_off_before_it_changes(config):
+    with ScriptedNode(config.bus, NODE, objects_of({(0x1014, 0): U32(0xA0)})) as node, CanopenDrive(config):
+        steps = [int.from_bytes(value, "little") for index, _, value in node.written if index == 0x1014]
+    assert steps == [0x800000A0, 0x85]
 
 
 def test_error_behaviour_stands_in_for_6007(config):

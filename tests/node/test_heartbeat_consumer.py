@@ -35,7 +35,7 @@ def test_supervision_begins_with_the_first_heartbeat_and_a_loss_is_told_once() -
     assert rig.read(0x1003, 1) == 0x007F8130
 
 
-@pytest.mark.conformance("CiA 301", "boot-up of a monitored node is a loss")
+@pytest.mark.conformance("CiA 301", "boot-up of a monitored node is a loss (this project's choice)")
 def test_boot_up_of_a_supervised_node_is_a_loss() -> None:
     Rig().script(f"""
         > {CONFIGURE}

@@ -5,6 +5,9 @@ from __future__ import annotations
 import pytest
 from node.node_rig import Rig
 
+from fffo_drive.drive.simulated.node.config import NodeConfig
+from fffo_drive.drive.simulated.node.personality import Personality
+
 
 @pytest.mark.conformance(
     "CiA 301", "boot-up message after power-on, reset node and reset communication, then PRE-OPERATIONAL"
@@ -130,3 +133,38 @@ def test_what_passes_in_the_states_with_communication() -> None:
         rig.node.emergency.bus.now_ns = rig.now_ns
         rig.node.emergency.announce(0xFF02)
         assert "081#02FF000000000000" in rig.wait(10)
+
+
+@pytest.mark.conformance("CiA 301", "NMT commands to node 0 reach every node")
+@pytest.mark.parametrize("node_id", [1, 64, 127])
+def test_broadcast(node_id: int) -> None:
+    rig = Rig(NodeConfig(node_id=node_id))
+    for command, state in ((1, 5), (2, 4), (0x80, 127), (1, 5)):
+        rig.send(f"000#{command:02X}00")
+        assert rig.node.nmt.state == state
+    assert rig.send("000#8100")[-1] == f"{0x700 + node_id:03X}#00"
+    assert rig.node.nmt.state == 127
+
+
+@pytest.mark.conformance("CiA 301", "self-starting node: bit 2 of 0x1F80 (CiA 302-2)")
+def test_a_node_that_starts_itself() -> None:
+    rig = Rig(NodeConfig(personality=Personality(values={"0x1F80:00": 0})))
+    assert rig.boot == ["701#00", "181#5002"]
+    assert rig.node.nmt.state == 5
+    assert Rig().node.nmt.state == 127
+    assert Rig().read(0x1F80) == 4
+
+
+def test_a_node_may_start_itself_without_the_object() -> None:
+    assert Rig(NodeConfig(personality=Personality(starts_itself=True))).node.nmt.state == 5
+
+
+@pytest.mark.conformance("CiA 301", "self-starting node: bit 2 of 0x1F80 (CiA 302-2)")
+def test_self_starting_is_stored_and_acts_with_the_next_reset() -> None:
+    rig = Rig()
+    assert rig.write(0x1F80, 0, 5, 4) == 0x06090030  # it is no NMT master
+    assert rig.write(0x1F80, 0, 0, 4) == 0
+    assert rig.node.nmt.state == 127
+    assert rig.write(0x1010, 2, int.from_bytes(b"save", "little"), 4) == 0
+    rig.send("000#8101")
+    assert rig.node.nmt.state == 5

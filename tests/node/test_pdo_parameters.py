@@ -5,6 +5,10 @@ from __future__ import annotations
 import pytest
 from node.node_rig import Rig
 
+from fffo_drive.can.frame import pack_frame
+from fffo_drive.drive.simulated.node.config import NodeConfig
+from fffo_drive.drive.simulated.node.personality import Personality
+
 UNSUPPORTED, INVALID = 0x06010000, 0x06090030
 NO_OBJECT, NO_SUB, NOT_MAPPABLE, TOO_LONG = 0x06020000, 0x06090011, 0x06040041, 0x06040042
 OFF = 0x80000000
@@ -31,6 +35,7 @@ def test_cob_id(index: int, cob_id: int, bits: int) -> None:
     assert rig.read(index, 1) == 0x192 | bits
 
 
+@pytest.mark.conformance("CiA 301", "restricted CAN-IDs and 29-bit identifiers are refused")
 @pytest.mark.parametrize("cob_id", [0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x601, 0x701, 0x7FF, 0x20000181])
 def test_restricted_and_extended_identifiers_are_refused(cob_id: int) -> None:
     rig = Rig()
@@ -99,21 +104,39 @@ def test_unknown_objects() -> None:
     assert rig.write(0x1A00, 0, 1, 1) == NO_OBJECT  # but none that is in use
 
 
-@pytest.mark.conformance("CiA 301", "types 252 and 253, and remote frames (bit 30), are refused")
-def test_remote_frames_are_refused() -> None:
+@pytest.mark.conformance("CiA 301", "reserved transmission types 241 to 253 are refused")
+def test_reserved_transmission_types() -> None:
     rig = Rig()
     for index in (0x1400, 0x1800):
-        for transmission in (241, 251, 252, 253):
+        for transmission in range(241, 254):
             assert rig.write(index, 2, transmission, 1) == INVALID
         for transmission in (0, 1, 240, 254, 255):
             assert rig.write(index, 2, transmission, 1) == 0
-    assert rig.write(0x1800, 1, 0x181 | OFF, 4) == INVALID  # without bit 30 it would answer remote frames
-    rig.operational()
-    from fffo_drive.can.frame import pack_frame
-
-    assert rig.node.handle(pack_frame(0x181, remote=True), rig.now_ns) == []
 
 
+@pytest.mark.conformance("CiA 301", "bit 30 of a TPDO's COB-ID (no remote frames): free, or demanded where configured")
+def test_the_remote_frame_bit_of_a_tpdo() -> None:
+    free = Rig()
+    assert free.write(0x1800, 1, 0x181 | OFF, 4) == 0
+    assert free.write(0x1800, 1, 0x181, 4) == 0
+    assert free.read(0x1800, 1) == 0x181
+    strict = Rig(NodeConfig(personality=Personality(rtr_bit="required")))
+    assert strict.write(0x1800, 1, 0x181 | OFF, 4) == INVALID
+    assert strict.write(0x1800, 1, 0x181 | NO_RTR | OFF, 4) == 0
+    for rig in (free, strict):  # no remote frame is answered by either
+        rig.operational()
+        assert rig.node.handle(pack_frame(0x181, remote=True), rig.now_ns) == []
+
+
+@pytest.mark.conformance("CiA 301", "bit 30 of an RPDO's COB-ID is reserved: refused")
+def test_bit_30_of_an_rpdo_is_reserved() -> None:
+    rig = Rig()
+    assert rig.write(0x1400, 1, 0x40000201, 4) == INVALID
+    assert rig.write(0x1400, 1, 0xC0000201, 4) == INVALID
+    assert rig.read(0x1400, 1) == 0x201
+
+
+@pytest.mark.conformance("CiA 301", "inhibit time and SYNC start value change only while the PDO is disabled")
 def test_inhibit_time_and_start_value_change_only_while_disabled() -> None:
     rig = Rig()
     assert rig.write(0x1800, 3, 10, 2) == UNSUPPORTED

@@ -60,6 +60,7 @@ def test_segmented_download_of_a_text() -> None:
     assert rig.node.od.upload(0x2000, 0) == b"Hello, axs"
 
 
+@pytest.mark.conformance("CiA 301", "download without a size, expedited and segmented")
 def test_segmented_download_of_a_number_without_a_size() -> None:
     Rig().script("""
         > 601#2006100000000000
@@ -169,6 +170,7 @@ def test_abort_by_the_client_ends_the_transfer_without_an_answer() -> None:
     """)
 
 
+@pytest.mark.conformance("CiA 301", "requests shorter than 8 bytes are ignored")
 def test_short_frames_and_other_nodes_requests_are_no_sdo() -> None:
     rig = Rig()
     assert rig.send("601#40001000") == []

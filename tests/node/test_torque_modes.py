@@ -192,7 +192,10 @@ def test_ratings_and_actual_values() -> None:
     assert rig.read(0x6079) == 47250
 
 
-@pytest.mark.conformance("CiA 402", "interpolation period 0x60C2 that is not 0x1006: EMCY 0x8700")
+@pytest.mark.conformance(
+    "CiA 402",
+    "interpolation period 0x60C2 that is not 0x1006: EMCY 0x8700 (this project's choice)",
+)
 def test_interpolation_period() -> None:
     rig = Rig()
     rig.operational()

@@ -75,6 +75,7 @@ def start(service: Service, config: CanopenDriveConfig) -> None:
             f"{config.bus}: node {config.node_id} does not report NMT state operational (heartbeat says "
             f"{service.nmt_state:#x}) within {config.start_timeout_s} s; see its error history 0x1003"
         )
+    silence.begin(service, config)
     if config.mode_display == "with_sync":
         _await_mode(service, config, lambda: _send_sync(service))
 
@@ -235,6 +236,8 @@ def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
     emergency = can.EMERGENCY + config.node_id
     told = service.read_optional_int(0x1014, 0)  # without the object it is the predefined one
     if told is not None and told & COB_ID_MASK != emergency:
+        if not told & COB_ID_INVALID:  # an identifier in use does not change (CiA 301 7.5.2.17)
+            write_checked(service, 0x1014, 0, told | COB_ID_INVALID, 4, "changing EMCY messages", mask=COB_ID_INVALID)
         write_checked(service, 0x1014, 0, emergency, 4, "EMCY messages", mask=COB_ID_MASK)
     silence.configure(service, config)
     if config.quick_stop_option is not None:

@@ -27,7 +27,7 @@ CODES = {  # whole codes
     "PC was missed", 0x8140: "recovered from bus-off", 0x8150: "collision of CAN identifiers",
     0x8210: "PDO too short", 0x8220: "PDO too long", 0x8240: "unexpected SYNC length", 0x8250: "RPDO timed out",
     0x8311: "torque too high", 0x8331: "torque fault", 0x8400: "speed controller", 0x8500: "position controller",
-    0x8611: "following error", 0x8612: "limit of the reference",
+    0x8700: "SYNC was missed or came out of time", 0x8611: "following error", 0x8612: "limit of the reference",
 }  # fmt: skip
 CLASSES = {  # upper half of a code
     0x10: "generic", 0x20: "current", 0x21: "current at the input", 0x22: "current inside",

@@ -40,6 +40,7 @@ class CanopenPort(NamedTuple):
     tx_fd: int
     node_id: int
     heartbeat_period_ns: int
+    question: int  # word of a guarding request; -1 where the node is not guarded
     answer_mask: int  # bits of the TPDOs that answer every SYNC
     controlword_at: int  # byte in the command frame
     target_at: int
@@ -74,7 +75,8 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
     received = np.zeros(can.FRAME_SIZE, np.uint8)
     memory = np.zeros(MEMORY_WORDS, np.int64)
     command = config.command
-    if config.silence_detection == LIFE_GUARDING:  # the question takes the place of our heartbeat
+    guarded = config.silence_detection == LIFE_GUARDING
+    if guarded:  # the question takes the place of our heartbeat
         heartbeat = can.pack_frame(can.HEARTBEAT + config.node_id, bytes(1), remote=True)
     else:
         heartbeat = can.pack_frame(can.HEARTBEAT + config.master_id, bytes([NMT_OPERATIONAL]))
@@ -83,6 +85,7 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
         tx_fd=link.tx_fd,
         node_id=config.node_id,
         heartbeat_period_ns=config.heartbeat_ms * 1_000_000,
+        question=can.REMOTE_FLAG | can.HEARTBEAT + config.node_id if guarded else -1,
         answer_mask=int(sum(1 << slot for slot in range(len(pdos)) if pdos[slot, 2])),
         controlword_at=can.DATA_OFFSET + command.offset_of(CONTROLWORD),
         target_at=can.DATA_OFFSET + command.offset_of(config.target.index),

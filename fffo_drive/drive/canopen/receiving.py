@@ -142,6 +142,8 @@ def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
         if word == can.SYNC:  # ours are not among what a socket hears of itself, on either kind of link
             port.feedback[0]["foreign_syncs"] += 1
         return 0
+    if word == port.question:  # which the service has sent
+        return 0
     length: Any = np.int64(port.received[can.LENGTH_OFFSET])
     if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.pdos[slot, 1]):
         port.feedback[0]["bad_frames"] += 1

@@ -108,8 +108,8 @@ def configure(service: Service, config: CanopenDriveConfig) -> None:
     purpose = "no heartbeat beside life guarding" if guarded else "the drive's heartbeat"
     if guarded:
         write_if_present(service, 0x1017, 0, 0, 2, purpose)
+        write_checked(service, LIFE_FACTOR, 0, 0, 1, watch)  # not before the loop asks: see `begin`
         write_checked(service, GUARD_TIME, 0, config.heartbeat_ms, 2, watch)
-        write_checked(service, LIFE_FACTOR, 0, life_factor(config), 1, watch)
     else:
         write_checked(service, 0x1017, 0, config.drive_heartbeat_ms, 2, purpose)
     if config.silence_detection == HEARTBEAT:
@@ -127,6 +127,15 @@ def configure(service: Service, config: CanopenDriveConfig) -> None:
         write_checked(service, 0x6007, 0, config.abort_connection_option, 2, purpose)
     elif config.silence_reaction == "error_behaviour":
         write_checked(service, 0x1029, 1, PRE_OPERATIONAL_ON_ERROR, 1, purpose)
+
+
+def begin(service: Service, config: CanopenDriveConfig) -> None:
+    """Once the drive is operational: it watches for our questions, which the loop sends from its first tick on.
+
+    Raises DriveRefusedError, BusUnavailableError.
+    """
+    if config.silence_detection == LIFE_GUARDING:
+        write_checked(service, LIFE_FACTOR, 0, life_factor(config), 1, "the drive to notice that the PC is silent")
 
 
 def life_factor(config: CanopenDriveConfig) -> int:

@@ -345,7 +345,7 @@ class Node:
 
     def _starts_itself(self) -> bool:
         """0x1F80 of CiA 302-2: bit 2 says that the node waits for its master."""
-        return not self.od.number(STARTUP) & WAITS_FOR_MASTER
+        return self.config.personality.starts_itself or not self.od.number(STARTUP) & WAITS_FOR_MASTER
 
     def _check_startup(self, sub: int, value: int) -> None:
         if not self.od.foreign and value & ~WAITS_FOR_MASTER:  # it is no master, and starts nobody else

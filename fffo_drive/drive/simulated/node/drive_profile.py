@@ -108,6 +108,7 @@ class DriveProfile:
         scales = self.scales
         self._a_per_permille = scales.a_per_permille
         self._current_a_per_permille = scales.current_a_per_permille
+        self._current_differs = scales.current_a_per_permille != scales.a_per_permille
         self._velocity_per_rps = scales.velocity_per_rps
         self._position = scales.position if scales.converts_position else None
 
@@ -183,9 +184,11 @@ class DriveProfile:
         values[position] = (counts + _INT32) % (2 * _INT32) - _INT32
         speed = round(plant.velocity_rps * self._velocity_per_rps)
         values[velocity] = min(max(speed, -_INT32), _INT32 - 1)
-        current_a = plant.current_a
-        values[torque] = min(max(round(current_a / self._a_per_permille), -32768), 32767)
-        values[current] = min(max(round(current_a / self._current_a_per_permille), -32768), 32767)
+        permille = min(max(round(plant.current_a / self._a_per_permille), -32768), 32767)
+        values[torque] = values[current] = permille
+        if self._current_differs:
+            permille = round(plant.current_a / self._current_a_per_permille)
+            values[current] = min(max(permille, -32768), 32767)
         values[voltage] = max(0, round(plant.dc_link_v * self._millivolts))
 
     def update(self) -> None:
@@ -298,7 +301,7 @@ class DriveProfile:
 
     def _new_brake(self, kind: int) -> Brake:
         ratings, scales = self.ratings, self.scales
-        limit_permille = min(self.od.number(MAX_TORQUE), scales.peak_permille)
+        limit_permille = min(abs(self.od.number(MAX_TORQUE)), scales.peak_permille)
         settings = BrakeSettings(
             slow_rps2=self._ramp_rps2(SLOW_DOWN, ratings.slow_rps2),
             quick_rps2=self._ramp_rps2(QUICK_STOP, ratings.quick_rps2),
@@ -366,7 +369,7 @@ class DriveProfile:
         elif plant.dc_link_v > ratings.overvoltage_v:
             self.trip(DC_LINK_OVERVOLTAGE)
         elif abs(plant.velocity_rps) > (
-            OVERSPEED_FACTOR * (self.od.values[self._max_speed_slot] or self._highest_rpm) / S_PER_MIN
+            OVERSPEED_FACTOR * (abs(self.od.values[self._max_speed_slot]) or self._highest_rpm) / S_PER_MIN
         ):
             self.trip(OVERSPEED)
         elif abs(plant.current_a) > self._overcurrent_a:

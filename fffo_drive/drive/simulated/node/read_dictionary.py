@@ -18,7 +18,8 @@ from pydantic import Field
 
 from ....documents import DocumentError, Record, load, refuse
 from ...canopen.eds import read_eds
-from ...canopen.eds_tidy import decode, number, tidy
+from ...canopen.eds_tidy import decode, tidy
+from ...canopen.eds_tidy import number as number_of
 from ...canopen.object_map import MappingError
 from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, Value, type_range
 from .objects import ENTRIES
@@ -68,7 +69,7 @@ class WrongFieldError(ValueError):
 class _Row(NamedTuple):
     """An object as a file has it: texts. `strict`: what cannot be understood is refused, not left out."""
 
-    index: int
+    number: int  # index
     sub: int
     name: str
     data_type: str
@@ -180,8 +181,8 @@ def _from_eds(path: Path) -> WornDictionary:
 
 def _rows(index: int, sub: str | None, section: Mapping[str, str]) -> Iterator[_Row]:
     """The objects that a section describes: one; none, for the head of an array; or all of a compact array."""
-    count = number(section.get("CompactSubObj", "0")) or 0
-    if sub is None and not count and (number(section.get("ObjectType", "7")) or 7) in (8, 9):
+    count = number_of(section.get("CompactSubObj", "0")) or 0
+    if sub is None and not count and (number_of(section.get("ObjectType", "7")) or 7) in (8, 9):
         return
     name = section.get("ParameterName", "").encode("ascii", "replace").decode()
     row = _Row(
@@ -213,7 +214,7 @@ def _entry(row: _Row) -> Entry:
     access = row.access.lower()
     if access not in ACCESSES:
         raise WrongFieldError("access", f"{row.access!r} is none of {', '.join(ACCESSES)}")
-    mappable = number(row.mappable)
+    mappable = number_of(row.mappable)
     if mappable not in (0, 1) and row.strict:
         raise WrongFieldError("pdo", f"{row.mappable!r} is neither 0 nor 1")
     default, relative = _told(row, "default", data_type)
@@ -224,13 +225,13 @@ def _entry(row: _Row) -> Entry:
             raise WrongFieldError("low", f"{low} is above high, {high}")
         low = high = None
     return Entry(
-        row.index, row.sub, row.name, data_type, access, default, low, high, bool(mappable), relative, value,
+        row.number, row.sub, row.name, data_type, access, default, low, high, bool(mappable), relative, value,
         value_relative,
     )  # fmt: skip
 
 
 def _type(text: str) -> DataType:
-    found = number(text)
+    found = number_of(text)
     if found is None or found not in set(DataType):
         raise WrongFieldError("type", f"{text!r} is no data type of CiA 301 (0x0007 is UNSIGNED32)")
     return DataType(found)
@@ -249,7 +250,7 @@ def _told(row: _Row, field: str, data_type: DataType) -> tuple[Value | None, boo
             return _bytes(text, data_type), False
         relative = bool(_NODE_ID.search(text))
         rest = _NODE_ID.sub("", text).replace(" ", "").strip("+") if relative else text
-        return _fitting(number(rest) if rest else 0, text, data_type), relative
+        return _fitting(number_of(rest) if rest else 0, text, data_type), relative
     except (ValueError, OverflowError) as error:
         if row.strict:
             raise WrongFieldError(field, str(error)) from None
@@ -261,7 +262,7 @@ def _limit(row: _Row, field: str, data_type: DataType) -> int | None:
     if text is None or not text.strip() or data_type in REAL_TYPES or not Entry(0, 0, "", data_type, "ro").size:
         return None
     try:
-        return _fitting(number(text), text, data_type)
+        return _fitting(number_of(text), text, data_type)
     except ValueError as error:
         if row.strict:
             raise WrongFieldError(field, str(error)) from None

@@ -80,7 +80,7 @@ class Scales:
         believed = _ratio(self.od, ENCODER) or self._encoder
         increments = self._encoder / self.ratings.counts_per_rev
         position = self._per_increment(believed) / gear * (-1 if polarity & REVERSED_POSITION else 1)
-        self.converts_position = (increments, position) != (1, 1)
+        self.converts_position = increments != 1 or position != 1
         self._factors = (*increments.as_integer_ratio(), *position.as_integer_ratio())
         per_rps = float(self._per_rps(believed) / gear)
         self.units_per_rps = per_rps
@@ -108,6 +108,7 @@ class Scales:
             by_torque = ratings.rated_current_a  # without the rounding of the object
         if number(RATED_CURRENT) == round(ratings.rated_current_a / personality.rated_current_unit_a):
             by_current = ratings.rated_current_a
+        self.as_made = by_torque == by_current == ratings.rated_current_a  # both ratings are those of the motor
         self.a_per_permille = (by_torque or by_current or ratings.rated_current_a) / PERMILLE
         self.current_a_per_permille = (by_current or by_torque or ratings.rated_current_a) / PERMILLE
 

@@ -16,6 +16,7 @@ from .personality import Personality, named
 from .scales import Scales
 
 NO_SLOPE = 1e9  # per mille in one call: 0x6087 = 0 is a slope that was never set, and torque jumps
+LARGEST_DEMAND = 32767  # of 0x6074
 SPEED_TAPER = 0.02  # below the speed limit by this share, torque that drives on begins to fall
 
 _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
@@ -41,7 +42,8 @@ class Setpoint:
         """Take the scales as they are."""
         scales = self.scales
         self._a_per_permille = scales.a_per_permille
-        self._peak = scales.peak_permille
+        self._peak = min(scales.peak_permille, LARGEST_DEMAND)
+        self._own_thousandths = not self.od.foreign and scales.as_made
         self._current_share = scales.current_a_per_permille / scales.a_per_permille
 
     def clear(self) -> None:
@@ -76,15 +78,19 @@ class Setpoint:
         else:
             self.idle()
             return 0.0
-        most = min(most, most_current * self._current_share, self._peak)
-        demand = min(max(wanted, -min(most, abs(backward))), min(most, forward))  # 0x60E1 has a sign in some drives
-        demand = self._within_speed(demand, velocity_rps, rps_from_rpm(speed_rpm))
+        if self._own_thousandths:
+            most = min(most, most_current, self._peak)
+            demand = min(max(wanted, -min(most, backward)), min(most, forward))
+        else:
+            most = min(abs(most), abs(most_current) * self._current_share, self._peak)
+            demand = min(max(wanted, -min(most, abs(backward))), min(most, abs(forward)))  # 0x60E1 may have a sign
+        demand = self._within_speed(demand, velocity_rps, rps_from_rpm(abs(speed_rpm)))
         self.limited = demand != wanted
-        self.od.values[self._demand_slot] = min(max(round(demand), -32768), 32767)
+        self.od.values[self._demand_slot] = round(demand)
         return demand * self._a_per_permille
 
     def _ramp(self, target: int, slope: int, elapsed_ns: int) -> float:
-        step = slope * elapsed_ns / NS_PER_S if slope else NO_SLOPE
+        step = abs(slope) * elapsed_ns / NS_PER_S if slope else NO_SLOPE
         self.ramped = min(max(float(target), self.ramped - step), self.ramped + step)
         self.reached = self.ramped == target
         return self.ramped

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from .dictionary import STRUCT_CODES, DataType, Entry, ObjectDictionary, Value, type_range
+from .dictionary import REAL_TYPES, SIGNED_TYPES, STRUCT_CODES, DataType, Entry, ObjectDictionary, Value, type_range
 from .objects import ABSENT, ENTRIES, OWN_OBJECTS, PDO_OBJECTS
 from .personality import Personality, named
 
@@ -15,9 +15,18 @@ _TARGET_TYPES = {8: DataType.INTEGER8, 16: DataType.INTEGER16, 32: DataType.INTE
 _OWN = {entry.multiplexer: entry for entry in ENTRIES if entry.index not in OWN_OBJECTS}
 # what the device writes itself: the size is that of CiA 301 and 402
 WRITTEN = (0x1001, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x60FD)
+# communication objects that the services count with
+COUNTED = frozenset(
+    {0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x100C, 0x100D, 0x1010, 0x1011, 0x1014, 0x1015, 0x1016, 0x1017, 0x1019,
+     0x1029, 0x1F80, *PDO_OBJECTS}
+)  # fmt: skip
 _WRITTEN = {index << 8 for index in WRITTEN}
 # 0x6502 where the file does not tell it: the modes whose target the drive has
 _TARGETS = {1: (0x607A,), 3: (0x60FF,), 4: (0x6071,), 6: (0x6098,), 7: (0x60C1,), 10: (0x6071, 0x60C2)}
+
+
+def _is_count(entry: Entry) -> bool:
+    return 0 < entry.size <= 4 and entry.data_type not in SIGNED_TYPES | REAL_TYPES
 
 
 @dataclass(frozen=True)
@@ -30,8 +39,11 @@ class WornDictionary:
     def problems(self) -> Iterator[tuple[Entry, str]]:
         """Entries that no drive of CiA 402 has so: the node could not work with them."""
         for entry in self.entries:
+            if entry.index in COUNTED and not _is_count(entry):
+                yield entry, f"is {entry.data_type.name}; CiA 301 has an unsigned number of at most 32 bits"
+                continue
             own = _OWN.get(entry.multiplexer)
-            if own is None or not own.size or entry.index in PDO_OBJECTS:
+            if own is None or not own.size:
                 continue
             if not entry.size:
                 yield entry, f"is {entry.data_type.name}; CiA 301 and 402 have a number here ({own.data_type.name})"
