@@ -164,7 +164,7 @@ def _axis_text(place: Place, facts: DriveFacts, objects: ToldObjects) -> str:
     ])  # fmt: skip
     head = [
         f"# {place.drive}: written by `fffo-drive bring-up`.",
-        "# read: from the drive; given: by you; measured: here; assumed: by nobody in the know - check it.",
+        "# read: from the drive; given: by you; measured: here; assumed: nobody has said it, check it.",
         f"# next: fffo-drive commission {place.name}.yaml (it moves the axis a little, and asks before)",
     ]
     return "\n".join([*head, *lines]) + "\n"

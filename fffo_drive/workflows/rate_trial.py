@@ -172,7 +172,7 @@ def choose_rate(
     best = max((k for k, reasons in enumerate(against) if not reasons), default=-1)
     rate_hz = ordered[best].rate_hz if best >= 0 else None
     if best + 1 == len(ordered):
-        return Choice(rate_hz, "It is the highest that is tried")
+        return Choice(rate_hz, "It is the highest that is tried.")
     return Choice(rate_hz, f"{ordered[best + 1].rate_hz} Hz does not fit: {'; '.join(against[best + 1])}")
 
 

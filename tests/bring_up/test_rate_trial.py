@@ -97,7 +97,7 @@ def test_a_tick_that_takes_longer_than_its_period_does_not_fit():
 
 def test_the_highest_rate_that_fits_and_why_the_next_one_does_not():
     good = [trial_of(rows_of(rate), rate, 0.1) for rate in (500, 1000, 2000)]
-    assert choose_rate(good, LOOP) == Choice(2000, "It is the highest that is tried")
+    assert choose_rate(good, LOOP) == Choice(2000, "It is the highest that is tried.")
     slow = trial_of(rows_of(2000, turnaround_us=260.0), 2000, 0.6)
     assert choose_rate([*good[:2], slow], LOOP).rate_hz == 1000
     assert choose_rate([*good[:2], slow], LOOP).reason.startswith("2000 Hz does not fit: the answer to SYNC takes 260")
