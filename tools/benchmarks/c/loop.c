@@ -160,11 +160,7 @@ static struct law apply_law(const struct controller_config *config, struct contr
 
 static bool in_local_control(int64_t served_bits, int64_t statusword)
 {
-    if (!(served_bits & STATUS_REMOTE) || statusword & STATUS_REMOTE)
-        return false;
-    int64_t state = state_of(statusword);
-    return state == STATE_SWITCH_ON_DISABLED || state == STATE_READY_TO_SWITCH_ON || state == STATE_SWITCHED_ON ||
-           state == STATE_OPERATION_ENABLED;
+    return served_bits & ~statusword & STATUS_REMOTE && !(statusword & STATUS_FAULT) && statusword & NOT_READY_MASK;
 }
 
 static struct envelope_inputs look(const struct feedback *feedback, const struct loop_config *config,
