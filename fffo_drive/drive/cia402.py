@@ -45,7 +45,10 @@ STATE_TABLE: tuple[StateMask, ...] = (
 )
 _ROWS = np.array([(row.state, row.mask, row.value) for row in STATE_TABLE], np.int64)
 
-# statusword bits that are not part of the state
+NOT_READY_MASK = STATE_TABLE[0].mask  # all of these are 0 in a drive that still starts
+
+# statusword bits
+STATUS_FAULT = 1 << 3  # fault, and its reaction
 STATUS_VOLTAGE_ENABLED = 1 << 4
 STATUS_WARNING = 1 << 7
 STATUS_REMOTE = 1 << 9

@@ -46,7 +46,7 @@ from ..control.feedforward import Reference
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
-from ..runtime.loop import goal_after_trip
+from ..runtime.loop import goal_in_force
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
@@ -228,7 +228,7 @@ def replay_into(
                 limits |= LIMIT_CONTROLLER
             if found != TRIP_NONE and trip == TRIP_NONE and resetting == 0:
                 trip = found
-            goal = goal_after_trip(in_force.envelope, trip, _int64(row["goal"]))
+            goal = goal_in_force(in_force.envelope, trip, _int64(row["goal"]), seen)
             controlword = controlword_towards(seen.statusword, goal, resetting > 0, controlword)
             out.commands[k, 0] = command_a if trip == TRIP_NONE else 0.0
             out.commands[k, 1] = envelope.i2t_a2s

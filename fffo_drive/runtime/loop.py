@@ -16,6 +16,7 @@ from ..control.envelope import (
     REACTION_QUICK_STOP,
     TRIP_NONE,
     EnvelopeConfig,
+    EnvelopeInputs,
     envelope_after_reset,
     envelope_at_rest,
     envelope_step,
@@ -54,10 +55,11 @@ FAULT_RESET_TICKS = 40  # how long a reset is asked for: the drive must see bit 
 
 
 @njit
-def goal_after_trip(config: EnvelopeConfig, trip: int, goal: int) -> int:
-    """A latched trip replaces what was asked for by its reaction."""
+def goal_in_force(config: EnvelopeConfig, trip: int, goal: int, seen: EnvelopeInputs) -> int:
+    """A latched trip replaces what was asked for by its reaction; a drive in local control is not enabled."""
     if trip == TRIP_NONE:
-        return goal
+        refused = goal == GOAL_ENABLED and seen.local_control and not seen.enabled
+        return GOAL_DISABLED if refused else goal
     if config.reactions[trip] == REACTION_QUICK_STOP:
         return GOAL_QUICK_STOP
     return GOAL_DISABLED
@@ -180,7 +182,7 @@ def run_loop(
             command_a = 0.0
 
         row = write_row(ring, head, timing, config, law, seen, feedback)
-        goal_now = goal_after_trip(envelope_config, trip, goal)
+        goal_now = goal_in_force(envelope_config, trip, goal, seen)
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword)
         row["limited_a"] = command_a
         row["current_command_a"] = port_command(port, timing.tick, controlword, command_a)

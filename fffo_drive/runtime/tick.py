@@ -10,14 +10,11 @@ from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..drive.cia402 import (
-    STATE_OPERATION_ENABLED,
-    STATE_READY_TO_SWITCH_ON,
-    STATE_SWITCH_ON_DISABLED,
-    STATE_SWITCHED_ON,
+    NOT_READY_MASK,
+    STATUS_FAULT,
     STATUS_FOLLOWS_COMMAND,
     STATUS_INTERNAL_LIMIT,
     STATUS_REMOTE,
-    state_of,
 )
 from ..drive.port import NMT_OPERATIONAL, port_now_ns, port_receive, port_sleep_until, port_sync
 from ..jit import njit
@@ -188,11 +185,9 @@ def _terms_of_current(current_a: float) -> ControllerTerms:
 @njit
 def in_local_control(served_bits: int, statusword: int) -> bool:
     """The drive says that it ignores controlwords; one that still starts, or is in fault, has other things to say."""
-    if served_bits & STATUS_REMOTE == 0 or statusword & STATUS_REMOTE != 0:
+    if served_bits & ~statusword & STATUS_REMOTE == 0:
         return False
-    return state_of(statusword) in (
-        STATE_SWITCH_ON_DISABLED, STATE_READY_TO_SWITCH_ON, STATE_SWITCHED_ON, STATE_OPERATION_ENABLED
-    )  # fmt: skip
+    return statusword & STATUS_FAULT == 0 and statusword & NOT_READY_MASK != 0
 
 
 @njit

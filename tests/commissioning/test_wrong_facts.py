@@ -68,6 +68,13 @@ def test_a_drive_as_declared_passes_everything(plant):
     assert checks["velocity_update"].measured == pytest.approx(5e-4)
 
 
+def test_an_axis_whose_brake_opens_late_passes_everything():
+    session = SESSION._replace(loop=SESSION.loop._replace(enable_delay_ticks=600))
+    checks = checks_of(MisdeclaredDrive(PLANT), session=session)
+    assert overall(list(checks.values())) == "ok", [c for c in checks.values() if c.verdict != "ok"]
+    assert checks["delay"].measured == pytest.approx(0.00275, abs=1e-4)
+
+
 # what is wrong -> the check that fails, a part of its remedy
 WRONG = [
     ({"torque": -1.0}, "torque_sign", "phases"),

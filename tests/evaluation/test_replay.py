@@ -5,9 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from runtime.scripted_port import STATUSWORD, scripted
+from runtime.test_loop import CONTROLLER, Rig, envelope
 
 from fffo_drive.cli import main
+from fffo_drive.control.controller import pack_controller
+from fffo_drive.evaluation.replay import WORDS, Replay, law_in_force
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -51,3 +56,21 @@ def test_a_changed_law_is_compared_on_the_same_data(axis_file, tmp_path, capsys)
     report = json.loads(capsys.readouterr().out)
     assert not report["exact"]
     assert 1e-4 < report["rms_difference_a"] < 2.0
+
+
+@pytest.mark.parametrize("statusword", [0x1637, 0x0637, 0x1437, 0x0040])
+@pytest.mark.parametrize("delay_ticks", [0, 40])
+def test_what_the_drive_does_not_heed_and_an_enable_delay_are_reproduced_from_the_rows(statusword, delay_ticks):
+    ticks = 400
+    rig = Rig(scripted(ticks, velocity_rps=-0.5))
+    rig.port.script[100:, STATUSWORD] = statusword
+    rig.port.script[:100, STATUSWORD] = 0x1637
+    rows = rig.run(loop={"served_status_bits": 0x1200, "enable_delay_ticks": delay_ticks})
+    assert (rows["mode"] != 0).sum() > 50
+    nothing = np.zeros(ticks, np.int64)
+    in_force = law_in_force([pack_controller(CONTROLLER)], [rig.blocks.effects[0]], envelope())
+    replayed = Replay().run(in_force, rows, nothing, nothing)
+    assert replayed.known.all()
+    for column, name in enumerate(WORDS):
+        np.testing.assert_array_equal(replayed.words[:, column], rows[name])
+    np.testing.assert_array_equal(replayed.commands[:, 0], rows["limited_a"])

@@ -9,7 +9,7 @@ from runtime.test_loop import PERIOD_NS, Rig, constant_profile
 
 from fffo_drive.control import envelope as env
 from fffo_drive.control.reference import MODE_CURRENT
-from fffo_drive.drive.cia402 import CONTROL_ENABLE_OPERATION
+from fffo_drive.drive.cia402 import CONTROL_DISABLE_VOLTAGE, CONTROL_ENABLE_OPERATION, CONTROL_SWITCH_ON
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.tick import FLAG_IGNORES_TARGET, FLAG_LOCAL_CONTROL
 from fffo_drive.units import NS_PER_S
@@ -68,6 +68,16 @@ def test_a_drive_that_says_that_it_does_not_heed_us_trips_after_its_time(statusw
     local = rows["flags"] & FLAG_LOCAL_CONTROL != 0
     assert local.all() if trip == env.TRIP_LOCAL_CONTROL else not local.any()
     assert (rows["flags"] & FLAG_IGNORES_TARGET != 0)[: PATIENCE - 1].all() == (trip == env.TRIP_NOT_FOLLOWING)
+
+
+def test_a_drive_in_local_control_is_not_led_towards_enabled():
+    rig = Rig(scripted(200))
+    rig.port.script[:100, STATUSWORD] = 0x0031  # ready to switch on, bit 9 is 0
+    rig.port.script[100:, STATUSWORD] = 0x0231
+    rows = rig.run(loop={"served_status_bits": REMOTE})
+    assert (rows["controlword"][:100] == CONTROL_DISABLE_VOLTAGE).all()
+    assert (rows["controlword"][100:] == CONTROL_SWITCH_ON).all()
+    assert (rows["trip"] == env.TRIP_NONE).all()
 
 
 def test_the_law_begins_when_the_brake_has_had_its_time():

@@ -48,7 +48,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (b, ()),
     (port_memory, ()),
     (frame, ()),
-    (cia402, ("STATE_", "CONTROL_", "GOAL_", "STATUS_")),
+    (cia402, ("STATE_", "CONTROL_", "GOAL_", "STATUS_", "NOT_READY_")),
     (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_", "UNHEEDED_")),
     (object_map, ("FIELD_",)),
     (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS")),

@@ -16,6 +16,7 @@ from .port_memory import (
     ANSWERED,
     ANSWERED_TWICE,
     CONTROLLER_OFF,
+    MEMORY_WORDS,
     POSITION_COUNTS,
     POSITION_KNOWN,
     POSITION_RAW,
@@ -95,8 +96,8 @@ def _take_node_message(port: CanopenPort, can_id: int, length: int) -> int:
             feedback["bad_frames"] += 1
             return 0
         code = np.int64(port.received[can.DATA_OFFSET]) | np.int64(port.received[can.DATA_OFFSET + 1]) << 8
-        for i in range(port.warning_codes.size):
-            if port.warning_codes[i] == code:
+        for i in range(MEMORY_WORDS, port.memory.size):
+            if port.memory[i] == code:
                 feedback["warning_code"] = code
                 feedback["warning_count"] += 1
                 return 0

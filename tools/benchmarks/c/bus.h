@@ -165,8 +165,8 @@ static void take_node_message(struct canopen_port *port, int64_t can_id, int64_t
             return;
         }
         int64_t code = data[0] | data[1] << 8;
-        for (int64_t i = 0; i < port->warning_codes_n; i++)
-            if (port->warning_codes[i] == code) {
+        for (int64_t i = MEMORY_WORDS; i < port->memory_n; i++)
+            if (port->memory[i] == code) {
                 feedback->warning_code = code;
                 feedback->warning_count += 1;
                 return;

@@ -160,11 +160,7 @@ static struct law apply_law(const struct controller_config *config, struct contr
 
 static bool in_local_control(int64_t served_bits, int64_t statusword)
 {
-    if (!(served_bits & STATUS_REMOTE) || statusword & STATUS_REMOTE)
-        return false;
-    int64_t state = state_of(statusword);
-    return state == STATE_SWITCH_ON_DISABLED || state == STATE_READY_TO_SWITCH_ON || state == STATE_SWITCHED_ON ||
-           state == STATE_OPERATION_ENABLED;
+    return served_bits & ~statusword & STATUS_REMOTE && !(statusword & STATUS_FAULT) && statusword & NOT_READY_MASK;
 }
 
 static struct envelope_inputs look(const struct feedback *feedback, const struct loop_config *config,
@@ -246,10 +242,11 @@ static void write_row(struct row *row, int64_t head, const struct timing *timing
     row->true_friction_nm = feedback->true_friction_nm;
 }
 
-static int64_t goal_after_trip(const struct envelope_config *config, int64_t trip, int64_t goal)
+static int64_t goal_in_force(const struct envelope_config *config, int64_t trip, int64_t goal,
+                             const struct envelope_inputs *seen)
 {
     if (trip == TRIP_NONE)
-        return goal;
+        return goal == GOAL_ENABLED && seen->local_control && !seen->enabled ? GOAL_DISABLED : goal;
     return config->reactions[trip] == REACTION_QUICK_STOP ? GOAL_QUICK_STOP : GOAL_DISABLED;
 }
 
@@ -347,7 +344,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
 
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
         write_row(row, head, &timing, config, &law, &seen, feedback);
-        int64_t goal_now = goal_after_trip(envelope_config, trip, goal);
+        int64_t goal_now = goal_in_force(envelope_config, trip, goal, &seen);
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
         row->limited_a = command_a;
         row->current_command_a = bus_command(port, controlword, command_a);
