@@ -14,13 +14,13 @@ from pydantic import ValidationError
 
 from ..config.drive_profile import DriveProfile, merged, profile_for, profile_path, read_profile
 from ..config.drive_proposal import config_of, propose
+from ..config.drive_section import RATED_TORQUE_UNITS
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
 from ..drive.canopen.units_told import counts_increments, units_told
 from .told import ToldObjects
 
-TORQUE_UNITS_NM = {"mNm": 1e-3, "uNm": 1e-6}  # of one of 0x6076
 MILLI = 1e-3
 SAME = 0.01  # ratings that agree
 ASSUMED = "assumed: "
@@ -129,7 +129,7 @@ def drive_facts(
     if unit != base.get("rated_torque_unit", "mNm"):
         section["rated_torque_unit"] = Fact(unit, "0x6076 then says what was given")
     if raw:
-        section.setdefault("rated_torque_nm", Fact(raw * TORQUE_UNITS_NM[unit], f"read: 0x6076 in {unit}"))
+        section.setdefault("rated_torque_nm", Fact(raw * RATED_TORQUE_UNITS[unit], f"read: 0x6076 in {unit}"))
     told = units_told(objects)
     for key, index in (("counts_per_rev", 0x60A8), ("velocity_units_per_rps", 0x60A9)):
         if key in told and key in base and objects.value(index) and told[key] != base[key]:
@@ -178,7 +178,7 @@ def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
     """Unit of 0x6076: the one in which it says what was given, else what is expected of the family."""
     if not raw or given_nm is None:
         return expected
-    fitting = [name for name, one in TORQUE_UNITS_NM.items() if abs(raw * one - given_nm) <= SAME * given_nm]
+    fitting = [name for name, one in RATED_TORQUE_UNITS.items() if abs(raw * one - given_nm) <= SAME * given_nm]
     return fitting[0] if fitting else expected
 
 
@@ -232,7 +232,7 @@ def _silence(section: Mapping[str, Any]) -> str:
 def _writes(objects: ToldObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:
     """Ratings that the drive has not been told, where people have said them."""
     found = {}
-    for index, key, one in ((0x6076, "rated_torque_nm", TORQUE_UNITS_NM[unit]), (0x6075, "rated_current_a", MILLI)):
+    for index, key, one in ((0x6076, "rated_torque_nm", RATED_TORQUE_UNITS[unit]), (0x6075, "rated_current_a", MILLI)):
         if objects.value(index) == 0 and key in section:
             found[f"0x{index:04X}:00"] = round(section[key].value / one)
     return found

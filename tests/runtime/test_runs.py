@@ -71,6 +71,6 @@ def test_a_drive_that_is_not_enabled_says_in_which_state_it_stood(tmp_path, caps
     assert code == 70
     assert result["fault"].startswith(
         "the drive did not reach Operation Enabled in time (0x603F says no error; "
-        "statusword 0x0250: switch on disabled; DC link "
+        "statusword 0x0250: switch on disabled; 0x60FD 0x00000000 (no limit switch, no interlock); DC link "
     )
     assert ("drive", result["fault"]) in events

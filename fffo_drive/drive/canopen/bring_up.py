@@ -64,8 +64,11 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
     )
 
 
-def start(service: Service, config: CanopenDriveConfig) -> None:
-    """NMT start, confirmed by the drive's heartbeat. Raises DriveRefusedError."""
+def start(service: Service, config: CanopenDriveConfig, send_sync: Callable[[], None]) -> None:
+    """NMT start, confirmed by the drive's heartbeat; `send_sync` on the loop's own link, which does not hear itself.
+
+    Raises DriveRefusedError, BusUnavailableError.
+    """
     service.check_one_node()
     service.command_nmt(NMT_START)
     if config.silence_detection == silence.LIFE_GUARDING:  # a guarded node tells its state when it is asked
@@ -77,7 +80,7 @@ def start(service: Service, config: CanopenDriveConfig) -> None:
         )
     silence.begin(service, config)
     if config.mode_display == "with_sync":
-        _await_mode(service, config, lambda: _send_sync(service))
+        _await_mode(service, config, lambda: _one_sync(service, send_sync))
 
 
 def read_identity(service: Service) -> DriveIdentity:
@@ -170,12 +173,17 @@ def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
+    _switch_off_others(service, 0x1400, {config.command.number}, "a drive that takes commands from one RPDO")
     _configure_pdo(service, 0x1400, config.command)
     for pdo in config.answers:
         _configure_pdo(service, 0x1800, pdo)
-    used = {pdo.number for pdo in config.answers}
-    for number in range(1, MOST_PDO_SLOTS + 1):  # nothing that we do not need may take time on the bus
-        index = 0x1800 + number - 1
+    _switch_off_others(service, 0x1800, {pdo.number for pdo in config.answers}, "a bus without other TPDOs")
+
+
+def _switch_off_others(service: Service, first_index: int, used: set[int], purpose: str) -> None:
+    """Switch off PDOs that we do not use: they take time on the bus, or may take our command for theirs."""
+    for number in range(1, MOST_PDO_SLOTS + 1):
+        index = first_index + number - 1
         cob_id = service.read_optional_int(index, 1)
         if cob_id is None and number > PDO_SLOTS:
             break
@@ -186,7 +194,7 @@ def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
                 1,
                 cob_id | COB_ID_INVALID,
                 4,
-                "a bus without other TPDOs",
+                purpose,
                 mask=COB_ID_INVALID,
             )
 
@@ -279,7 +287,7 @@ def _await_mode(service: Service, config: CanopenDriveConfig, meanwhile: Callabl
         meanwhile()
 
 
-def _send_sync(service: Service) -> None:
+def _one_sync(service: Service, send_sync: Callable[[], None]) -> None:
     """One SYNC before the loop sends its own; the drive is not enabled."""
-    service.send_message(can.SYNC, b"")
+    send_sync()
     service.wait_until(lambda: False, SYNC_DISTANCE_S)

@@ -100,7 +100,7 @@ class CanopenDrive:
                 check_identity(self._eds, identity, str(config.eds))
             self._link = open_link(config.bus, filters=self._cyclic_filters())
             self._port = make_port(config, self._link, queue.memory)
-            start(self._service, config)
+            start(self._service, config, self._send_sync)
         except LinkError as error:
             self._leave()
             raise BusUnavailableError(str(error)) from error
@@ -112,6 +112,11 @@ class CanopenDrive:
             raise
         self.identity = identity
         return identity
+
+    def _send_sync(self) -> None:
+        """On the loop's link, before the loop."""
+        assert self._link is not None
+        self._link.send(pack_frame(can.SYNC))
 
     def _cyclic_filters(self) -> list[CanFilter] | None:
         """The node's frames, and SYNC. None on the loopback bus, where lost frames are only counted without filters."""

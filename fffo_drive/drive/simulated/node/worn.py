@@ -77,7 +77,8 @@ def dictionary_of(config: Wearer, node_id: int, defaults: Mapping[int, Value]) -
     if config.dictionary is None:
         return ObjectDictionary(entries, node_id, defaults)
     loss = config.personality.connection_loss_option
-    absent = [replace(e, default=loss) if e.index == ABORT_CONNECTION else e for e in ABSENT]
+    ours = {ABORT_CONNECTION << 8: loss} | {key: v for key, v in defaults.items() if key >> 8 in OWN_OBJECTS}
+    absent = [replace(e, default=ours.get(e.multiplexer, e.default)) for e in ABSENT]
     codes = {key: STRUCT_CODES[_OWN[key].data_type] for key in _WRITTEN}
     return ObjectDictionary(entries, node_id, defaults, absent, OWN_OBJECTS, codes)
 
