@@ -24,7 +24,6 @@ from ..control.reference import (
     sine,
 )
 from ..documents import Record, check, parse, read_text, refuse
-from ..drive.cia402 import STATUS_FOLLOWS_COMMAND, STATUS_REMOTE
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -68,7 +67,6 @@ TRIP_NAMES = {
     for name, value in vars(env).items()
     if name.startswith("TRIP_") and isinstance(value, int) and name not in ("TRIP_COUNT", "TRIP_NONE")
 }
-WATCHED_STATUS_BITS = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
 REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
 
 
@@ -195,7 +193,7 @@ def loop_config(axis: AxisFile) -> LoopConfig:
         round(loop.tail_s * loop.rate_hz),
         0,
         enable_delay_ticks=round(axis.drive.enable_delay_s * loop.rate_hz),
-        served_status_bits=WATCHED_STATUS_BITS & ~sum(1 << bit for bit in set(axis.drive.unserved_status_bits)),
+        served_status_bits=axis.drive.served_status_bits,
     )
 
 

@@ -17,7 +17,12 @@ from ..drive.canopen.object_map import (
 )
 from ..drive.canopen.sdo_writes import SdoWrite, WritePhase, reserved_reason
 from ..drive.canopen.silence import HEARTBEAT, Detection, Reaction
-from ..drive.cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
+from ..drive.cia402 import (
+    MODE_CYCLIC_SYNCHRONOUS_TORQUE,
+    MODE_PROFILE_TORQUE,
+    STATUS_FOLLOWS_COMMAND,
+    STATUS_REMOTE,
+)
 from ..units import counts_per_rev
 
 DEFAULT_RESOLVER_BITS = 15
@@ -32,7 +37,7 @@ class SimulatedDriveSection(Record):
     kind: Literal["simulated"]
     file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
     enable_delay_s: ClassVar[float] = 0.0  # it has no brake, and sets every bit
-    unserved_status_bits: ClassVar[tuple[int, ...]] = ()
+    served_status_bits: ClassVar[int] = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
 
 
 class SdoWriteSection(Record):
@@ -221,6 +226,13 @@ class CanopenDriveSection(Record):
         if self.mode not in standard and self.mode >= 0:
             raise ValueError(f"mode {self.mode}: 10, 4, or a negative one of the vendor's; others command no torque")
         return self
+
+    @property
+    def served_status_bits(self) -> int:
+        """Mask of the watched bits of the statusword: 12 has its meaning in the cyclic synchronous mode alone."""
+        cyclic = self.mode == MODE_CYCLIC_SYNCHRONOUS_TORQUE
+        watched = STATUS_REMOTE | (STATUS_FOLLOWS_COMMAND if cyclic else 0)
+        return watched & ~sum(1 << bit for bit in set(self.unserved_status_bits))
 
     @property
     def counts(self) -> int:

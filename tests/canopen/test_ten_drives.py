@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from real_drives import DRIVES, RealDrive, described, eds_of
+from real_drives import DRIVES, RealDrive, described, eds_of, number_of
 from shared_data import shared_files
 
 from fffo_drive.can.link import free_loopback_port
@@ -16,7 +16,7 @@ from fffo_drive.config.drive_profile import profile_for, read_profile, shipped_p
 from fffo_drive.config.drive_proposal import config_of
 from fffo_drive.config.eds_fitness import Fitness, fitness_of
 from fffo_drive.drive.canopen.drive import CanopenDrive
-from fffo_drive.drive.canopen.eds import read_eds
+from fffo_drive.drive.canopen.eds import default_of, read_eds
 from fffo_drive.drive.port import DriveRefusedError
 
 NODE = 32
@@ -131,6 +131,17 @@ def test_what_a_file_tells(name: str, facts: dict[str, Any], tmp_path: Path) -> 
         if always not in facts:
             section.pop(always, None)
     assert section == facts
+
+
+def test_every_way_of_writing_the_node_id_is_read(tmp_path: Path) -> None:
+    for name in DRIVES:
+        path = tmp_path / f"{name}.eds"
+        path.write_text(eds_of(shared_files(f"drives/{name}.yaml")[0]))
+        dictionary = read_eds(str(path), NODE).dictionary
+        objects = described(shared_files(f"drives/{name}.yaml")[0])
+        for place, row in objects.items():
+            if "NODE" in row.get("default", "").upper() and "value" not in row:
+                assert default_of(dictionary, *place) == number_of(row["default"], NODE), (name, place)
 
 
 @pytest.mark.parametrize("name", [name for name in DRIVES if name not in (*NO_TORQUE, "ipos")])

@@ -50,7 +50,7 @@ _PLAIN_SECTIONS = {
 }  # fmt: skip
 _OBJECT = re.compile(r"^([0-9a-f]{4})$", re.IGNORECASE)
 _SUB = re.compile(r"^([0-9a-f]{4})\s*sub\s*([0-9a-f]{1,2})$", re.IGNORECASE)
-_NODE_ID = re.compile(r"\$?node_?id", re.IGNORECASE)
+_NODE_ID = re.compile(r"\$?(?:my_)?node_?id", re.IGNORECASE)  # Roboteq writes $MY_NODE_ID
 
 
 class Remark(NamedTuple):

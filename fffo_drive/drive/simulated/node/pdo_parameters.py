@@ -17,6 +17,7 @@ from .dictionary import (
     MAPPABLE_IN_RPDO,
     MAPPABLE_IN_TPDO,
     STRUCT_CODES,
+    WRITABLE,
     DataType,
     Entry,
     ObjectDictionary,
@@ -71,6 +72,8 @@ class PdoParameters:
         od.on_write(self.communication, lambda sub, value: on_change())
         od.on_write(self.mapping_index, lambda sub, value: on_change())
         self._places = len(od.subs(self.mapping_index))
+        # a drive that keeps the number of entries lets them be written as they stand
+        self._fixed_count = self._places > 0 and od.find(self.mapping_index, 0).access not in WRITABLE
 
     @property
     def valid(self) -> bool:
@@ -142,7 +145,7 @@ class PdoParameters:
             if value:
                 self._parse(value, strict=True)
             return
-        if self.od.number_or(self.mapping_index, 0, 0):
+        if self.od.number_or(self.mapping_index, 0, 0) and not self._fixed_count:
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
         if value:  # 0 empties an entry that is not used
             self._resolve(value)
