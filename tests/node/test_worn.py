@@ -260,7 +260,7 @@ def test_the_command_refuses_a_file_that_is_none(tmp_path: Path, capsys: pytest.
 
 def test_a_configuration_with_entries_that_no_node_can_serve_is_refused() -> None:
     entries = (Entry(0x1000, 0, "", DataType.UNSIGNED32, "ro"), Entry(0x6041, 0, "", DataType.UNSIGNED32, "ro"))
-    with pytest.raises(PlantConfigError, match="node.dictionary: 0x6041:00 is UNSIGNED32"):
+    with pytest.raises(PlantConfigError, match=r"node\.dictionary: 0x6041:00 is UNSIGNED32"):
         NodeConfig(dictionary=WornDictionary("wide", entries)).validate()
 
 
