@@ -23,6 +23,7 @@ from fffo_drive.drive.simulated.node.objects import ENTRIES
 from fffo_drive.drive.simulated.node.personality import Personality
 from fffo_drive.drive.simulated.node.read_dictionary import read_dictionary
 from fffo_drive.drive.simulated.node.worn import WornDictionary
+from fffo_drive.drive.simulated.parameters import PlantConfigError
 
 DRIVES = ("e35", "elmo_gold", "epos2", "epos4", "foc_mc", "ipos", "nanotec_cl4e", "prbt", "roboteq", "schunk")
 NO_OBJECT, NO_SUB, NO_DATA, READ_ONLY = 0x06020000, 0x06090011, 0x08000024, 0x06010002
@@ -255,6 +256,12 @@ def test_the_command_refuses_a_file_that_is_none(tmp_path: Path, capsys: pytest.
     other.write_text("drive: x\nobjects:\n  '0x1000:00': {type: 7, access: ro}\n")
     assert main(["sim", str(drive), "--dictionary", str(other)]) == 78  # the personality names what it does not have
     assert "personality.values.0x6076:00: the drive has no such number" in capsys.readouterr().err
+
+
+def test_a_configuration_with_entries_that_no_node_can_serve_is_refused() -> None:
+    entries = (Entry(0x1000, 0, "", DataType.UNSIGNED32, "ro"), Entry(0x6041, 0, "", DataType.UNSIGNED32, "ro"))
+    with pytest.raises(PlantConfigError, match=r"node\.dictionary: 0x6041:00 is UNSIGNED32"):
+        NodeConfig(dictionary=WornDictionary("wide", entries)).validate()
 
 
 # --- files that are no dictionary

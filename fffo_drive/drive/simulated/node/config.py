@@ -60,6 +60,9 @@ class NodeConfig:
         own = [(name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))]
         quirks = self.personality.errors() or list(personality_problems(self))
         own += [(f"personality.{name}", text) for name, text in quirks]
+        if self.dictionary is not None:
+            wrong = self.dictionary.problems()
+            own += [("dictionary", f"0x{entry.index:04X}:{entry.sub:02X} {text}") for entry, text in wrong]
         if own:
             raise PlantConfigError("\n".join(f"node.{name}: {text}" for name, text in own))
         return self

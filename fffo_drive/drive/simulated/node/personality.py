@@ -58,8 +58,8 @@ class Personality:
             for text in getattr(self, name)
             if not NAMED_OBJECT.fullmatch(text)
         ]
-        if self.vendor_mode and not NAMED_OBJECT.fullmatch(self.vendor_target):
-            found.append(("vendor_target", "vendor_mode needs an object for its target, as 0x201C:00"))
+        if (self.vendor_mode or self.vendor_target) and not NAMED_OBJECT.fullmatch(self.vendor_target):
+            found.append(("vendor_target", "the vendor's mode needs an object for its target, as 0x201C:00"))
         if self.vendor_target_bits not in TARGET_BITS:
             found.append(("vendor_target_bits", f"{self.vendor_target_bits} is none of 8, 16, 32"))
         return found

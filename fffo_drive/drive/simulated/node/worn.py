@@ -67,8 +67,11 @@ class Wearer(Protocol):
 
 def entries_of(config: Wearer) -> tuple[Entry, ...]:
     """The objects of the drive: its own or those that it wears, as its personality has them."""
-    entries = ENTRIES if config.dictionary is None else config.dictionary.entries
-    return tuple(_characterised(entries, config.personality))
+    return tuple(_characterised(_told(config), config.personality))
+
+
+def _told(config: Wearer) -> tuple[Entry, ...]:
+    return ENTRIES if config.dictionary is None else config.dictionary.entries
 
 
 def dictionary_of(config: Wearer, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
@@ -94,7 +97,9 @@ def told_modes(entries: Iterable[Entry], personality: Personality) -> int:
 def personality_problems(config: Wearer) -> Iterator[tuple[str, str]]:
     """Objects that the personality names and that cannot be so: pairs of key and text."""
     personality = config.personality
-    entries = {entry.multiplexer: entry for entry in entries_of(replace_personality(config))}
+    target = personality.vendor_target
+    with_target = Personality(vendor_target=target, vendor_target_bits=personality.vendor_target_bits)
+    entries = {entry.multiplexer: entry for entry in _characterised(_told(config), with_target)}
     for name in ("values", "lowest", "highest"):
         numbers: Mapping[str, int] = getattr(personality, name)
         for text, value in numbers.items():
@@ -107,22 +112,8 @@ def personality_problems(config: Wearer) -> Iterator[tuple[str, str]]:
                 yield f"{name}.{text}", f"{value} is outside {low} to {high}, the range of {entry.data_type.name}"
             if name == "highest" and value < personality.lowest.get(text, low):
                 yield f"{name}.{text}", f"{value} is below the lowest, {personality.lowest[text]}"
-    target = personality.vendor_target
     if target and (found := entries.get(named(target))) is not None and not found.size:
         yield "vendor_target", f"{target} is {found.data_type.name}, no number"
-
-
-@dataclass(frozen=True)
-class _Plain:
-    dictionary: WornDictionary | None
-    personality: Personality
-
-
-def replace_personality(config: Wearer) -> Wearer:
-    """The same drive with the vendor's target and nothing else of its personality."""
-    p = config.personality
-    kept = Personality(vendor_target=p.vendor_target, vendor_target_bits=p.vendor_target_bits)
-    return _Plain(config.dictionary, kept)
 
 
 def _characterised(entries: tuple[Entry, ...], personality: Personality) -> Iterator[Entry]:
