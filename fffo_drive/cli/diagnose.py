@@ -35,6 +35,7 @@ from ..identification.declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave
 from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
+from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
 from ..report.diagnose_figures import ROTARY, Words, words_of
 from ..report.document import SourceFile, provenance, source_file
@@ -100,7 +101,8 @@ def execute(options: argparse.Namespace) -> int:
         model_path.unlink()
         print(f"{model_path}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
     written = str(model_path) if found.model_after is not None else ""
-    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written)
+    data = coverage_section(fit, coverage, facts.units == "linear")
+    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written, data)
     paths = write_diagnosis_report(source, found, out)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8")), indent=2))
@@ -175,7 +177,8 @@ def _print(found: Diagnosis) -> None:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
         numbers = curve_words(finding, words) or ", ".join(
-            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") + (f" ({n.per_run})" if n.per_run else "")
+            f"{words.name(n.name, n.unit)} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -")
+            + (f" ({n.per_run})" if n.per_run else "")
             for n in finding.parameters
         )
         share = 100.0 * finding.explained_fraction
@@ -211,7 +214,7 @@ def curve_words(finding: Finding, words: Words = ROTARY) -> str:
     low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
     if curve.across is not None:
         reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
-        return f"a table over {low} to {high} and the {curve.across.replace('_', ' ')}, {reach}: {size}"
+        return f"a table over {low} to {high} and the {words.axis(curve.across)}, {reach}: {size}"
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
         length = words.unit("rev")
