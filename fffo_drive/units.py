@@ -97,7 +97,7 @@ LINEAR_WORDS = {  # longer ones first
     "at the motor shaft": "at the motor", "motor turn": "metre",
 }  # fmt: skip
 # a word by itself: no part of a key, an option, a file's name or an effect's (unknown:torque, drag(torque))
-_BY_ITSELF = r"(?<![\w./:'-])(?:{})(?![\w/^:'(-]|\.\w)"
+_BY_ITSELF = r"(?<![\w./'-])(?<!\w[:(])(?:{})(?![\w/^'(-]|[.:]\w)"
 _WORDS = re.compile(_BY_ITSELF.format("|".join(LINEAR_WORDS)), re.IGNORECASE)
 _UNITS = re.compile(_BY_ITSELF.format("|".join(re.escape(unit) for unit in sorted(LINEAR, key=len, reverse=True))))
 

@@ -296,15 +296,16 @@ def _names_of_linear(model: ModelFile) -> str:
     for effect in model.effects:
         for p in law_of(effect.name).parameters:
             if p.name in effect.parameters:
-                keys[f"{effect.name}, {p.name},"] = (p.name, p.unit)
+                keys[f"{effect.name}: {p.name}"] = (p.name, p.unit)
         if effect.curve is not None:
-            keys[f"{effect.name}, values,"] = ("values", effect.curve.unit)
-    lines = [
-        f"#   {key} is {units.name_on(name, unit, linear=True)}, in {units.unit_on(unit, linear=True)}\n"
-        for key, (name, unit) in keys.items()
-        if unit in units.LINEAR
-    ]
-    return "# A linear axis. Keys have the names of a rotary one; what they are here:\n" + "".join(lines)
+            keys[f"{effect.name}: values"] = ("values", effect.curve.unit)
+    lines = ["# A linear axis. Keys have the names of a rotary one; what they are here:\n"]
+    for key, (name, unit) in keys.items():
+        if unit in units.LINEAR:
+            own = units.name_on(name, unit, linear=True)
+            renamed = f" {own}," if own != name else ""
+            lines.append(f"#   {key}:{renamed} in {units.unit_on(unit, linear=True)}\n")
+    return "".join(lines)
 
 
 def write_model(path: str | Path, model: ModelFile) -> None:

@@ -16,10 +16,11 @@ from ..identification.dataset import Record
 from ..identification.kinematics import motion_of
 from ..units import unit_on
 from .document import Section
-from .figures import Axis, Figure, Floats, Level, Series, Uniform
+from .figures import Axis, Figure, Floats, Level, Series, Uniform, Width
 
 MOST_RUNS = 4  # that are drawn over time
 COLOURS = ("blue", "orange", "green", "purple")
+WIDTHS: dict[int, Width] = {1: "full", 2: "half", 3: "third"}  # of figures that share a row
 CLASSES = 60
 POINTS = 1500  # of all runs
 SHARES = 99  # of the motion, at which the waves are told
@@ -33,9 +34,10 @@ def coverage_section(records: Sequence[Record], coverage: Coverage, linear: bool
     text = f"They hold {'; '.join(shown(coverage, linear))}."
     wanted = to_record(coverage, linear)
     if wanted:
-        text += f" What they cannot tell, and what to record for it: {'; '.join(wanted)}."
+        sentences = (f" {line[0].upper()}{line[1:]}." for line in wanted)
+        text += " What they cannot tell, and what to record for it:" + "".join(sentences).replace("`", "")
     rows = coverage_figures(records, coverage, linear)
-    figures = tuple(replace(one, width="full" if len(row) == 1 else "half") for row in rows for one in row)
+    figures = tuple(replace(one, width=WIDTHS[len(row)]) for row in rows for one in row)
     return Section("What these data can show", text, figures)
 
 
@@ -131,6 +133,6 @@ def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
         "data-frequencies", "xy", "Frequencies of the input",
         "Which frequencies the input drives; delay, resonances and lags are seen there. Beyond the line a fit sees "
         "nothing.",
-        Axis("frequency", "Hz", log=True), Axis("amplitude density of the input", "1/√Hz", log=True), tuple(series),
+        Axis("frequency", "Hz", log=True), Axis("amplitude density", "1/√Hz", log=True), tuple(series),
         levels=(Level(coverage.cutoff_hz, "fit", upright=True),),
     )  # fmt: skip

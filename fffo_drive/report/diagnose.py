@@ -205,10 +205,12 @@ def _rest(rest: Rest, words: Words) -> str:
 def _reason(finding: Finding, words: Words) -> str:
     family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
     share = 100.0 * finding.explained_fraction
-    meaning = f" ({words.text(law_of(finding.name).meaning)})" if law_of(finding.name).name != "lookup" else ""
+    chance = significant(finding.false_alarm_probability, 2)
+    law = law_of(finding.name)
+    meaning = "" if law.name == "lookup" else words.text(f" It is: {law.meaning}.")
     return (
-        f"{finding.name}{meaning}{family}. It takes away {share:.0f} % of the squared residual that all others leave; noise and "
-        f"an effect too small to matter would do so with p = {significant(finding.false_alarm_probability, 2)}. "
+        f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
+        f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
         + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
     )
@@ -308,9 +310,9 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
         floor = f" What does not repeat: {rms} {words.small_torque} rms."
     note = (
         f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
-        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's {words.text('inertia')} along "
-        f"the measured motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks that are "
-        "drawn again. "
+        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's {words.text('inertia')} "
+        f"along the measured motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks "
+        "that are drawn again. "
         f"Below the held-out runs: where each effect acts in them. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)

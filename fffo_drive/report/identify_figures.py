@@ -288,9 +288,9 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: Words) -> Figu
             series.append(Series(name, points[0], points[1], colour, "points", low=points[2], high=points[3]))
     return Figure(
         name="friction", kind="xy", title="Friction over speed",
-        caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus {words.inertia} a "
-                "in the records while sliding, mean of each bin, whiskers its middle 90 %. Frictional lag stands in the "
-                "points and not in the curve.",
+        caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus "
+                f"{words.inertia} a in the records while sliding, mean of each bin, whiskers its middle 90 %. "
+                "Frictional lag stands in the points and not in the curve.",
         x=Axis("speed", words.velocity_unit, log=True), y=Axis(f"friction {words.torque}", words.torque_unit),
         series=tuple(series), height_px=300,
     )  # fmt: skip
