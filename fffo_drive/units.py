@@ -89,6 +89,8 @@ LINEAR = {  # unit of a rotary axis ->
     "Nm/rev": LinearUnit("N/m", "nm_per_rev", "n_per_m"),
     "Nm/rps": LinearUnit("N s/m", "nm_per_rps", "n_s_per_m"),
     "Nm/rps2": LinearUnit("N s^2/m^2", "nm_per_rps2", "n_s2_per_m2"),
+    "A/rps": LinearUnit("A s/m", "a_per_rps", "a_s_per_m"),
+    "A/rev": LinearUnit("A/m", "a_per_rev", "a_per_m"),
     "Nm s^2/rev": LinearUnit("kg", "nm_s2_per_rev", "kg"),
 }
 LINEAR_WORDS = {  # longer ones first

@@ -31,8 +31,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.coverage import coverage_lines, coverage_of
 from ..identification.dataset import load_records
-from ..identification.declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave_size
-from ..identification.facts import DriveFacts
+from ..identification.declared import weight_remarks
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
 from ..report.coverage import coverage_section
@@ -90,7 +89,8 @@ def execute(options: argparse.Namespace) -> int:
         print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
     with progress_bar("diagnose", options.json) as bar:
         found = diagnose(fit, held_out, facts, model, settings, lambda share, text: bar(share) if bar else None)
-    found = replace(found, cautions=(*found.cautions, *_weight_remark(found, facts, coverage.travel_rev)))
+    accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
+    found = replace(found, cautions=(*found.cautions, *weight_remarks(facts, accepted, coverage.travel_rev)))
     name = options.name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
     files = _files([*filter(None, (options.drive, options.model)), *options.fit, *options.held_out])
@@ -151,18 +151,6 @@ def searched_names() -> list[str]:
     tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
     both = [*curves, *tables]
     return list(dict.fromkeys([*laws, *(curve.name for curve in both), *(kind_of_curve(curve) for curve in both)]))
-
-
-def _weight_remark(found: Diagnosis, facts: DriveFacts, travel_rev: float) -> list[str]:
-    """What the fitted weight of the load says of the declared one."""
-    size = None
-    for finding in found.findings:
-        if finding.accepted and finding.name == WEIGHT:
-            numbers = {n.name: n for n in finding.parameters}
-            cos, sin = (numbers[name] for name in WEIGHT_PARTS)
-            size = wave_size(cos.value, sin.value, cos.sd, sin.sd)
-    remark = gravity_remark(facts, size, travel_rev)
-    return [remark] if remark else []
 
 
 def _files(paths: Sequence[str]) -> list[SourceFile]:

@@ -224,7 +224,7 @@ def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
         cautions=tuple(map(said, diagnosis.cautions)),
         unexplained_rest=None if rest is None else rest._replace(sentence=said(rest.sentence)),
         runs_look=None if look is None else look._replace(
-            remarks=[remark._replace(text=said(remark.text)) for remark in look.remarks]
+            remarks=tuple(remark._replace(text=said(remark.text)) for remark in look.remarks)
         ),
         findings=tuple(
             replace(one, reason=said(one.reason), regime=said(one.regime), experiment=said(one.experiment))

@@ -16,7 +16,7 @@ from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
 from ..units import inertia_kg_m2, name_on, text_on, unit_on
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
 from .dataset import DataError, Record
-from .declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave_size
+from .declared import weight_remarks
 from .facts import DriveFacts
 from .fit import OFFSET, OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
@@ -109,7 +109,7 @@ def report(
         "warnings": [
             *(text_on(text, linear) for text in fit.warnings),
             *(remark.text for remark in remarks),
-            *_weight_remark(fit, records, facts),
+            *_weight_remarks(fit, records, facts),
             *(text for record in records for text in record.warnings),
         ],
         "start": fit.start._asdict(),
@@ -129,16 +129,14 @@ def _doubt(doubt: Doubt, facts: DriveFacts) -> dict[str, Any]:
     return doubt._asdict() | shown | {"symbol": symbol_of(doubt.name, facts)}
 
 
-def _weight_remark(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
+def _weight_remarks(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
     """What the fitted weight of the load says of the declared one."""
-    size = None
-    for effect in _effects(fit, records, facts):
-        if effect["name"] == WEIGHT:
-            cos, sin = (next(row for row in effect["parameters"] if row["name"] == name) for name in WEIGHT_PARTS)
-            size = wave_size(cos["value"], sin["value"], cos["sd"], sin["sd"])
+    found = [
+        (effect["name"], [(row["name"], row["value"], row["sd"]) for row in effect["parameters"]])
+        for effect in _effects(fit, records, facts)
+    ]
     ends = np.concatenate([[record.position_rev.min(), record.position_rev.max()] for record in records])
-    remark = gravity_remark(facts, size, float(np.ptp(ends)))
-    return [remark] if remark else []
+    return weight_remarks(facts, found, float(np.ptp(ends)))
 
 
 def _run(record: Record) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def _waves(velocity_rps: Floats, coverage: Coverage, linear: bool) -> Figure:
 
 def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
     """Power spectral density of the input by Welch's method, each run by its longest stretch without a gap."""
-    series = []
+    series: list[Series] = []
     for record, colour in zip(records[:MOST_RUNS], COLOURS, strict=False):
         longest = max(record.segments(), key=lambda part: part.stop - part.start)
         values = record.current_a[longest]

@@ -102,7 +102,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     tables += [_runs(diagnosis.runs_look, words)] if diagnosis.runs_look is not None else []
     tables += [_base(diagnosis, words)]
     channels = channel_figure(diagnosis.channels, words)
-    sections = (
+    sections: tuple[Section, ...] = (
         Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted, words)),
         Section(
             "Before and after",

@@ -57,7 +57,7 @@ def test_no_sentence_of_a_law_speaks_of_a_shaft(law):
 
 def test_keys_names_of_effects_and_of_files_stay():
     for kept in ("torque_offset", "unknown:torque", "friction(torque)", "torque.mcap", "/logs/torque", "5 mNm",
-                 "--torque-constant", "load_gravity_nm", "controller.observer.gain_nm_per_rev", "'torque'"):  # fmt: skip
+                 "--torque-constant", "load_gravity_nm", "controller.observer.gain_nm_per_rev"):  # fmt: skip
         assert text_on(kept, True) == kept
 
 
