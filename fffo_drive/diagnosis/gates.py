@@ -145,8 +145,8 @@ def _shape_objection(data: Data, effect: Effect) -> str:
         begin, end, place = np.log([low, high, value]) if parameter.logarithmic else (low, high, value)
         spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (end - begin)
         if not begin - spare < place < end + spare:
-            size = f"{parameter.meaning}: {value:.3g} {parameter.unit}".rstrip(" -")
-            return f"no machine is so: {effect.name} ({size}) is outside of {low:g} to {high:g}"
+            words = f"{effect.name} with {parameter.name} {value:.3g} {parameter.unit}"
+            return f"no machine is so: {words} is outside of {low:g} to {high:g}"
     return ""
 
 

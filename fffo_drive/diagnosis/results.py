@@ -6,6 +6,7 @@ people read (sentences, units, `symbols`) has the words of the axis.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -227,10 +228,17 @@ def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
             remarks=tuple(remark._replace(text=said(remark.text)) for remark in look.remarks)
         ),
         findings=tuple(
-            replace(one, reason=said(one.reason), regime=said(one.regime), experiment=said(one.experiment))
+            replace(one, reason=said(_named_on_linear(one.name, one.reason)), regime=said(one.regime), experiment=said(one.experiment))
             for one in diagnosis.findings
         ),
     )  # fmt: skip
+
+
+def _named_on_linear(effect: str, reason: str) -> str:
+    """A reason that names parameters of its law, by what they are called on a linear axis."""
+    for p in law_of(effect).parameters:
+        reason = re.sub(rf"\b{p.name}\b", name_on(p.name, p.unit, linear=True), reason)
+    return reason
 
 
 def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:

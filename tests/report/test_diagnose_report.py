@@ -307,8 +307,10 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
         Number(key, value, None, "") for key, value in {
             "kind": 2.0, "count": 2.0, "x00": 0.0, "x01": 0.2, "y00": 1.0, "y01": 2.0}.items()))  # fmt: skip
     remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
+    reason = "no machine is so: second_surface with memory_rev 1e-06 rev is outside of 1e-06 to 10000"
+    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None)
     told = in_words_of_axis(diagnosis(
-        units="linear", findings=(finding(), viscous, curve), headline="A torque is missing.",
+        units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
         cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),
         channels=tuple(Channel(word, 0.6, 0.02, True, False, 10) for word in ("motor_angle", "output_angle")),
         unexplained_rest=Rest(2.0, 1.0, None, ("torque", "output_angle"), "it goes with the torque"),
@@ -319,6 +321,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     of_a_shaft = re.compile(r"(?<![\w:])(torques?|inertia|angle|Nm|rps|rev)(?![\w:])|\w+_(nm|rps|rev)\b")
     assert not of_a_shaft.findall(shown)
     assert "excess_n_s_per_m" in shown
+    assert "second_surface with memory_m 1e-06 m" in shown
     channels = next(figure for figure in report.figures if figure.name == "channels")
     assert len(set(channels.x.categories)) == 2
     effects = {one["name"]: one for one in report_object(told)["effects"]}
