@@ -228,7 +228,10 @@ def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
             remarks=tuple(remark._replace(text=said(remark.text)) for remark in look.remarks)
         ),
         findings=tuple(
-            replace(one, reason=said(_named_on_linear(one.name, one.reason)), regime=said(one.regime), experiment=said(one.experiment))
+            replace(
+                one, reason=said(_named_on_linear(one.name, one.reason)), regime=said(one.regime),
+                experiment=said(one.experiment),
+            )
             for one in diagnosis.findings
         ),
     )  # fmt: skip
