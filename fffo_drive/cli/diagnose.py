@@ -31,10 +31,10 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.coverage import coverage_lines, coverage_of
 from ..identification.dataset import load_records
-from ..identification.declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave_size
-from ..identification.facts import DriveFacts
+from ..identification.declared import weight_remarks
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
+from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
 from ..report.diagnose_figures import ROTARY, Words, words_of
 from ..report.document import SourceFile, provenance, source_file
@@ -89,7 +89,8 @@ def execute(options: argparse.Namespace) -> int:
         print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
     with progress_bar("diagnose", options.json) as bar:
         found = diagnose(fit, held_out, facts, model, settings, lambda share, text: bar(share) if bar else None)
-    found = replace(found, cautions=(*found.cautions, *_weight_remark(found, facts, coverage.travel_rev)))
+    accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
+    found = replace(found, cautions=(*found.cautions, *weight_remarks(facts, accepted, coverage.travel_rev)))
     name = options.name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
     files = _files([*filter(None, (options.drive, options.model)), *options.fit, *options.held_out])
@@ -100,7 +101,8 @@ def execute(options: argparse.Namespace) -> int:
         model_path.unlink()
         print(f"{model_path}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
     written = str(model_path) if found.model_after is not None else ""
-    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written)
+    data = coverage_section(fit, coverage, facts.units == "linear")
+    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written, data)
     paths = write_diagnosis_report(source, found, out)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8")), indent=2))
@@ -151,18 +153,6 @@ def searched_names() -> list[str]:
     return list(dict.fromkeys([*laws, *(curve.name for curve in both), *(kind_of_curve(curve) for curve in both)]))
 
 
-def _weight_remark(found: Diagnosis, facts: DriveFacts, travel_rev: float) -> list[str]:
-    """What the fitted weight of the load says of the declared one."""
-    size = None
-    for finding in found.findings:
-        if finding.accepted and finding.name == WEIGHT:
-            numbers = {n.name: n for n in finding.parameters}
-            cos, sin = (numbers[name] for name in WEIGHT_PARTS)
-            size = wave_size(cos.value, sin.value, cos.sd, sin.sd)
-    remark = gravity_remark(facts, size, travel_rev)
-    return [remark] if remark else []
-
-
 def _files(paths: Sequence[str]) -> list[SourceFile]:
     return [source_file(Path(path).name, Path(path).read_bytes()) for path in paths]
 
@@ -175,7 +165,8 @@ def _print(found: Diagnosis) -> None:
             continue
         family = f" or {' or '.join(finding.alternatives)}" if finding.alternatives else ""
         numbers = curve_words(finding, words) or ", ".join(
-            f"{n.name} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -") + (f" ({n.per_run})" if n.per_run else "")
+            f"{words.name(n.name, n.unit)} {n.value:.4g} {words.unit(n.unit)}".rstrip(" -")
+            + (f" ({n.per_run})" if n.per_run else "")
             for n in finding.parameters
         )
         share = 100.0 * finding.explained_fraction
@@ -211,7 +202,7 @@ def curve_words(finding: Finding, words: Words = ROTARY) -> str:
     low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
     if curve.across is not None:
         reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
-        return f"a table over {low} to {high} and the {curve.across.replace('_', ' ')}, {reach}: {size}"
+        return f"a table over {low} to {high} and the {words.axis(curve.across)}, {reach}: {size}"
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
         length = words.unit("rev")

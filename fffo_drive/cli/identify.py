@@ -25,6 +25,7 @@ from ..identification.results import model_file, report
 from ..model.parameters import write_model
 from ..report.identify import IdentifySource, identify_report
 from ..report.page import refuse_other_report, write_report
+from ..units import text_on
 from .progress import progress_bar
 from .recorded_facts import facts_for
 
@@ -67,7 +68,7 @@ def execute(options: argparse.Namespace) -> int:
         name = options.name or out.resolve().name
         write_model(out / "model.yaml", model_file(fit, records, name, facts.units))
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
-        page = identify_report(source, fit, records, runs, result, cyclic)
+        page = identify_report(source, fit, records, runs, result, coverage, cyclic)
         paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -100,9 +101,10 @@ def _print(result: dict[str, Any]) -> None:
         print(
             f"velocity is {1e3 * result['sensor_delay_s']:.4g}{spread} ms behind the position; Td above is without it"
         )
+    torque = text_on("torque", result["units"] == "linear")
     for name, run in result["residuals"].items():
         print(
-            f"{name}: torque residual {run['torque_rms_nm']:.3g} ({run['torque_relative_percent']:.2f} %), velocity "
+            f"{name}: {torque} residual {run['torque_rms_nm']:.3g} ({run['torque_relative_percent']:.2f} %), velocity "
             f"{run['velocity_rms_rps']:.3g} over {run['velocity_window_s']:g} s"
         )
     for doubt in result["doubts"]:
@@ -117,7 +119,7 @@ def effect_line(effect: dict[str, Any]) -> str:
     for row in effect["parameters"]:
         spread = "" if row["sd"] is None else f" +- {row['sd']:.2g}"
         place = "" if row["run"] is None else f" in {row['run']}"
-        numbers.append(f"{row['name']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
+        numbers.append(f"{row['symbol']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
     share = effect.get("share_of_the_others_residual")
     told = "" if share is None else f" ({100.0 * share:.0f} % of what all else leaves)"
     return f"{effect['name']}{told}: {', '.join(numbers)}"

@@ -46,6 +46,7 @@ from ..importing.recognise import (
 from ..importing.source import Source
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError, did_you_mean
+from ..units import name_on, text_on, unit_in
 
 MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
@@ -263,7 +264,9 @@ def _table(one: _Log) -> list[str]:
     lines = [f"{one.source.path}: {one.source.rows} rows"]
     for guess in one.found.guesses:
         mark = " " if guess.sure else "?"
-        lines.append(f" {mark} {guess.signal:18s} {guess.column!r} [{guess.unit}]: {guess.evidence}")
+        name = name_on(guess.signal, unit_in(guess.signal), one.found.linear)
+        grounds = text_on(guess.evidence, one.found.linear)
+        lines.append(f" {mark} {name:18s} {guess.column!r} [{guess.unit}]: {grounds}")
     if one.found.left:
         lines.append("   not used: " + ", ".join(map(repr, one.found.left)))
     return lines + [f"   note: {remark}" for remark in one.log.remarks]

@@ -27,6 +27,7 @@ from ..model.parameters import ModelFile, read_model
 from ..report.page import refuse_other_report, write_report
 from ..report.tune import TuneSource, tune_report
 from ..report.tune_figures import Tuning
+from ..units import text_on
 
 FIGURES = "figures"
 LOCUS_POINTS = 61
@@ -85,7 +86,7 @@ def execute(options: argparse.Namespace) -> int:
         shown = {key: result[key] for key in result if key not in ("root_locus", "step")}
         print(json.dumps(shown | {"report": str(paths.page)}, indent=2))
     else:
-        _print(found)
+        _print(found, model.units == "linear")
         for path in (*written, paths.page):
             print(path)
     return 0
@@ -177,23 +178,26 @@ def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -
     return target
 
 
-def _print(found: Design) -> None:
-    g = found.gains
-    print(
-        f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "
-        f"L {g.observer_nm_per_rev:.4g} Nm/rev"
-    )
-    for name, margins in (("PI", found.margins_pi), ("with observer", found.margins_observer)):
-        print(
-            f"{name}: phase margin {margins.phase_deg:.1f} deg, gain margin {margins.gain:.2f}, "
-            f"crossover {margins.crossover_hz:.1f} Hz"
-        )
-    print(
-        f"(14): Ki Kt + L - 2 B = {found.condition_14_nm_per_rev:.3g} Nm/rev; "
-        f"real poles from Kp {found.real_poles_from_a_per_rps:.3g} A/rps"
-    )
-    print(f"step: overshoot {found.overshoot_percent:.1f} %, settled in {1e3 * found.settled_s:.0f} ms")
-    print(f"friction damping may vary {found.without_overshoot.ratio:.3g}:1 with real poles, "
-          f"{found.within_margins.ratio:.3g}:1 within the margins")  # fmt: skip
+def _print(found: Design, linear: bool) -> None:
+    for line in _lines(found):
+        print(text_on(line, linear))
     for warning in found.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(f"warning: {text_on(warning, linear)}", file=sys.stderr)
+
+
+def _lines(found: Design) -> list[str]:
+    g = found.gains
+    margins = [
+        f"{name}: phase margin {one.phase_deg:.1f} deg, gain margin {one.gain:.2f}, crossover {one.crossover_hz:.1f} Hz"
+        for name, one in (("PI", found.margins_pi), ("with observer", found.margins_observer))
+    ]
+    return [
+        f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "
+        f"L {g.observer_nm_per_rev:.4g} Nm/rev",
+        *margins,
+        f"(14): Ki Kt + L - 2 B = {found.condition_14_nm_per_rev:.3g} Nm/rev; "
+        f"real poles from Kp {found.real_poles_from_a_per_rps:.3g} A/rps",
+        f"step: overshoot {found.overshoot_percent:.1f} %, settled in {1e3 * found.settled_s:.0f} ms",
+        f"friction damping may vary {found.without_overshoot.ratio:.3g}:1 with real poles, "
+        f"{found.within_margins.ratio:.3g}:1 within the margins",
+    ]

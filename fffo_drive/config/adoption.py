@@ -26,6 +26,7 @@ from ..formats import kind_of
 from ..model.effects.law import STRENGTH
 from ..model.effects.registry import law_of
 from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
+from ..units import TWO_PI, name_on, text_on, unit_in
 from .axis import AxisFile, beside, build_profile, read_axis
 from .checks import law_problems
 from .effects import effect_limits, effect_problems, services, slope_margin
@@ -111,7 +112,7 @@ def rest_gate(report: Mapping[str, Any] | None) -> Gate | None:
     return None if not rest else Gate("unexplained rest", True, str(rest["sentence"]))
 
 
-def interval_gate(effect: EffectModel) -> Gate:
+def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
     """Strengths are told from zero: the wave of a pair as a whole, at least one of several alone."""
     law = law_of(effect.name)
     told = []
@@ -119,7 +120,7 @@ def interval_gate(effect: EffectModel) -> Gate:
     for p in law.parameters:
         quantity = quantities.get(p.name)
         if p.kind == STRENGTH and quantity is not None and quantity.value != 0.0:
-            told.append((p.name, quantity.value, quantity.sd))
+            told.append((name_on(p.name, p.unit, linear), quantity.value, quantity.sd))
     name = f"{effect.name}: interval"
     if not told:
         return Gate(name, False, "no strength")
@@ -172,7 +173,12 @@ def same_axis_gate(in_service: ModelFile, model: ModelFile) -> Gate:
     for key, factor in OTHER_AXIS.items():
         before, after = (_value(m, key) for m in (in_service, model))
         same = same and 1.0 / factor <= after / before <= factor
-        said.append(f"{key.rpartition('.')[2]} {after:.3g}, in service {before:.3g} (factor {factor:g} allowed)")
+        name = key.rpartition(".")[2]
+        if model.units == "linear":
+            scale = TWO_PI if name == "inertia_kg_m2" else 1.0
+            name = "mass_kg" if name == "inertia_kg_m2" else name_on(name, unit_in(name), linear=True)
+            before, after = scale * before, scale * after
+        said.append(f"{name} {after:.3g}, in service {before:.3g} (factor {factor:g} allowed)")
     return Gate(SAME_AXIS, same, "; ".join(said))
 
 
@@ -197,12 +203,14 @@ def gates(
         same_axis_gate(in_service, model),
         held_out_gate(report) if model.effects else Gate(HELD_OUT, True, "no effects"),
     ]  # fmt: skip
+    linear = model.units == "linear"
     rest = rest_gate(report)
     found += [rest] if rest is not None else []
     for service in services(axis, model):
         if service.reason is None:
-            found += [interval_gate(service.effect), bounds_gate(model, service.effect)]
-    return [*found, compensation_gate(axis, model), stability_gate(axis, model)]
+            found += [interval_gate(service.effect, linear), bounds_gate(model, service.effect)]
+    found += [compensation_gate(axis, model), stability_gate(axis, model)]
+    return [gate if gate.name == DISABLED else gate._replace(text=text_on(gate.text, linear)) for gate in found]
 
 
 def refused_effects(model: ModelFile, found: Sequence[Gate]) -> list[str]:

@@ -22,7 +22,7 @@ from ..identification.runs import RunsLook, look_at_runs
 from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity, effect_model
-from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
+from ..units import axis_word_on, inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
@@ -31,7 +31,7 @@ from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .propose import WAVE_RUNG
 from .rest import refused_rest, rest_of
-from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord
+from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord, in_words_of_axis
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector, base_of, settled
@@ -129,7 +129,7 @@ def diagnose(
         tell(0.85, "proof")
         found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
     tell(1.0, "done")
-    return replace(found, seconds=time.monotonic() - begin)
+    return replace(in_words_of_axis(found), seconds=time.monotonic() - begin)
 
 
 def runs_look(records: Sequence[Record]) -> RunsLook | None:
@@ -283,7 +283,8 @@ def _finding(
     )
     across = across_word(effect.shapes)
     if across:
-        reason += f"; a table over {axis_of_effect(effect.name)} and {across}"
+        both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
+        reason += f"; a table over {' and '.join(both)}"
     if unseen is not None and not unseen[0] > 0.0:
         reason += "; on the held-out runs it does not lower the error"
     elif proof is not None and before is None:

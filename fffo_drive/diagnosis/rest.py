@@ -64,7 +64,7 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     where = " and ".join(word.replace("_", " ") for word in axes) or "the command, by its repeats"
     sentence = (
         f"{100.0 * share:.0f} % of the squared residual that is left could be explained and is not: "
-        f"{rms:.3g} rms are left, {floor:.3g} would be; it goes with {where}{clock}"
+        f"{rms:.3g} Nm rms are left, {floor:.3g} would be; it goes with {where}{clock}"
     )
     return Rest(rms, floor, repeats, axes, sentence)
 
@@ -77,7 +77,8 @@ def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...
         return None
     sentence = (
         f"{100.0 * share_above(floor, rms):.0f} % of the squared residual goes with effects that hold for the fitted "
-        f"runs alone: {rms:.3g} rms are left, {floor:.3g} would be; it goes with {' and '.join(axes).replace('_', ' ')}"
+        f"runs alone: {rms:.3g} Nm rms are left, {floor:.3g} would be; "
+        f"it goes with {' and '.join(axes).replace('_', ' ')}"
     )
     return Rest(rms, floor, None, axes, sentence)
 

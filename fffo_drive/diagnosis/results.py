@@ -1,11 +1,13 @@
 """What a diagnosis says: findings with their evidence, errors before and after, and the report of part 7 as plain data.
 
-For a linear axis revolutions stand for m, rps for m/s and Nm for N; the report's `units` says so.
+For a linear axis revolutions stand for m, rps for m/s and Nm for N in all names; the report's `units` says so. What
+people read (sentences, units, `symbols`) has the words of the axis.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
+from ..units import name_on, text_on, unit_on
 
 Floats = npt.NDArray[np.float64]
 
@@ -207,6 +210,40 @@ class Diagnosis:
     held_out_names: tuple[str, ...] = ()
 
 
+def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
+    """Its sentences in the words of its axis: of a linear one forces, a mass and metres."""
+    if diagnosis.units == "rotary":
+        return diagnosis
+
+    def said(text: str) -> str:
+        return text_on(text, linear=True)
+
+    look, rest = diagnosis.runs_look, diagnosis.unexplained_rest
+    return replace(
+        diagnosis,
+        headline=said(diagnosis.headline),
+        cautions=tuple(map(said, diagnosis.cautions)),
+        unexplained_rest=None if rest is None else rest._replace(sentence=said(rest.sentence)),
+        runs_look=None if look is None else look._replace(
+            remarks=tuple(remark._replace(text=said(remark.text)) for remark in look.remarks)
+        ),
+        findings=tuple(
+            replace(
+                one, reason=said(_named_on_linear(one.name, one.reason)), regime=said(one.regime),
+                experiment=said(one.experiment),
+            )
+            for one in diagnosis.findings
+        ),
+    )  # fmt: skip
+
+
+def _named_on_linear(effect: str, reason: str) -> str:
+    """A reason that names parameters of its law, by what they are called on a linear axis."""
+    for p in law_of(effect).parameters:
+        reason = re.sub(rf"\b{p.name}\b", name_on(p.name, p.unit, linear=True), reason)
+    return reason
+
+
 def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:
     """The numbers of part 7, and their intervals beside them."""
     if figures is None:
@@ -221,13 +258,14 @@ def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:
 
 def report(diagnosis: Diagnosis) -> dict[str, Any]:
     """The report: stable keys first, then the evidence."""
+    linear = diagnosis.units == "linear"
     return {
         "format": formats.DIAGNOSIS.word,
         "tool": f"fffo-drive {__version__}",
         "verdict": diagnosis.verdict,
         "headline": diagnosis.headline,
-        "effects": [_effect(f) for f in diagnosis.findings if not (f.accepted and f.is_form)],
-        "friction_form": [_effect(f) for f in diagnosis.findings if f.accepted and f.is_form],
+        "effects": [_effect(f, linear) for f in diagnosis.findings if not (f.accepted and f.is_form)],
+        "friction_form": [_effect(f, linear) for f in diagnosis.findings if f.accepted and f.is_form],
         "before": {"held_out": figures_json(diagnosis.before), "fit": figures_json(diagnosis.fit_before)},
         "after": {"held_out": figures_json(diagnosis.after), "fit": figures_json(diagnosis.fit_after)},
         "unexplained_rest": None if diagnosis.unexplained_rest is None else diagnosis.unexplained_rest._asdict(),
@@ -258,7 +296,7 @@ def _runs(look: RunsLook | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _effect(finding: Finding) -> dict[str, Any]:
+def _effect(finding: Finding, linear: bool) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for number in finding.parameters:
         if number.per_run is None:
@@ -266,6 +304,8 @@ def _effect(finding: Finding) -> dict[str, Any]:
         else:
             values.setdefault(number.name, {})[number.per_run] = number.value
     curve = finding.curve
+    if curve is not None:
+        curve = curve.model_copy(update={"unit": unit_on(curve.unit, linear)})
     return {
         "name": finding.name,
         "alternatives": list(finding.alternatives),
@@ -281,7 +321,8 @@ def _effect(finding: Finding) -> dict[str, Any]:
         "compensable": finding.compensable,
         "strength_percent": finding.strength_percent,
         "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None and curve is None},
-        "units": {n.name: n.unit for n in finding.parameters if curve is None},
+        "units": {n.name: unit_on(n.unit, linear) for n in finding.parameters if curve is None},
+        "symbols": {n.name: name_on(n.name, n.unit, linear) for n in finding.parameters if curve is None},
         "gain": finding.gain,
         "held_out_gain": finding.held_out_gain,
         "rivals": [vars(rival) for rival in finding.rivals],

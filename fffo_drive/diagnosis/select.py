@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ..identification.criterion import Folds, Gain, clipped, gain, huber, robust_residual, unseen_loss
 from ..identification.facts import DriveFacts
+from ..identification.ladder import GRAVITY_PERIODS
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
 from ..identification.threads import in_threads
@@ -45,7 +46,6 @@ from .scenes import Effect, load_rows, strength_columns
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
-GRAVITY_TURNS = 0.25  # of the output: less of a wave is a constant and a slope
 ROUNDS = 8  # in which levels of noise and model are brought to agree ...
 SETTLED = 0.1  # ... so that the model moves by less than so many levels of noise
 ITERATIONS = 6  # of a contender's fit ...
@@ -197,7 +197,7 @@ class Selector:
         """
         rigid = rigid_of(data)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
-        if self.facts.units != "rotary" or data.rows.turns < GRAVITY_TURNS * (self.facts.gear_ratio or 1.0):
+        if self.facts.units != "rotary" or data.rows.turns < GRAVITY_PERIODS * (self.facts.gear_ratio or 1.0):
             laws.remove("unbalance")
         laws = [name for name in laws if "ladder" not in self.ablate and self._distinct(rigid, name)]
         sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..units import text_on, unit_on
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, motion_of
 
@@ -108,7 +109,7 @@ def _lengths(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
 
 def shown(coverage: Coverage, linear: bool = False) -> list[str]:
     """What the data can show, one sentence each."""
-    turn, speed, acceleration = ("m", "m/s", "m/s2") if linear else ("rev", "rps", "rps2")
+    turn, speed, acceleration = (unit_on(unit, linear) for unit in ("rev", "rps", "rps2"))
     ways = "one way only" if coverage.backward_share < LEAST_OTHER_WAY else "both ways"
     waves = f"{coverage.highest_order:.3g} periods a {'metre' if linear else 'turn'}"
     return [
@@ -148,4 +149,4 @@ def to_record(coverage: Coverage, linear: bool = False) -> list[str]:
         found.append("break-away after rest: too few dwells: standstills of six lengths (`dwells`)")
     if not linear and coverage.travel_rev < LEAST_TURNS:
         found.append("waves of the angle: less than a turn is travelled: slow creep over five turns (`creep`)")
-    return found
+    return [text_on(text, linear) for text in found]

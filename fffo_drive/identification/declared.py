@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 
 from .facts import DriveFacts
 from .ladder import GRAVITY_PERIODS
 
+Fitted = tuple[str, float, float | None]  # name of a number, value, standard deviation
 WEIGHT = "unbalance"  # the law of it ...
 WEIGHT_PARTS = ("cos_nm", "sin_nm")  # ... and its numbers
 DECLARED_TOLERANCE = 0.1  # of a declared weight: masses and lever arms are hardly known better
@@ -18,6 +20,19 @@ def wave_size(cos: float, sin: float, cos_sd: float | None, sin_sd: float | None
     if cos_sd is None or sin_sd is None or size == 0.0:
         return size, math.nan
     return size, math.hypot(cos * cos_sd, sin * sin_sd) / size
+
+
+def weight_remarks(facts: DriveFacts, found: Iterable[tuple[str, Sequence[Fitted]]], travel_rev: float) -> list[str]:
+    """`gravity_remark` of the effects that were found, each with its numbers; of each run its own, the first counts."""
+    size = None
+    for effect, numbers in found:
+        if effect == WEIGHT:
+            (cos, cos_sd), (sin, sin_sd) = (
+                next((value, sd) for name, value, sd in numbers if name == part) for part in WEIGHT_PARTS
+            )
+            size = wave_size(cos, sin, cos_sd, sin_sd)
+    remark = gravity_remark(facts, size, travel_rev)
+    return [remark] if remark else []
 
 
 def gravity_remark(facts: DriveFacts, found_nm: tuple[float, float] | None, travel_rev: float) -> str:

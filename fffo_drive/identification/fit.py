@@ -13,6 +13,7 @@ from .coordinates import (
     MODEL_PARAMETERS,
     NUISANCES,
     PARAMETERS,
+    SYMBOLS,
     Coordinates,
     coordinates,
     start_vector,
@@ -286,7 +287,7 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
         found.append(f"the fit had not settled after {solution.iterations} iterations")
     for k, name in enumerate(space.names):
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
-            found.append(f"{name} stands at a bound of the fit: the data speak against this part of the model")
+            found.append(f"{SYMBOLS[name]} stands at a bound of the fit: the data speak against this part of the model")
     if literal_loss is not None and literal_loss < 0.995:
         found.append(
             f"the rising (literal) Stribeck curve fits better: its loss is {literal_loss:.3f} times the falling one's"

@@ -13,46 +13,30 @@ from scipy import stats
 from .. import __version__, formats
 from ..model.effects.registry import law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
-from ..units import inertia_kg_m2
+from ..units import inertia_kg_m2, name_on, text_on, unit_on
 from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
 from .dataset import DataError, Record
-from .declared import WEIGHT, WEIGHT_PARTS, gravity_remark, wave_size
+from .declared import weight_remarks
 from .facts import DriveFacts
 from .fit import OFFSET, OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
 from .residuals import RunResidual, residual_summary, run_residuals
 from .runs import RunLook, look_at_runs
+from .uncertainty import Doubt
 
 CONFIDENCE = 0.95
 LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
 INERTIA, MASS = "inertia_nm_s2_per_rev", "M"
-LINEAR_UNITS = {
-    "Nm": "N",
-    "rev": "m",
-    "rps": "m/s",
-    "Nm s^2/rev": "kg",
-    "Nm/rps": "N s/m",
-    "1/rev": "1/m",
-    "Nm/rev": "N/m",
-    "rps2": "m/s²",
-    "Nm/rps2": "N s²/m²",
-    "Nm/s": "N/s",
-}
 
 
 def unit_of(name: str, facts: DriveFacts) -> str:
     """Unit of a parameter on this kind of axis."""
-    return unit_on(PARAMETERS[name][1], facts)
+    return unit_on(PARAMETERS[name][1], facts.units == "linear")
 
 
 def symbol_of(name: str, facts: DriveFacts) -> str:
     """What a parameter is called: a linear axis has a mass and no inertia."""
     return MASS if facts.units == "linear" and name == INERTIA else SYMBOLS[name]
-
-
-def unit_on(unit: str, facts: DriveFacts) -> str:
-    """A unit of a rotary axis on this kind of axis."""
-    return LINEAR_UNITS.get(unit, unit) if facts.units == "linear" else unit
 
 
 def model_file(
@@ -106,6 +90,8 @@ def report(
     if runs is None:
         runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     looked = look_at_runs(records)
+    linear = facts.units == "linear"
+    remarks = [remark._replace(text=text_on(remark.text, linear)) for remark in looked.remarks]
     return {
         "format": formats.IDENTIFICATION.word,
         "tool": f"fffo-drive {__version__}",
@@ -114,16 +100,16 @@ def report(
         "torque_constant_nm_per_a": facts.torque_constant_nm_per_a,
         "runs": [_run(record) for record in records],
         "runs_by_themselves": [look._asdict() | {"estimates": _estimates(look)} for look in looked.runs],
-        "remarks": [remark._asdict() for remark in looked.remarks],
+        "remarks": [remark._asdict() for remark in remarks],
         "parameters": _parameters(fit, facts),
         "effects": _effects(fit, records, facts),
         "sensor_delay_s": fit.sensor_delay_s,
         "sensor_delay_sd_s": fit.sensor_delay_sd_s,
-        "doubts": [doubt._asdict() | {"symbol": symbol_of(doubt.name, facts)} for doubt in fit.uncertainty.doubts],
+        "doubts": [_doubt(doubt, facts) for doubt in fit.uncertainty.doubts],
         "warnings": [
-            *fit.warnings,
-            *(remark.text for remark in looked.remarks),
-            *_weight_remark(fit, records, facts),
+            *(text_on(text, linear) for text in fit.warnings),
+            *(remark.text for remark in remarks),
+            *_weight_remarks(fit, records, facts),
             *(text for record in records for text in record.warnings),
         ],
         "start": fit.start._asdict(),
@@ -137,16 +123,20 @@ def report(
     }
 
 
-def _weight_remark(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
+def _doubt(doubt: Doubt, facts: DriveFacts) -> dict[str, Any]:
+    linear = facts.units == "linear"
+    shown = {"reason": text_on(doubt.reason, linear), "excitation": text_on(doubt.excitation, linear)}
+    return doubt._asdict() | shown | {"symbol": symbol_of(doubt.name, facts)}
+
+
+def _weight_remarks(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
     """What the fitted weight of the load says of the declared one."""
-    size = None
-    for effect in _effects(fit, records, facts):
-        if effect["name"] == WEIGHT:
-            cos, sin = (next(row for row in effect["parameters"] if row["name"] == name) for name in WEIGHT_PARTS)
-            size = wave_size(cos["value"], sin["value"], cos["sd"], sin["sd"])
+    found = [
+        (effect["name"], [(row["name"], row["value"], row["sd"]) for row in effect["parameters"]])
+        for effect in _effects(fit, records, facts)
+    ]
     ends = np.concatenate([[record.position_rev.min(), record.position_rev.max()] for record in records])
-    remark = gravity_remark(facts, size, float(np.ptp(ends)))
-    return [remark] if remark else []
+    return weight_remarks(facts, found, float(np.ptp(ends)))
 
 
 def _run(record: Record) -> dict[str, Any]:
@@ -169,6 +159,7 @@ def _estimates(look: RunLook) -> dict[str, Any]:
 
 def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dict[str, Any]]:
     """The effects of the model, each number with its interval, and what spoke for them on the rows of the ladder."""
+    linear = facts.units == "linear"
     accepted = [] if fit.ladder is None else sorted(fit.ladder.accepted, key=lambda one: one.candidate.name != OFFSET)
     found = []
     for k, effect in enumerate(fit.effects):
@@ -183,10 +174,11 @@ def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dic
                     continue
                 reach = reach_of(fit) * sd if sd else None
                 numbers.append({
-                    "name": p.name, "run": run, "unit": unit_on(p.unit, facts), "value": value, "sd": sd or None,
+                    "name": p.name, "symbol": name_on(p.name, p.unit, linear), "run": run,
+                    "unit": unit_on(p.unit, linear), "value": value, "sd": sd or None,
                     "interval_95": None if reach is None else [value - reach, value + reach],
                 })  # fmt: skip
-        row: dict[str, Any] = {"name": effect.name, "meaning": law.meaning, "parameters": numbers}
+        row: dict[str, Any] = {"name": effect.name, "meaning": text_on(law.meaning, linear), "parameters": numbers}
         if accepted:
             one = accepted[k]
             row |= {

@@ -233,15 +233,15 @@ def _confounded(records: Sequence[Record], rows: Rows, looks: Sequence[RunLook])
     direction = rows.direction[rows.sliding]
     if turns_one_way(direction):
         text = (
-            "all runs turn the same way: Coulomb friction and a constant torque are one thing, and so are position and "
+            "all runs go the same way: Coulomb friction and a constant torque are one thing, and so are position and "
             "time. Add the same motion the other way"
         )
         found.append(Remark("confounded", ("coulomb_nm", "offset_nm"), names, text))
     elif len(looks) > 1 and all(look.turns_one_way for look in looks if look.rows >= LEAST_ROWS):
         text = (
-            "every run turns one way only: direction, run and travel are one thing, so that a constant torque, "
+            "every run goes one way only: direction, run and travel are one thing, so that a constant torque, "
             "friction that differs by direction and a change between the runs cannot be distinguished. Add a run that "
-            "turns both ways"
+            "goes both ways"
         )
         found.append(Remark("confounded", ("coulomb_nm", "offset_nm"), names, text))
     else:
@@ -271,7 +271,7 @@ def _one_speed(columns: Floats, looks: Sequence[RunLook], names: tuple[str, ...]
     if mean == 0.0 or 1.0 + (mean / max(spread, 1e-300)) ** 2 <= LARGEST_INFLATION:
         return []
     parameters: tuple[str, ...] = ("viscous_nm_per_rps", "coulomb_nm")
-    text = "all runs turn at one speed: viscous and Coulomb friction are one thing. Add a staircase of constant speeds"
+    text = "all runs move at one speed: viscous and Coulomb friction are one thing. Add a staircase of constant speeds"
     if not any(look.estimates[PARAMETERS[ACCELERATION]].determined for look in looks if look.estimates):
         parameters = (*parameters, PARAMETERS[ACCELERATION])
         text += ", and accelerate/brake pairs for the inertia"

@@ -31,7 +31,7 @@ from ..recording.schema import (
 )
 from ..recording.writer import LIBRARY
 from ..signals import REFERENCE_POSITION, SIGNALS, Signal
-from ..units import NS_PER_S
+from ..units import NS_PER_S, unit_on
 from .evidence import unwrapped
 from .recognise import (
     COMMAND_A,
@@ -51,7 +51,6 @@ FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
 WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV)
-LINEAR_UNITS = {"rev": "m", "rps": "m/s", "Nm": "N"}
 
 
 class Converted(NamedTuple):
@@ -154,7 +153,7 @@ def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts)
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
     for name in names:
         own = by_name[name]
-        unit = LINEAR_UNITS.get(own.unit, own.unit) if facts.units == "linear" else own.unit
+        unit = unit_on(own.unit, facts.units == "linear")
         signals.append(Signal(name, own.dtype, unit, own.meaning))
     stamps = np.round(log.columns[TIME_S] * NS_PER_S).astype(np.int64)
     rows = np.empty(stamps.size, [(s.name, s.dtype) for s in signals])

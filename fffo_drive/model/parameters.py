@@ -241,7 +241,7 @@ def read_model(path: str | Path) -> ModelFile:
             quantity = getattr(quantity, part)
         if not low <= quantity.value <= high:
             errors.append((f"{key}.value", f"{quantity.value:g} is outside {low:g} .. {high:g}"))
-    errors += effect_errors(model.effects)
+    errors += [(key, units.text_on(text, model.units == "linear")) for key, text in effect_errors(model.effects)]
     if model.content_hash is not None and model.content_hash != content_hash(model):
         text = "does not match the content: the file was edited by hand. Remove the line to accept the edit, or restore"
         errors.append(("content_hash", f"{text} the file"))
@@ -287,9 +287,30 @@ _Dumper.add_representer(list, _list_node)
 
 
 def model_text(model: ModelFile) -> str:
-    """The model as a file, with its content hash."""
+    """The model as a file, with its content hash; of a linear axis with what its keys stand for."""
     stamped = model.model_copy(update={"content_hash": content_hash(model)})
-    return yaml.dump(_content(stamped, exclude_none=True), Dumper=_Dumper, sort_keys=False, width=110)
+    text = yaml.dump(_content(stamped, exclude_none=True), Dumper=_Dumper, sort_keys=False, width=110)
+    return _names_of_linear(model) + text
+
+
+def _names_of_linear(model: ModelFile) -> str:
+    """A comment: keys are those of a rotary axis, so that every reader knows them; what each is on a linear one."""
+    if model.units == "rotary":
+        return ""
+    keys = {name: (name, units.unit_in(name)) for name in ("torque_constant_nm_per_a", *FrictionModel.model_fields)}
+    for effect in model.effects:
+        for p in law_of(effect.name).parameters:
+            if p.name in effect.parameters:
+                keys[f"{effect.name}: {p.name}"] = (p.name, p.unit)
+        if effect.curve is not None:
+            keys[f"{effect.name}: values"] = ("values", effect.curve.unit)
+    lines = ["# A linear axis. Keys have the names of a rotary one; what they are here:\n"]
+    for key, (name, unit) in keys.items():
+        if unit in units.LINEAR:
+            own = units.name_on(name, unit, linear=True)
+            renamed = f" {own}," if own != name else ""
+            lines.append(f"#   {key}:{renamed} in {units.unit_on(unit, linear=True)}\n")
+    return "".join(lines)
 
 
 def write_model(path: str | Path, model: ModelFile) -> None:

@@ -44,7 +44,6 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "N": {"N": 1.0},
     "N/s": {"N/s": 1.0},
 }
-_LINEAR = {"rev": "m", "rps": "m/s", "rps2": "m/s2", "Nm": "N", "Nm/s": "N/s"}
 _ALSO = {"A": ("V",)}  # an amplifier's input in volts stands in the place of the current command
 
 
@@ -115,8 +114,7 @@ def _conversion(column: Column, linear: bool) -> Conversion:
     if own is None:
         hint = did_you_mean(column.signal, SIGNAL_UNITS)
         raise RecordingError(f"column {column.column!r}: no signal {column.signal!r}: {hint}")
-    if linear:
-        own = _LINEAR.get(own, own)
+    own = units.unit_on(own, linear)
     for base in (own, *_ALSO.get(own, ())):
         unit = base if column.unit is None else column.unit
         if unit in _FACTORS[base]:

@@ -19,6 +19,7 @@ from ..importing.recognise import (
     VELOCITY_RPS,
     Guess,
 )
+from ..units import name_on, text_on, unit_in, unit_on
 from .figures import Axis, Figure, Series
 
 Floats = npt.NDArray[np.float64]
@@ -32,7 +33,7 @@ def column_figures(
     guesses: Sequence[Guess], columns: Mapping[str, Floats], torque_unit: str, linear: bool
 ) -> list[list[Figure]]:
     """A row a signal for one sheet, with the grounds of the guess in its title; the time has none."""
-    turn, speed = ("m", "m/s") if linear else ("rev", "rps")
+    turn, speed = (unit_on(unit, linear) for unit in ("rev", "rps"))
     units = {POSITION_REV: turn, ENCODER_REV: turn, VELOCITY_RPS: speed, REFERENCE_RPS: speed,
              COMMAND_A: torque_unit or "-", CURRENT_A: torque_unit or "-"}  # fmt: skip
     part = _cutout(columns)
@@ -45,14 +46,15 @@ def column_figures(
         series = [Series(guess.signal, time_s, values[part], "orange", weight=2.4)]
         partner = _partner(guess.signal, columns)
         if partner is not None:
-            name, other = partner
-            series.append(Series(name, time_s, other[part], "blue", dash="dashed", weight=1.3))
-        grounds = f"{'' if guess.sure else '? '}{guess.evidence}"
-        heading = f"{guess.signal} is {guess.column!r} [{guess.unit}]"
+            partner_name, other = partner
+            series.append(Series(partner_name, time_s, other[part], "blue", dash="dashed", weight=1.3))
+        grounds = f"{'' if guess.sure else '? '}{text_on(guess.evidence, linear)}"
+        name = name_on(guess.signal, unit_in(guess.signal), linear)
+        heading = f"{name} is {guess.column!r} [{guess.unit}]"
         rows.append([
             Figure(
                 guess.signal, "xy", "\n".join([heading, *textwrap.wrap(grounds, WIDTH)]), f"{grounds}.",
-                Axis("Time", "s"), Axis(guess.signal, units[guess.signal]), tuple(series), height_px=190,
+                Axis("Time", "s"), Axis(name, units[guess.signal]), tuple(series), height_px=190,
             )
         ])  # fmt: skip
     return rows

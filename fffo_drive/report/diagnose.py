@@ -18,9 +18,10 @@ import numpy as np
 from ..diagnosis.gates import NEGLIGIBLE
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest, report
 from ..identification.runs import Estimate, RunsLook
+from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
 from ..units import inertia_kg_m2
-from .diagnose_figures import LINEAR, PAIR, Words, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_figures import PAIR, Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
     Cell,
     Column,
@@ -72,6 +73,7 @@ class DiagnosisSource(NamedTuple):
     name: str
     provenance: Provenance
     model_path: str = ""  # of the updated model file; empty where none was written
+    data: Section | None = None  # what the fitted runs can show, of report.coverage
 
 
 def write_diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis, directory: Path) -> ReportPaths:
@@ -89,18 +91,18 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     accepted = [finding for finding in diagnosis.findings if finding.accepted]
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     effects, forms = ([f for f in accepted if f.is_form is form] for form in (False, True))
-    tables = [_found("found", "What the model lacks", GAINS, effects)] if effects else []
-    tables += [_found("form", "The friction's own form", FORM, forms)] if forms else []
+    tables = [_found("found", "What the model lacks", words.text(GAINS), effects, words)] if effects else []
+    tables += [_found("form", "The friction's own form", FORM, forms, words)] if forms else []
     tables += [_before_after(diagnosis, accepted, words)]
     parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
     tables += [_rivals(accepted)] if any(finding.rivals for finding in accepted) else []
-    tables += [_channels(diagnosis)] if diagnosis.channels else []
+    tables += [_channels(diagnosis, words)] if diagnosis.channels else []
     tables += [_rejected(rejected)] if rejected else []
     tables += [_runs(diagnosis.runs_look, words)] if diagnosis.runs_look is not None else []
     tables += [_base(diagnosis, words)]
-    channels = channel_figure(diagnosis.channels)
-    sections = (
+    channels = channel_figure(diagnosis.channels, words)
+    sections: tuple[Section, ...] = (
         Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted, words)),
         Section(
             "Before and after",
@@ -109,6 +111,8 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
         ),
         Section("Where the residual lives", "Before and after, axis by axis.", (channels,) if channels else ()),
     )
+    if source.data is not None:
+        sections = (*sections, source.data)
     runs = f"fitted on {_names(diagnosis.fit_names)}" + (
         f", held out {_names(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", nothing held out"
     )
@@ -131,7 +135,7 @@ def _verdict(diagnosis: Diagnosis, accepted: Sequence[Finding], source: Diagnosi
     standing: Standing = "caution" if cautions or diagnosis.verdict == "unexplained" else "good"
     if diagnosis.verdict == "nothing_carries_over" or _not_finite(diagnosis):
         standing = "bad"
-    reasons = [_reason(finding) for finding in accepted]
+    reasons = [_reason(finding, words_of(diagnosis)) for finding in accepted]
     rate = 100.0 * diagnosis.false_alarm_rate
     reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
     reasons += _repeated(diagnosis)
@@ -194,16 +198,19 @@ def _rest(rest: Rest, words: Words) -> str:
     if rest.repeats_share is not None:
         text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
     if rest.axes:
-        text += f"; it goes with {_names([axis.replace('_', ' ') for axis in rest.axes])}"
+        text += f"; it goes with {_names([words.axis(axis) for axis in rest.axes])}"
     return text + "."
 
 
-def _reason(finding: Finding) -> str:
+def _reason(finding: Finding, words: Words) -> str:
     family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
     share = 100.0 * finding.explained_fraction
+    chance = significant(finding.false_alarm_probability, 2)
+    law = law_of(finding.name)
+    meaning = "" if law.name == "lookup" else words.text(f" It is: {law.meaning}.")
     return (
-        f"{finding.name}{family}. It takes away {share:.0f} % of the squared residual that all others leave; noise and "
-        f"an effect too small to matter would do so with p = {significant(finding.false_alarm_probability, 2)}. "
+        f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
+        f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
         + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
     )
@@ -218,7 +225,7 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-def _found(name: str, title: str, note: str, accepted: Sequence[Finding]) -> Table:
+def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: Words) -> Table:
     columns = [
         Column(label="takes away", unit="%"),
         Column(label="fitted runs", unit="nats", group="gain"),
@@ -239,7 +246,7 @@ def _found(name: str, title: str, note: str, accepted: Sequence[Finding]) -> Tab
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
                 Cell(text=", ".join(finding.alternatives) or "–"),
-                Cell(text=_axes(finding).replace("_", " ")),
+                Cell(text=words.axis(_axes(finding))),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],
         )
@@ -303,8 +310,9 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Word
         floor = f" What does not repeat: {rms} {words.small_torque} rms."
     note = (
         f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
-        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's inertia along the measured "
-        f"motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks that are drawn again. "
+        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's {words.text('inertia')} "
+        f"along the measured motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks "
+        "that are drawn again. "
         f"Below the held-out runs: where each effect acts in them. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
@@ -322,7 +330,7 @@ def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
         for one in finding.parameters if finding.curve is None else ():
             reach = None if one.sd is None else NORMAL_95 * one.sd
             low, high = (None, None) if reach is None else (one.value - reach, one.value + reach)
-            name = f"{finding.name}: {one.name}" + (f", {one.per_run}" if one.per_run else "")
+            name = f"{finding.name}: {words.name(one.name, one.unit)}" + (f", {one.per_run}" if one.per_run else "")
             rows.append(Row(label=name, unit=words.unit(one.unit), cells=[number(one.value, 4, low, high)]))
     return Table(
         name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
@@ -354,7 +362,7 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
     )
 
 
-def _channels(diagnosis: Diagnosis) -> Table:
+def _channels(diagnosis: Diagnosis, words: Words) -> Table:
     single = [channel for channel in diagnosis.channels if PAIR not in channel.name]
     pairs = [channel for channel in diagnosis.channels if PAIR in channel.name]
     pairs.sort(key=lambda channel: -max(channel.explained_before, channel.explained_after))
@@ -365,7 +373,7 @@ def _channels(diagnosis: Diagnosis) -> Table:
     ]  # fmt: skip
     rows = [
         Row(
-            label=channel.name.replace("_", " "),
+            label=words.axis(channel.name),
             cells=[
                 number(100.0 * channel.explained_before),
                 Cell(text="yes" if channel.significant_before else "no"),
@@ -413,12 +421,11 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
 
 
 def _runs(look: RunsLook, words: Words) -> Table:
-    linear = words is LINEAR
-    inertia = 1.0 if linear else inertia_kg_m2(1.0)
+    inertia = 1.0 if words.linear else inertia_kg_m2(1.0)
     columns = [
-        Column(label="M, mass" if linear else "J, inertia", unit="kg" if linear else "kg m²"),
+        Column(label="M, mass" if words.linear else "J, inertia", unit="kg" if words.linear else "kg m²"),
         Column(label="viscous", unit=words.unit("Nm/rps")), Column(label="Coulomb", unit=words.unit("Nm")),
-        Column(label="offset", unit=words.unit("Nm")), Column(label="turns", words=True),
+        Column(label="offset", unit=words.unit("Nm")), Column(label="moves" if words.linear else "turns", words=True),
     ]  # fmt: skip
     scales = {"inertia_nm_s2_per_rev": inertia, "viscous_nm_per_rps": 1.0, "coulomb_nm": 1.0, "offset_nm": 1.0}
     rows = [
@@ -448,7 +455,7 @@ def _estimate(one: Estimate | None, scale: float) -> Cell:
 
 def _base(diagnosis: Diagnosis, words: Words) -> Table:
     rows = [Row(label="J, inertia", unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))]
-    if words is LINEAR:  # the file keeps kg m² at 2 pi; the mass is what people know
+    if words.linear:  # the file keeps kg m² at 2 pi; the mass is what people know
         rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
     rows.append(Row(label="Td, delay", unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
     for name, (label, text) in MODEL_ROWS.items():

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, RunFigure
-from ..identification.results import LINEAR_UNITS
+from ..units import axis_word_on, name_on, text_on, unit_on
 from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
@@ -29,11 +28,23 @@ class Words(NamedTuple):
     torque_scale: float = 1e3
     small_speed: str = "mrps"
     speed_scale: float = 1e3
-    units: Mapping[str, str] = MappingProxyType({})  # of a rotary axis -> what stands for it
+    linear: bool = False
 
     def unit(self, rotary: str) -> str:
         """What stands for a unit of a rotary axis."""
-        return self.units.get(rotary, rotary)
+        return unit_on(rotary, self.linear)
+
+    def name(self, parameter: str, rotary: str) -> str:
+        """What a parameter is called whose unit on a rotary axis is this one."""
+        return name_on(parameter, rotary, self.linear)
+
+    def text(self, rotary: str) -> str:
+        """What a sentence about a rotary axis says of this one."""
+        return text_on(rotary, self.linear)
+
+    def axis(self, word: str) -> str:
+        """An axis of a finding, or both of a table, as people read it."""
+        return PAIR.join(axis_word_on(one, self.linear) for one in word.split(PAIR))
 
     def unit_of(self, quantity: str) -> str:
         """Unit of an error in this quantity."""
@@ -41,7 +52,7 @@ class Words(NamedTuple):
 
 
 ROTARY = Words()
-LINEAR = Words("force", "N", "N", 1.0, "mm/s", units=LINEAR_UNITS)
+LINEAR = Words("force", "N", "N", 1.0, "mm/s", linear=True)
 
 
 def words_of(diagnosis: Diagnosis) -> Words:
@@ -62,27 +73,29 @@ def effect_figures(findings: Sequence[Finding], words: Words) -> tuple[Figure, .
 def _effect(name: str, effect: str, picture: Picture, width: str, words: Words) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
-    series = [_series(curve, POINTS[k % len(POINTS)]) for k, curve in enumerate(clouds)]
-    series += [_series(curve, LINES[k % len(LINES)]) for k, curve in enumerate(lines)]
+    series = [_series(curve, POINTS[k % len(POINTS)], words) for k, curve in enumerate(clouds)]
+    series += [_series(curve, LINES[k % len(LINES)], words) for k, curve in enumerate(lines)]
     note = f" {picture.note}" if picture.note else ""
     return Figure(
         name=name,
         kind="xy",
-        title=picture.title,
+        title=words.text(picture.title),
         caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
-        x=Axis(picture.x_label, words.unit(picture.x_unit) or "-"),
-        y=Axis(picture.y_label.replace(ROTARY.torque, words.torque), words.unit(picture.y_unit) or "-"),
+        x=Axis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
+        y=Axis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
         width="full" if width == "full" else "half",
     )
 
 
-def _series(curve: Curve, colour: str) -> Series:
+def _series(curve: Curve, colour: str, words: Words) -> Series:
     order = np.argsort(curve.x, kind="stable")
     low, high = (None if end is None else np.asarray(end)[order] for end in (curve.low, curve.high))
     x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
     draw = "points" if curve.kind == "points" else "line"
-    return Series(curve.label, x, y, colour, "points" if draw == "points" else "line", weight=2.2, low=low, high=high)
+    return Series(
+        words.text(curve.label), x, y, colour, "points" if draw == "points" else "line", weight=2.2, low=low, high=high
+    )
 
 
 def _distinct(series: Sequence[Series]) -> list[Series]:
@@ -129,7 +142,7 @@ def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str)
     return Series(name, Uniform(float(time_s[0]), 0.5 * step), np.asarray(both, dtype=np.float64), colour, weight=1.0)
 
 
-def channel_figure(channels: Sequence[Channel]) -> Figure | None:
+def channel_figure(channels: Sequence[Channel], words: Words) -> Figure | None:
     """Share of the residual that a free curve over each axis explains, before and after; pairs are in the table."""
     single = [channel for channel in channels if PAIR not in channel.name]
     shown = sorted(single, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
@@ -144,7 +157,13 @@ def channel_figure(channels: Sequence[Channel]) -> Figure | None:
         kind="bars",
         title="Where the residual lives",
         caption="Share of the squared residual that a free curve over this axis alone explains.",
-        x=Axis("axis", "-", categories=tuple(SHORT.get(c.name, c.name.replace("_", " ")) for c in shown)),
+        x=Axis(
+            "axis",
+            "-",
+            categories=tuple(
+                words.axis(c.name) if words.linear else SHORT.get(c.name, words.axis(c.name)) for c in shown
+            ),
+        ),
         y=Axis("explained", "%"),
         series=tuple(grouped_bars(groups, {}, "")),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.metadata import version
@@ -18,6 +18,7 @@ from pydantic import Field
 
 from .. import __version__, formats
 from ..documents import Record
+from ..units import text_on
 from .figures import Figure
 
 VERSIONED = ("numpy", "numba", "scipy")
@@ -174,6 +175,42 @@ class Report:
             kind=self.kind, title=self.title, verdict=self.verdict, tables=list(self.tables),
             listings=list(self.listings), figures=entries, provenance=self.provenance, results=self.results,
         )  # fmt: skip
+
+
+def of_linear_axis(report: Report) -> Report:
+    """The page of a rotary axis in the units and words of a linear one; listings and results, which have keys, stay."""
+
+    def said(text: str) -> str:
+        return text_on(text, linear=True)
+
+    def row_of(row: Row) -> Row:
+        cells = [cell.model_copy(update={"text": said(cell.text)}) for cell in row.cells]
+        return row.model_copy(update={"label": said(row.label), "unit": said(row.unit), "cells": cells})
+
+    def column_of(column: Column) -> Column:
+        return column.model_copy(update={"label": said(column.label), "unit": said(column.unit)})
+
+    def table_of(table: Table) -> Table:
+        parts = {"columns": [column_of(one) for one in table.columns], "rows": [row_of(one) for one in table.rows]}
+        return table.model_copy(update={"title": said(table.title), "note": said(table.note), **parts})
+
+    def figure_of(figure: Figure) -> Figure:
+        x, y = (axis._replace(label=said(axis.label), unit=said(axis.unit)) for axis in (figure.x, figure.y))
+        series = tuple(replace(one, name=said(one.name)) for one in figure.series)
+        return replace(figure, title=said(figure.title), caption=said(figure.caption), x=x, y=y, series=series)
+
+    verdict = report.verdict
+    sentences = {key: [said(one) for one in getattr(verdict, key)] for key in ("reasons", "cautions")}
+    return replace(
+        report,
+        subtitle=said(report.subtitle),
+        verdict=verdict.model_copy(update={"headline": said(verdict.headline), **sentences}),
+        tables=tuple(table_of(table) for table in report.tables),
+        sections=tuple(
+            Section(said(section.title), said(section.text), tuple(figure_of(one) for one in section.figures))
+            for section in report.sections
+        ),
+    )
 
 
 def number(

@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identification.coordinates import SYMBOLS
+from ..identification.coverage import Coverage
 from ..identification.cyclic import CyclicError
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit
 from ..identification.residuals import RunResidual
 from ..identification.results import CONFIDENCE, INERTIA
-from ..units import inertia_kg_m2
+from ..units import inertia_kg_m2, name_on, unit_in
 from . import identify_figures as draw
 from . import response_figures
+from .coverage import coverage_section
 from .cyclic import cyclic_section, cyclic_table
 from .document import (
     Cell,
@@ -46,7 +47,7 @@ USELESS_RESIDUAL_PERCENT = 50.0
 TOLD_SHARE = 0.02  # of the residual's power that a function of the motion explains
 SURE = 1e-3
 ROTARY = Words()
-LINEAR = Words("force", "N", "m", "m/s", "N s/m", "command", "A")
+LINEAR = Words("force", "N", "m", "m/s", "N s/m", "command", "A", linear=True)
 
 
 class IdentifySource(NamedTuple):
@@ -68,23 +69,24 @@ def words_of(facts: DriveFacts) -> Words:
 
 def identify_report(
     source: IdentifySource, fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any],
-    cyclic: CyclicError | None = None,
+    coverage: Coverage, cyclic: CyclicError | None = None,
 ) -> Report:  # fmt: skip
     """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
     words = words_of(source.facts)
+    shown = coverage_section(records, coverage, source.facts.units == "linear")
     tables = [_parameters(results)]
-    tables += [_effects(results)] if results["effects"] else []
+    tables += [_effects(results, words)] if results["effects"] else []
     tables += [_doubts(results)] if results["doubts"] else []
     tables += [_runs(results, words), _dependence(results, words)]
     tables += [] if cyclic is None else [cyclic_table(cyclic)]
-    sections = _sections(fit, records, runs, results, words)
+    sections = (shown, *_sections(fit, records, runs, results, words))
     seconds = sum(record.duration_s for record in records)
     return Report(
         kind="identify",
         title=f"Identification of {source.name}",
         subtitle=f"{len(records)} {'logs' if len(records) > 1 else 'log'}, {seconds:.4g} s at "
         f"{1.0 / records[0].period_s:.5g} Hz, fitted together: {', '.join(record.name for record in records)}.",
-        verdict=_verdict(results),
+        verdict=_verdict(results, words),
         tables=tuple(tables),
         sections=sections if cyclic is None else (*sections, cyclic_section(cyclic)),
         provenance=_provenance(source, records, results),
@@ -93,26 +95,29 @@ def identify_report(
     )
 
 
-def _verdict(results: dict[str, Any]) -> Verdict:
+def _verdict(results: dict[str, Any], words: Words) -> Verdict:
     doubted = [doubt["symbol"] for doubt in results["doubts"]]
     fitted = [row["symbol"] for row in results["parameters"] if row["of_the_model"] and row["fitted"]]
     told = [symbol for symbol in fitted if symbol not in doubted]
     percent = {name: run["torque_relative_percent"] for name, run in results["residuals"].items()}
     worst = max(percent.values())
     if worst > LARGE_RESIDUAL_PERCENT:
-        headline = f"The model leaves up to {significant(worst, 2)} % of the torque: something that matters is missing."
+        left = significant(worst, 2)
+        headline = f"The model leaves up to {left} % of the {words.torque}: something that matters is missing."
     elif doubted:
         headline = f"The data determine {', '.join(told)}. They do not determine {', '.join(doubted)}."
     else:
         left = _span(percent.values())
-        headline = f"The data determine all {len(fitted)} parameters, and the model leaves {left} % of the torque."
+        headline = (
+            f"The data determine all {len(fitted)} parameters, and the model leaves {left} % of the {words.torque}."
+        )
     cautions = [*results["warnings"], *_remaining(results)]
     cautions += [
         f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
     ]
     useless = worst > USELESS_RESIDUAL_PERCENT or INERTIA in [doubt["name"] for doubt in results["doubts"]]
     standing: Standing = "bad" if useless else "caution" if cautions or worst > LARGE_RESIDUAL_PERCENT else "good"
-    return Verdict(standing=standing, headline=headline, reasons=_quality(results), cautions=cautions)
+    return Verdict(standing=standing, headline=headline, reasons=_quality(results, words), cautions=cautions)
 
 
 def _span(values: Any) -> str:
@@ -120,17 +125,16 @@ def _span(values: Any) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _quality(results: dict[str, Any]) -> list[str]:
+def _quality(results: dict[str, Any], words: Words) -> list[str]:
     """The quality line: torque, velocity over free windows, what the residual remembers."""
     runs = results["residuals"].values()
     median = _span([run["velocity_median_rps"] for run in runs])
     window_s = next(iter(runs))["velocity_window_s"]
     share = _span([run["torque_relative_percent"] for run in runs])
     friction = _span([run["friction_relative_percent"] for run in runs])
-    linear = results["units"] == "linear"
     lines = [
-        f"Quality: {'force' if linear else 'torque'} residual {share} % of the motor's ({friction} % of friction); "
-        f"free simulation over {window_s:g} s is off by {median} {'m/s' if linear else 'rps'} in the median window."
+        f"Quality: {words.torque} residual {share} % of the motor's ({friction} % of friction); "
+        f"free simulation over {window_s:g} s is off by {median} {words.velocity_unit} in the median window."
     ]
     loss = results["fit"]["literal_stribeck_loss_ratio"]
     if loss is not None and loss > 1.005:
@@ -224,12 +228,12 @@ def _parameter_row(label: str, unit: str, p: dict[str, Any], source: str) -> Row
     return Row(label=label, unit="" if unit == "-" else unit.replace("^2", "²"), cells=cells)
 
 
-def _effects(results: dict[str, Any]) -> Table:
+def _effects(results: dict[str, Any], words: Words) -> Table:
     rows = []
     for effect in results["effects"]:
         for k, p in enumerate(effect["parameters"]):
             low, high = p["interval_95"] or (None, None)
-            label = f"{effect['name']}: {p['name']}" + (f", {p['run']}" if p["run"] else "")
+            label = f"{effect['name']}: {p['symbol']}" + (f", {p['run']}" if p["run"] else "")
             rows.append(
                 Row(
                     label=label,
@@ -245,8 +249,9 @@ def _effects(results: dict[str, Any]) -> Table:
             )
     return Table(
         name="effects", title="Beside friction", corner="effect", rows=rows,
-        note="Looked for before anything else, and in the model file: constant torque, direction, gravity, waves of "
-             "the angle. Share: of the squared residual that all others leave. p: of chance, over all that was tried.",
+        note="Looked for before anything else, and in the model file: "
+             + words.text("constant torque, direction, gravity, waves of the angle.")
+             + " Share: of the squared residual that all others leave. p: of chance, over all that was tried.",
         columns=[
             Column(label="value"), Column(label="sd"), Column(label="share", unit="%"), Column(label="p"),
             Column(label="what it is", words=True),
@@ -255,12 +260,13 @@ def _effects(results: dict[str, Any]) -> Table:
 
 
 def _doubts(results: dict[str, Any]) -> Table:
+    symbols = {p["name"]: p["symbol"] for p in results["parameters"]}
     rows = [
         Row(
             label=doubt["symbol"],
             cells=[
                 Cell(text=doubt["reason"]),
-                Cell(text=", ".join(SYMBOLS.get(name, name) for name in doubt["confused_with"]) or "–"),
+                Cell(text=", ".join(symbols.get(name, name) for name in doubt["confused_with"]) or "–"),
                 Cell(text=doubt["excitation"]),
             ],
         )
@@ -370,7 +376,7 @@ def _sections(
     spread: list[Figure] = []
     for run in runs:
         spread += [draw.histogram_figure(run, words), draw.over_speed_figure(run, words)]
-    whole = [draw.autocorrelation_figure(runs), draw.by_frequency_figure(summaries, words)]
+    whole = [draw.autocorrelation_figure(runs, words), draw.by_frequency_figure(summaries, words)]
     whole.append(draw.by_speed_figure(summaries, words))
     chirps = response_figures.responses(records, results["frequency_response"], fit.physical)
     inertia = fit.value("inertia_nm_s2_per_rev")
@@ -405,12 +411,13 @@ def _provenance(source: IdentifySource, records: Sequence[Record], results: dict
     ]
     given = [path for path in (source.facts_file, source.model_file) if path is not None]
     files += [source_file(path.name, path.read_bytes(), text=True) for path in given]
-    fit = results["fit"]
+    fit, linear = results["fit"], results["units"] == "linear"
     facts = {
         "fit": f"{fit['residual']}: {fit['residuals']} residuals, rms {significant(fit['residual_rms_lsb'])} counts, "
                f"{fit['windows']} windows, {fit['iterations']} iterations",
         "starting point": ", ".join(
-            f"{key} {significant(value, 4)}" for key, value in results["start"].items() if np.isfinite(value)
+            f"{name_on(key, unit_in(key), linear)} {significant(value, 4)}"
+            for key, value in results["start"].items() if np.isfinite(value)
         ),
     }  # fmt: skip
     return provenance(files, facts)

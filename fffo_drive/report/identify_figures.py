@@ -12,6 +12,7 @@ from ..identification.coordinates import PARAMETERS, axis_of, physical_slope, to
 from ..identification.fit import Fit
 from ..identification.residuals import BLOCK_S, LONGEST_LAG, RunResidual, effective_samples, sampling_step
 from ..model.friction import steady_friction_nm
+from ..units import text_on
 from .document import significant
 from .figures import Axis, Figure, Floats, Level, Series, Uniform, histogram, normal_curve
 
@@ -35,6 +36,16 @@ class Words(NamedTuple):
     damping_unit: str = "Nm/rps"
     command: str = "current"
     command_unit: str = "A"
+    linear: bool = False
+
+    @property
+    def inertia(self) -> str:
+        """The letter of it: of a linear axis that of the mass."""
+        return "M" if self.linear else "J"
+
+    def text(self, rotary: str) -> str:
+        """What a sentence about a rotary axis says of this one."""
+        return text_on(rotary, self.linear)
 
     def velocity(self, name: str = "velocity") -> Axis:
         """An axis of velocities."""
@@ -87,8 +98,8 @@ def course_figures(run: RunResidual, words: Words) -> list[Figure]:
          "for 0.2 s at a time; a window in which nothing moves is left out.", words.velocity(),
          (Series("measured", grid, measured, "orange", weight=2.4, finest=LONGEST),
           Series("simulated", grid, simulated, "blue", dash="dashed", weight=1.2, finest=LONGEST)), 240),
-        ("residual", f"Fig. 4: Kt i(t − Td) − J a − F, all through one filter of 40 Hz; standstill is left out. "
-         f"{record.name}.", words.residual(),
+        ("residual", f"Fig. 4: Kt i(t − Td) − {words.inertia} a − F, all through one filter of 40 Hz; standstill is "
+         f"left out. {record.name}.", words.residual(),
          (Series("residual", time, residual, "blue", weight=1.0, finest=LONGEST),), 200),
     ]  # fmt: skip
     return [
@@ -149,7 +160,7 @@ def histogram_figure(run: RunResidual, words: Words) -> Figure:
     )  # fmt: skip
 
 
-def autocorrelation_figure(runs: Sequence[RunResidual]) -> Figure:
+def autocorrelation_figure(runs: Sequence[RunResidual], words: Words) -> Figure:
     """How long the residual remembers; the band is that of white noise."""
     series, smallest = [], np.inf
     step_s = 0.0
@@ -164,7 +175,7 @@ def autocorrelation_figure(runs: Sequence[RunResidual]) -> Figure:
         series.append(Series(run.record.name, Uniform(0.0, step_s), correlation, colour, dash=_dash(number)))
     bound = 1.96 / np.sqrt(smallest)
     return Figure(
-        name="autocorrelation", kind="time", title="Autocorrelation of the torque residual",
+        name="autocorrelation", kind="time", title=f"Autocorrelation of the {words.torque} residual",
         caption="The filter of 40 Hz alone makes neighbours alike within 0.01 s; what remembers longer is a rough "
                 "surface, or something that the model lacks. Dashed: 95 % of white noise.",
         x=Axis("lag", "s"), y=Axis("correlation", "-"), series=tuple(series), height_px=220,
@@ -277,9 +288,9 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: Words) -> Figu
             series.append(Series(name, points[0], points[1], colour, "points", low=points[2], high=points[3]))
     return Figure(
         name="friction", kind="xy", title="Friction over speed",
-        caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus J a in "
-                "the records while sliding, mean of each bin, whiskers its middle 90 %. Frictional lag stands in the "
-                "points and not in the curve.",
+        caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus "
+                f"{words.inertia} a in the records while sliding, mean of each bin, whiskers its middle 90 %. "
+                "Frictional lag stands in the points and not in the curve.",
         x=Axis("speed", words.velocity_unit, log=True), y=Axis(f"friction {words.torque}", words.torque_unit),
         series=tuple(series), height_px=300,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ..control.stability import LinearAxis, Margins, loop_margins
 from ..identification.tuning import DampingRange
 from ..model.parameters import ModelFile, Quantity
-from ..units import inertia_nm_s2_per_rev
+from ..units import TWO_PI, inertia_nm_s2_per_rev
 from . import tune_figures as draw
 from .document import (
     Cell,
@@ -23,6 +23,7 @@ from .document import (
     Table,
     Verdict,
     number,
+    of_linear_axis,
     provenance,
     significant,
     source_file,
@@ -51,7 +52,7 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
     facts = {"model": source.model.name, "model fitted": f"{fitted.date} {fitted.tool}".strip()}
     if fitted.runs:
         facts["on the logs (SHA-256)"] = ", ".join(fitted.runs)
-    return Report(
+    report = Report(
         kind="tune",
         title=f"Gains for {source.model.name}",
         subtitle="PI and observer for the fitted axis with its whole delay, judged at friction's smallest damping.",
@@ -70,6 +71,7 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
         results=results,
         listings=_listings(source),
     )  # fmt: skip
+    return of_linear_axis(report) if source.model.units == "linear" else report
 
 
 def _verdict(tuning: Tuning) -> Verdict:
@@ -135,7 +137,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
         worst = Margins(
             min(m.phase_deg for m in found), min(m.gain for m in found), min(found, key=lambda m: m.gain).crossover_hz
         )
-        rows.append(_margin_row("the same, J and Td at the ends of their intervals", worst))
+        rows.append(_margin_row(f"the same, {_letter(source.model)} and Td at the ends of their intervals", worst))
     return Table(
         name="margins", title="Margins", corner="loop", rows=rows,
         columns=[Column(label="phase", unit="deg"), Column(label="gain"), Column(label="crossover", unit="Hz")],
@@ -214,7 +216,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
     model, axis = source.model, tuning.axis
     friction = model.friction
     rows = [
-        _quantity("J", "kg m²", model.inertia_kg_m2),
+        _inertia(model),
         _quantity("sigma, smallest damping", "Nm/rps", friction.viscous_nm_per_rps),
         _quantity("B", "Nm/rev", friction.attraction_nm_per_rev),
         _quantity("Td, command to measured velocity", "s", model.delay_s),
@@ -231,6 +233,18 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
     )  # fmt: skip
 
 
+def _letter(model: ModelFile) -> str:
+    return "M" if model.units == "linear" else "J"
+
+
+def _inertia(model: ModelFile) -> Row:
+    inertia = model.inertia_kg_m2
+    if model.units == "rotary":
+        return _quantity(_letter(model), "kg m²", inertia)
+    sd = None if inertia.sd is None else TWO_PI * inertia.sd
+    return _quantity(_letter(model), "kg", inertia.model_copy(update={"value": TWO_PI * inertia.value, "sd": sd}))
+
+
 def _quantity(label: str, unit: str, quantity: Quantity) -> Row:
     sd = quantity.sd
     low, high = (None, None) if sd is None else (quantity.value - NORMAL_95 * sd, quantity.value + NORMAL_95 * sd)
@@ -243,9 +257,11 @@ def _quantity(label: str, unit: str, quantity: Quantity) -> Row:
 
 
 def _listings(source: TuneSource) -> tuple[Listing, ...]:
-    where = source.written[0]
+    note = f"Written to {source.written[0]}."
+    if source.model.units == "linear":
+        note += " Its keys are those of a rotary axis: rev stands for m, rps for m/s, nm for N."
     return (
-        Listing(name="controller", title="Controller section", note=f"Written to {where}.", text=source.section),
+        Listing(name="controller", title="Controller section", note=note, text=source.section),
         Listing(
             name="commands", title="What to do with it",
             note="Try gains on the simulated drive before they meet an axis.", text="\n".join(source.commands),

@@ -363,3 +363,20 @@ def test_the_help_says_what_comes_of_it(capsys):
         assert ended.value.code == 0
         text = " ".join(capsys.readouterr().out.split())
         assert "Exit codes: 0 adopted" in text
+
+
+def test_the_gates_of_a_linear_axis_speak_of_forces_and_a_mass():
+    """Keys of the axis file that a gate names stay."""
+    own = MODEL.model_copy(update={"units": "linear"})
+    model = own.model_copy(update={"effects": [effect("asymmetric_viscous", sd=1e-5, excess_nm_per_rps=1e-3)]})
+    found = {gate.name: gate.text for gate in gates(AXIS, own, model, report_of(), False)}
+    assert " N rms" in found["held-out error"]
+    assert "mass_kg" in found["same axis"]
+    assert "force constant" in found["same axis"]
+    assert found["asymmetric_viscous: interval"].startswith("excess_n_s_per_m = 0.001")
+    assert " N/m" in found["stability"]
+    assert not [text for text in found.values() if " Nm" in text]
+    assert "torque" in found["drive disabled"]
+    rotary = {gate.name: gate.text for gate in gates(AXIS, MODEL, with_effects(*model.effects), report_of(), False)}
+    assert rotary["asymmetric_viscous: interval"].startswith("excess_nm_per_rps = 0.001")
+    assert "inertia_kg_m2" in rotary["same axis"]

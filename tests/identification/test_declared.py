@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fffo_drive.identification.declared import gravity_remark, wave_size
+from fffo_drive.identification.declared import gravity_remark, wave_size, weight_remarks
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.results import symbol_of
 
@@ -33,6 +33,15 @@ def test_a_declared_weight_is_compared_and_never_fitted(found, travel_rev, said)
     remark = gravity_remark(facts(load_gravity_nm=0.5, gear_ratio=50.0), found, travel_rev)
     assert (said in remark) if said else remark == ""
     assert gravity_remark(facts(), found, travel_rev) == ""
+
+
+def test_the_weight_is_found_among_the_effects_by_its_law():
+    declared = facts(load_gravity_nm=0.5, gear_ratio=50.0)
+    weight = ("unbalance", [("cos_nm", 0.48, 0.003), ("sin_nm", 0.64, 0.003), ("ratio", 50.0, None)])
+    cogging = ("cogging", [("cos_nm", 0.5, 0.003), ("sin_nm", 0.0, 0.003), ("order", 12.0, None)])
+    assert weight_remarks(declared, [cogging, weight], 50.0) == [gravity_remark(declared, (0.8, 0.003), 50.0)]
+    assert weight_remarks(declared, [cogging], 50.0) == [gravity_remark(declared, None, 50.0)]
+    assert weight_remarks(facts(), [weight], 50.0) == []
 
 
 def test_a_linear_axis_has_a_mass_and_no_inertia():

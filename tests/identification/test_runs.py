@@ -55,7 +55,7 @@ def test_a_run_that_turns_one_way_does_not_separate_friction_from_a_constant_tor
 def test_runs_that_each_turn_one_way_make_direction_and_run_one_thing():
     look = look_at_runs([balance_record("up", 4.0, ONE_WAY), balance_record("down", -4.0, ONE_WAY)])
     assert kinds(look) == ["confounded"]
-    assert "every run turns one way only" in look.remarks[0].text
+    assert "every run goes one way only" in look.remarks[0].text
     both = look_at_runs([balance_record("up", 4.0, ONE_WAY), balance_record("both")])
     assert both.remarks == ()
 

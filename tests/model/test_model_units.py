@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.documents import DocumentError
-from fffo_drive.model.parameters import Quantity, content_hash, model_text, read_model
+from fffo_drive.model.parameters import Quantity, content_hash, effect_model, model_text, read_model
 
 TABLE1 = Path(__file__).resolve().parents[2] / "configs" / "models" / "table1.yaml"
 
@@ -54,3 +54,23 @@ def test_a_mass_on_a_rotary_axis_is_refused_by_its_key(tmp_path):
     path.write_text(yaml.safe_dump(said))
     with pytest.raises(DocumentError, match=r"model\.yaml"):
         read_model(path)
+
+
+def test_the_file_of_a_linear_axis_says_what_its_keys_are_and_keeps_them(tmp_path):
+    """Older readers know the keys; people read the comment. It is none of the content."""
+    effects = [
+        effect_model("asymmetric_viscous", {"excess_nm_per_rps": -39.0}, {}),
+        effect_model("cogging", {"cos_nm": 1.0, "sin_nm": 0.5, "order": 400.0}, {}),
+    ]
+    model = linear(95.0, 0.2).model_copy(update={"effects": effects})
+    text = model_text(model)
+    said = [line for line in text.splitlines() if line.startswith("#")]
+    assert "#   viscous_nm_per_rps: viscous_n_s_per_m, in N s/m" in said
+    assert "#   asymmetric_viscous: excess_nm_per_rps: excess_n_s_per_m, in N s/m" in said
+    assert "#   cogging: order: in 1/m" in said
+    assert yaml.safe_load(text)["effects"][0]["parameters"]["excess_nm_per_rps"]["value"] == -39.0
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    assert model_text(read_model(path)) == text
+    assert content_hash(read_model(path)) == content_hash(model)
+    assert not model_text(model.model_copy(update={"units": "rotary"})).startswith("#")

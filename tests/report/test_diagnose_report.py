@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,9 +24,11 @@ from fffo_drive.diagnosis.results import (
     Rest,
     Rival,
     RunFigure,
+    in_words_of_axis,
 )
 from fffo_drive.diagnosis.results import report as report_object
 from fffo_drive.identification.runs import PARAMETERS, Estimate, Remark, RunLook, RunsLook
+from fffo_drive.model.effects.registry import law_of
 from fffo_drive.model.parameters import read_model
 from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, doubts, write_diagnosis_report
 from fffo_drive.report.document import provenance, source_file
@@ -290,6 +293,46 @@ def test_a_parameter_that_the_data_do_not_determine_has_no_interval_that_looks_l
 def test_what_is_left_and_repeats_is_said():
     reasons = diagnosis_report(SOURCE, diagnosis(ceiling=Ceiling(0.9, 0.25, 0.001, 0.95, "2 repeats"))).verdict.reasons
     assert "25 % of the squared residual that is left repeats with the reference." in reasons
+
+
+def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
+    """Page, summary and report.json: sentences, units, names of parameters, axes."""
+    viscous = finding(
+        name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None,
+        parameters=(Number("excess_nm_per_rps", -39.0, 1.0, "Nm/rps"),), regime="high torque, at every angle",
+        reason="it buys its error with another axis: the inertia would be twice that without it",
+        experiment=law_of("cogging").experiment,
+    )  # fmt: skip
+    curve = finding(name="unknown:output_angle", axis="output_angle", alternatives=(), picture=None, parameters=tuple(
+        Number(key, value, None, "") for key, value in {
+            "kind": 2.0, "count": 2.0, "x00": 0.0, "x01": 0.2, "y00": 1.0, "y01": 2.0}.items()))  # fmt: skip
+    remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
+    reason = "no machine is so: second_surface with memory_rev 1e-06 rev is outside of 1e-06 to 10000"
+    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None)
+    told = in_words_of_axis(diagnosis(
+        units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
+        cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),
+        channels=tuple(Channel(word, 0.6, 0.02, True, False, 10) for word in ("motor_angle", "output_angle")),
+        unexplained_rest=Rest(2.0, 1.0, None, ("torque", "output_angle"), "it goes with the torque"),
+    ))  # fmt: skip
+    report = diagnosis_report(SOURCE, told)
+    page = render_page(report).split("<script")[0]
+    shown = re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
+    of_a_shaft = re.compile(r"(?<![\w:])(torques?|inertia|angle|Nm|rps|rev)(?![\w:])|\w+_(nm|rps|rev)\b")
+    assert not of_a_shaft.findall(shown)
+    assert "excess_n_s_per_m" in shown
+    assert "second_surface with memory_m 1e-06 m" in shown
+    channels = next(figure for figure in report.figures if figure.name == "channels")
+    assert len(set(channels.x.categories)) == 2
+    effects = {one["name"]: one for one in report_object(told)["effects"]}
+    written = effects["asymmetric_viscous"]
+    assert written["parameters"] == {"excess_nm_per_rps": -39.0}  # the key of the model file
+    assert written["symbols"] == {"excess_nm_per_rps": "excess_n_s_per_m"}
+    assert written["units"] == {"excess_nm_per_rps": "N s/m"}
+    assert effects["unknown:output_angle"]["curve"]["unit"] == "N s/m"
+    rotary = report_object(diagnosis(findings=(viscous,)))["effects"][0]
+    assert rotary["symbols"] == {"excess_nm_per_rps": "excess_nm_per_rps"}
+    assert rotary["units"] == {"excess_nm_per_rps": "Nm/rps"}
 
 
 def test_a_linear_axis_is_told_in_its_own_units():

@@ -11,6 +11,7 @@ import pytest
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record, record_of
 from report.test_page import LARGEST_PAGE_BYTES, outline
 
+from fffo_drive.identification.coverage import coverage_of
 from fffo_drive.identification.facts import ColumnFact, DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
 from fffo_drive.identification.residuals import run_residuals
@@ -42,7 +43,8 @@ def reported(records, directory, facts=FACTS):
     (directory / "drive.yaml").write_text("torque_constant_nm_per_a: 0.148\n")
     write_model(directory / "model.yaml", model_file(fit, records, "made up <b>"))
     source = IdentifySource("made up <b>", facts, directory / "drive.yaml", directory / "model.yaml")
-    return fit, runs, identify_report(source, fit, records, runs, report(fit, records, facts, runs))
+    results = report(fit, records, facts, runs)
+    return fit, runs, identify_report(source, fit, records, runs, results, coverage_of(records))
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """The page of a tuning: gains, margins and files as they were made, and figures that agree with the closed forms."""
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -13,7 +14,7 @@ from fffo_drive.cli import main
 from fffo_drive.cli.tune import controller_section, linear_axis, summarise
 from fffo_drive.control.stability import loop_margins
 from fffo_drive.identification.tuning import Wish, design, judge
-from fffo_drive.model.parameters import read_model
+from fffo_drive.model.parameters import read_model, write_model
 from fffo_drive.report.document import ReportFile
 from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.static import write_figures
@@ -138,3 +139,32 @@ def test_the_command_writes_page_and_json(tmp_path, capsys):
     content = json.loads((tmp_path / "report.json").read_text())
     assert content["kind"] == "tune"
     assert content["results"]["gains"] == printed["gains"]
+
+
+def test_a_linear_axis_is_tuned_in_its_own_units(tmp_path, report):
+    """Same numbers, other units and words; the section that a controller reads keeps its keys."""
+    _, linear = made(tmp_path, change=lambda model: model.model_copy(update={"units": "linear"}))
+    _, rotary = report
+    tables = {table.name: table for table in linear.tables}
+    assert {row.label: row.unit for row in tables["gains"].rows} == {"Kp": "A s/m", "Ki": "A/m", "Ti": "s", "L": "N/m"}
+    inertia, mass = (next(t for t in one.tables if t.name == "axis").rows[0] for one in (rotary, linear))
+    assert (inertia.label, inertia.unit, mass.label, mass.unit) == ("J", "kg m²", "M", "kg")
+    assert mass.cells[0].value == pytest.approx(2.0 * np.pi * inertia.cells[0].value)  # force = M m/s2, torque = 2 pi J
+    words = [linear.verdict.headline, *linear.verdict.reasons]
+    for figure in linear.figures:
+        words += [figure.title, figure.caption, figure.x.unit, figure.y.unit]
+    for table in linear.tables:
+        words += [table.note, *(f"{row.label} {row.unit} {row.cells[-1].text}" for row in table.rows)]
+    assert not [text for text in words if re.search(r"\b(Nm|rps|rev|torque|inertia)\b", text)]
+    before, after = (next(one for one in r.listings if one.name == "controller") for r in (rotary, linear))
+    assert before.text == after.text
+    assert linear.results["gains"] == rotary.results["gains"]
+
+
+def test_the_terminal_speaks_of_a_linear_axis_too(tmp_path, capsys):
+    model = read_model(TABLE_1).model_copy(update={"units": "linear"})
+    write_model(tmp_path / "model.yaml", model)
+    assert main(["tune", str(tmp_path / "model.yaml"), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert "A s/m" in said[0]
+    assert not [line for line in said[:6] if "Nm" in line or "rps" in line]

@@ -34,7 +34,7 @@ LAW = Law(
     regime="everywhere, at rest too",
     lookalikes=("torque_ripple", "friction_ripple", "resolver_error", "unbalance"),
     experiment=(
-        "slow constant speed, five turns both ways at two loads: sign and size stay; at two speeds: the size stays"
+        "slow and constant over many periods, both ways at two loads: sign and size stay; at two speeds: the size stays"
     ),
     motions=("creep", "pairs"),
     picture="motor_angle",

@@ -37,7 +37,7 @@ LAW = Law(
     regime="sliding",
     lookalikes=("cogging", "torque_ripple", "position_dependent_friction"),
     experiment=(
-        "slow constant speed, five turns both ways: the ripple changes its sign with the direction, cogging does not"
+        "slow and constant over many periods, both ways: the ripple changes its sign with the direction, cogging not"
     ),
     motions=("creep",),
     picture="motor_angle",

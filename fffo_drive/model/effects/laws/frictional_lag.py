@@ -45,7 +45,7 @@ LAW = Law(
     lookalikes=("delay", "current_lag", "presliding_shape", "stribeck_shape"),
     experiment=(
         "a sine of speed about a bias, without a reversal: the loop of friction over speed stays, a "
-        "delay shows in J a too"
+        "delay shows in the accelerating part too"
     ),
     motions=("biased_sines",),
     picture="velocity",
