@@ -56,6 +56,7 @@ class Rpdo(Timed):
         self.synchronous = parameters.transmission_type <= HIGHEST_SYNC_TYPE
         self._unpack = self.mapping.layout.unpack_from
         self._deadline_after_ns = parameters.event_timer_ns
+        self._limits = [self.od.limits(entry) for entry in self.mapping.entries]
         self._bounded = any(entry.low is not None or entry.high is not None for entry in self.mapping.entries)
         effects = [(self.od.effect_of(entry.index), entry.sub) for entry in self.mapping.entries]
         self._effects: list[tuple[Effect, int, int]] = [
@@ -123,8 +124,7 @@ class Rpdo(Timed):
             effect(sub, values[slot])
 
     def _apply_within_limits(self, data: tuple[int, ...]) -> None:
-        for entry, slot, value in zip(self.mapping.entries, self.mapping.slots, data, strict=True):
-            lowest, highest = self.od.limits(entry)
+        for (lowest, highest), slot, value in zip(self._limits, self.mapping.slots, data, strict=True):
             if lowest <= value <= highest:
                 self.od.values[slot] = value
 
