@@ -297,7 +297,7 @@ def _names_of_linear(model: ModelFile) -> str:
     """A comment: keys are those of a rotary axis, so that every reader knows them; what each is on a linear one."""
     if model.units == "rotary":
         return ""
-    keys = {name: (name, units.unit_in(name)) for name in ("torque_constant_nm_per_a", *FrictionModel.model_fields)}
+    keys = {name: (name, units.unit_in(name)) for name in FrictionModel.model_fields}
     for effect in model.effects:
         for p in law_of(effect.name).parameters:
             if p.name in effect.parameters:
@@ -305,6 +305,7 @@ def _names_of_linear(model: ModelFile) -> str:
         if effect.curve is not None:
             keys[f"{effect.name}: values"] = ("values", effect.curve.unit)
     lines = ["# A linear axis. Keys have the names of a rotary one; what they are here:\n"]
+    lines.append("#   torque_constant_nm_per_a: the force constant, in N for a unit of the command (A or V)\n")
     for key, (name, unit) in keys.items():
         if unit in units.LINEAR:
             own = units.name_on(name, unit, linear=True)

@@ -65,6 +65,7 @@ def test_the_file_of_a_linear_axis_says_what_its_keys_are_and_keeps_them(tmp_pat
     model = linear(95.0, 0.2).model_copy(update={"effects": effects})
     text = model_text(model)
     said = [line for line in text.splitlines() if line.startswith("#")]
+    assert [line for line in said if "torque_constant_nm_per_a: the force constant, in N" in line]
     assert "#   viscous_nm_per_rps: viscous_n_s_per_m, in N s/m" in said
     assert "#   asymmetric_viscous: excess_nm_per_rps: excess_n_s_per_m, in N s/m" in said
     assert "#   cogging: order: in 1/m" in said
