@@ -189,7 +189,9 @@ def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:
     console = Console()
     console.print(f"[bold]{record.axis}: {escape(verdict_line(record))}[/]", soft_wrap=True, highlight=False)
     console.print(f"next: {escape(next_line(record, plan, out))}", soft_wrap=True, highlight=False)
-    console.print(f"drive: {record.drive.device_name}; record: {out}", soft_wrap=True, highlight=False, markup=False)
+    drive = record.drive
+    name = drive.device_name or f"vendor 0x{drive.vendor_id:X}, product 0x{drive.product_code:X}"
+    console.print(f"drive: {name}; record: {out}", soft_wrap=True, highlight=False, markup=False)
     table = Table(box=SIMPLE, show_edge=False)
     table.add_column("check", no_wrap=True)
     table.add_column("verdict", no_wrap=True)

@@ -20,6 +20,7 @@ from shared_data import shared_files
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
+from fffo_drive.commissioning.record import read_record
 from fffo_drive.recording.reader import read_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -120,11 +121,26 @@ def follows(name: str, keys: dict[str, Any], rate_hz: int, folder: Path) -> None
     assert np.ptp(inside["position_rev"]) == pytest.approx(wanted, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.parametrize(("name", "rate_hz"), [(name, 1000 if name == "elmo_gold" else 500) for name in DRIVES])
 def test_the_axis_follows(name: str, rate_hz: int, tmp_path: Path) -> None:
     follows(name, DRIVES[name], rate_hz, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", DRIVES)
+def test_the_axis_is_commissioned(name: str, tmp_path: Path) -> None:
+    bus, path = f"loopback:{free_loopback_port()}", tmp_path / "axis.yaml"
+    path.write_text(yaml.safe_dump(axis_of(DRIVES[name], bus, 500)))
+    with worn(name, DRIVES[name], tmp_path, bus):
+        assert main(["commission", str(path), "--yes", "--out", str(tmp_path / "record.yaml")]) == 0
+    record = read_record(tmp_path / "record.yaml")
+    assert record.passed
+    checks = {check.name: check.verdict for check in record.checks}
+    signs = ("torque_sign", "velocity_sign", "position_sign", "counts_per_rev", "velocity_scale")
+    assert {checks[sign] for sign in signs} == {"ok"}
 
 
 @pytest.mark.slow
