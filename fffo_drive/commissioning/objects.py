@@ -54,8 +54,8 @@ class _Objects:
         return read_number(self._source, index, sub)
 
 
-def read_name_plate(source: object) -> NamePlate:
-    """Of a drive on a bus; a drive in process has none."""
+def read_name_plate(source: object, current_unit_a: float = 1e-3) -> NamePlate:
+    """Of a drive on a bus; a drive in process has none. `current_unit_a`: of 0x6075."""
     if not isinstance(source, ObjectSource):
         return NamePlate()
     objects = _Objects(source)
@@ -64,8 +64,8 @@ def read_name_plate(source: object) -> NamePlate:
     return NamePlate(
         told.get("counts_per_rev"),
         told.get("velocity_units_per_rps"),
-        torque / current if torque and current else None,
-        current / MILLI if current else None,
+        torque * 1e-3 / (current * current_unit_a) if torque and current else None,
+        current * current_unit_a if current else None,
         "0x608F" if counts_increments(objects.value(0x60A8)) else "0x60A8",
         "0x60A9" if objects.value(0x60A9) else "0x6090",
     )

@@ -144,7 +144,7 @@ class _Procedure:
         """Standstill, and the name plate."""
         self.tell("listening, no voltage")
         with self.rig.under(envelope) as runner:
-            self.plate = read_name_plate(self.rig.drive)
+            self.plate = read_name_plate(self.rig.drive, self.facts.rated_current_unit_a)
             motion = runner.listen(LISTEN_S)
         self.add(motion_checks.standstill(motion))
         self.stop_if_failed("standstill")

@@ -26,6 +26,7 @@ NOT_DONE: Literal["not_done"] = "not_done"
 Verdict = Literal["ok", "warning", "failed", "not_done"]
 
 HASH_LENGTH = 64
+MILLI = 1e-3
 
 
 class DeclaredFacts(Record):
@@ -37,6 +38,7 @@ class DeclaredFacts(Record):
     torque_constant_nm_per_a: float
     rated_torque_nm: float | None = None
     rated_current_a: float | None = None
+    rated_current_unit_a: Annotated[float, Field(description="of 0x6075")] = MILLI
     inverted: bool = False
     sdo: Annotated[list[str], Field(description="drive.sdo: its units may change every scale")] = Field(
         default_factory=list
@@ -48,7 +50,8 @@ class DeclaredFacts(Record):
     def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Records of drives without these keep their hash."""
         found: dict[str, Any] = dump(self)
-        return {key: value for key, value in found.items() if value or key not in ("sdo", "command")}
+        usual = {"sdo": [], "command": "", "rated_current_unit_a": MILLI}
+        return {key: value for key, value in found.items() if key not in usual or value != usual[key]}
 
     @property
     def digest(self) -> str:

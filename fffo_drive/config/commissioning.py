@@ -20,7 +20,7 @@ from ..documents import refuse
 from ..drive.port import DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from .axis import AxisFile, beside
-from .drive_section import CanopenDriveSection
+from .drive_section import RATED_CURRENT_UNITS, CanopenDriveSection
 
 AGAIN = "commission it again (fffo-drive commission {path}), or give --uncommissioned"
 
@@ -46,6 +46,7 @@ def declared_facts(axis: AxisFile, model: ModelFile) -> DeclaredFacts:
         torque_constant_nm_per_a=constant,
         rated_torque_nm=section.rated_torque_nm,
         rated_current_a=section.rated_current_a,
+        rated_current_unit_a=RATED_CURRENT_UNITS[section.rated_current_unit],
         inverted=section.inverted,
         sdo=[entry.write().text for entry in section.sdo],
         command=_command_text(section),

@@ -15,7 +15,7 @@ from ..drive.canopen.object_map import STANDARD_SLOTS
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS, DriveObjects, available
 from ..drive.canopen.units_told import remarks_told, units_told
 from ..drive.cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
-from .drive_section import RATED_TORQUE_UNITS, CanopenDriveSection
+from .drive_section import RATED_CURRENT_UNITS, RATED_TORQUE_UNITS, CanopenDriveSection
 
 FULL_TORQUE_IN_A_MILLISECOND = 1_000_000  # 0x6087, per mille a second: profile torque that acts like a cyclic one
 PLACEHOLDER_PERIOD_NS, PLACEHOLDER_NM_PER_A = 1_000_000, 1.0  # where only objects are asked for
@@ -75,7 +75,8 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Pro
     elif event is not None and not objects.has(0x1800 + event - 1, 3):
         put("status_event", 0, f"TPDO{event} has no inhibit time: the statusword with the SYNC after a change")
     unit_nm = RATED_TORQUE_UNITS[given.get("rated_torque_unit", "mNm")]
-    for key, value in units_told(objects, unit_nm).items():
+    unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
+    for key, value in units_told(objects, unit_nm, unit_a).items():
         put(key, value, "told by the drive")
     return Proposal(section, sources, tuple(stand_ins), tuple(remarks_told(objects)))
 

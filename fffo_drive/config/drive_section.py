@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -27,6 +28,7 @@ from ..units import counts_per_rev
 
 DEFAULT_RESOLVER_BITS = 15
 RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
+RATED_CURRENT_UNITS = {"mA": 1e-3, "mA_rms": 1e-3 * math.sqrt(2.0)}  # A of the torque constant for one of 0x6075
 
 Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
 
@@ -131,6 +133,10 @@ class CanopenDriveSection(Record):
     rated_torque_unit: Annotated[
         Literal["mNm", "uNm"], Field(description="of 0x6076 in this drive; CiA 402 has mNm")
     ] = "mNm"
+    rated_current_unit: Annotated[
+        Literal["mA", "mA_rms"],
+        Field(description="of 0x6075 in this drive; mA_rms: the torque constant is for the amplitude of the current"),
+    ] = "mA"
     inverted: bool = False
     status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
     heartbeat_ms: Milliseconds = 50
@@ -253,6 +259,7 @@ class CanopenDriveSection(Record):
             rated_torque_nm=self.rated_torque_nm,
             rated_current_a=self.rated_current_a,
             rated_torque_unit_nm=RATED_TORQUE_UNITS[self.rated_torque_unit],
+            rated_current_unit_a=RATED_CURRENT_UNITS[self.rated_current_unit],
             inverted=self.inverted,
             bitrate_hz=self.bitrate_hz,
             master_id=self.master_id,

@@ -292,7 +292,10 @@ def test_a_gap_in_the_recording_has_its_sentence():
 
 def test_what_the_wire_did_is_printed_when_there_is_something(capsys):
     ticks = {"ticks": 100, "late": 1, "skipped": 2, "missing_feedback": 3, **ExchangeCounts()._asdict()}
-    summary = {"axis": "a", "toggle": "ff", "rows_lost": 1, "rows_dropped": 4, "files": ["x.mcap"], "ticks": ticks}
+    summary = {
+        "axis": "a", "toggle": "ff", "rows_lost": 1, "rows_dropped": 4, "files": ["x.mcap"], "ticks": ticks,
+        "warnings": [],
+    }  # fmt: skip
     print_summary(summary)
     text = capsys.readouterr().out
     assert text.splitlines() == ["100 ticks, 1 late, 2 skipped, 3 without feedback; rows lost: 5", "x.mcap"]

@@ -235,6 +235,14 @@ def test_a_rating_of_zero_and_one_in_micronewton_metres_have_a_text_of_their_own
         assert drive.port is not None
 
 
+def test_a_rating_in_rms_has_a_text_and_a_unit_of_its_own(config):
+    rms = servo_dictionary(NODE) | {(0x6075, 0): struct.pack("<I", 7071)}  # 10 A of amplitude
+    assert "rated_current_unit: mA_rms" in refusal(config, ScriptedNode(config.bus, NODE, rms))
+    counting = dataclasses.replace(config, rated_current_unit_a=1e-3 * 2**0.5)
+    with ScriptedNode(config.bus, NODE, rms), CanopenDrive(counting) as drive:
+        assert drive.port is not None
+
+
 @pytest.mark.parametrize("kind", [0x00000192, 0x00040192, 0xFFFF0192])
 def test_the_type_word_of_a_drive_is_the_vendors(config, kind):
     objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", kind)}

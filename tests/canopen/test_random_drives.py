@@ -135,7 +135,7 @@ class Guarded(ScriptedNode):
 BUS = f"loopback:{free_loopback_port()}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=DRIVES // 2, deadline=None, suppress_health_check=list(HealthCheck))
 @given(objects=dictionaries())
 def test_what_drive_info_approves_the_bring_up_does(
@@ -151,7 +151,7 @@ def test_what_drive_info_approves_the_bring_up_does(
         assert bool(told) == bool(fitness.refusals), (told, fitness.refusals)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=DRIVES // 2, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     objects=dictionaries(),

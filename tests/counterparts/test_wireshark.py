@@ -107,8 +107,8 @@ def test_every_sdo_request_has_its_response_for_the_same_object_and_none_is_refu
             assert request["canopen.sdo.main_idx"] == response["canopen.sdo.main_idx"]
             assert request["canopen.sdo.sub_idx"] == response["canopen.sdo.sub_idx"]
     aborts = [row for _, row in responses if row["canopen.sdo.abort_code"]]
-    # the first TPDO that the drive does not have ends the search for those to be switched off
-    assert [number(row["canopen.sdo.main_idx"]) for row in aborts] == [0x1804], aborts
+    # the first PDO that the drive does not have ends the search for those to be switched off
+    assert [number(row["canopen.sdo.main_idx"]) for row in aborts] == [0x1404, 0x1804], aborts
 
 
 def test_pdos_go_the_way_that_they_should(dissected):

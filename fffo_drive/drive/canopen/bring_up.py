@@ -7,6 +7,7 @@ drive is not enabled here.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -129,7 +130,7 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
     """0x6071 and 0x6077 count per mille of the rated torque: a wrong one would scale every command."""
     declared = [
         (0x6076, "rated_torque_nm", config.rated_torque_nm, "Nm", config.rated_torque_unit_nm),
-        (0x6075, "rated_current_a", config.rated_current_a, "A", 1e-3),
+        (0x6075, "rated_current_a", config.rated_current_a, "A", config.rated_current_unit_a),
     ]
     for index, key, value, unit, one in declared:
         if value is None:
@@ -147,6 +148,11 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
             raise DriveRefusedError(
                 f"node {service.node_id}: 0x6076:00 says {reported:.6g} Nm, 1000 times rated_torque_nm: {value}; "
                 "a drive that counts uNm needs rated_torque_unit: uNm"
+            )
+        if index == 0x6075 and abs(reported * math.sqrt(2.0) - value) <= RATING_TOLERANCE * value:
+            raise DriveRefusedError(
+                f"node {service.node_id}: 0x6075:00 says {reported:.6g} A, rated_current_a: {value} is that times the "
+                "root of two: a drive that counts rms needs rated_current_unit: mA_rms"
             )
         if abs(reported - value) > RATING_TOLERANCE * value:
             raise DriveRefusedError(

@@ -62,6 +62,7 @@ class CanopenDriveConfig:
     rated_torque_nm: float
     rated_current_a: float | None = None
     rated_torque_unit_nm: float = 1e-3  # of 0x6076
+    rated_current_unit_a: float = 1e-3  # of 0x6075
     inverted: bool = False  # turns the sign of velocity, position and torque together
     bitrate_hz: int = 1_000_000
     master_id: int = 127  # node id of our heartbeat

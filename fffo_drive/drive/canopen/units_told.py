@@ -16,16 +16,16 @@ PER_SECOND, PER_MINUTE = 0x03, 0x47
 MILLI = 1e-3
 
 
-def units_told(objects: DriveObjects, torque_unit_nm: float = MILLI) -> dict[str, Any]:
+def units_told(objects: DriveObjects, torque_unit_nm: float = MILLI, current_unit_a: float = MILLI) -> dict[str, Any]:
     """Keys of an axis file's drive section that the drive tells; what it leaves open is not there.
 
-    `torque_unit_nm`: of 0x6076, mNm in CiA 402.
+    `torque_unit_nm`, `current_unit_a`: of 0x6076 and 0x6075, mNm and mA in CiA 402.
     """
     found: dict[str, Any] = {}
     if torque := objects.value(0x6076):
         found["rated_torque_nm"] = torque * torque_unit_nm
     if current := objects.value(0x6075):
-        found["rated_current_a"] = current * MILLI
+        found["rated_current_a"] = current * current_unit_a
     increments = _ratio(objects, 0x608F)
     unit = objects.value(0x60A8)
     counts = units_per_turn(unit, increments) if unit else increments
