@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from .. import formats
-from ..documents import DocumentError, Record, load
+from ..documents import DocumentError, Record, load, refuse
 from ..system.service_files import sources
 from .drive_section import CanopenDriveSection
 from .eds_fitness import Fitness, section_lines
@@ -123,7 +123,12 @@ def with_profile(data: Any, axis_path: Path) -> Any:
     section = data.get("drive") if isinstance(data, Mapping) else None
     if not isinstance(section, Mapping) or not isinstance(section.get("profile"), str):
         return data
-    keys = read_profile(profile_path(axis_path, section["profile"])).keys
+    try:
+        path = profile_path(axis_path, section["profile"])
+    except DocumentError as error:  # with the line of the key
+        refuse(axis_path, [("drive.profile", str(error).partition("drive.profile: ")[2])])
+        raise
+    keys = read_profile(path).keys
     return {**data, "drive": merged(keys, section)}
 
 

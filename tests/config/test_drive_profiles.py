@@ -100,7 +100,7 @@ def test_a_profile_beside_the_axis_file_stands_before_one_that_ships(tmp_path: P
 
 
 def test_a_name_that_is_no_profile_is_told_those_that_are(tmp_path: Path) -> None:
-    with pytest.raises(DocumentError, match=r"drive.profile: 'epos' is neither a file.*maxon_epos4"):
+    with pytest.raises(DocumentError, match=r"axis.yaml:\d+: drive.profile: 'epos' is neither a file.*maxon_epos4"):
         read_axis(axis_file(tmp_path, profile="epos"))
 
 
