@@ -18,6 +18,11 @@ CHECKLIST: dict[str, dict[str, tuple[str, ...]]] = {
             "NMT commands to node 0 reach every node",
             "self-starting node: bit 2 of 0x1F80 (CiA 302-2)",
         ),
+        "Timing, on the node's own clock": (
+            "boot-up message at once, after power-on and after each reset",
+            "SDO answers at once, in every state that has SDO, and between SYNCs",
+            "TPDOs answer their SYNC at once, also under a load of SDO and other nodes' frames",
+        ),
         "Error control": (
             "heartbeat producer 0x1017 changes at run time, 0 is off",
             "heartbeat consumer 0x1016 begins with the first heartbeat",
