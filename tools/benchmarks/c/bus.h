@@ -129,7 +129,7 @@ static void decode(struct canopen_port *port, int64_t slot, int64_t tick)
             feedback->position_rev = unwrap(port->memory, raw) * port->scaling.position_rev_per_count;
             break;
         case FIELD_TORQUE:
-            feedback->current_a = raw / port->scaling.permille_per_a;
+            feedback->current_a = raw / port->scaling.feedback_units_per_a;
             break;
         case FIELD_STATUSWORD:
             feedback->statusword = raw;
@@ -208,6 +208,8 @@ static void take_frame(struct canopen_port *port, int64_t tick, bool in_time)
         port->feedback->foreign_syncs += word == SYNC;
         return;
     }
+    if (word == port->question)
+        return;
     int64_t length = port->received[LENGTH_OFFSET];
     if ((word & (EXTENDED_FLAG | REMOTE_FLAG)) || length > MAX_DATA || (slot >= 0 && length != port->pdos[slot][1]))
         port->feedback->bad_frames += 1;
@@ -253,20 +255,21 @@ static double bus_command(struct canopen_port *port, int64_t controlword, double
 {
     if (port->feedback->bus_off)
         return 0.0;
-    int64_t permille = 0;
+    int64_t target = 0;
     if (current_a == current_a) {
-        double limited = current_a * port->scaling.permille_per_a;
-        limited = limited < -32767.0 ? -32767.0 : limited > 32767.0 ? 32767.0 : limited;
-        permille = (int64_t)floor(limited + 0.5);
+        double limit = (double)((1LL << (8 * port->target_bytes - 1)) - 1);
+        double limited = current_a * port->scaling.target_units_per_a;
+        limited = limited < -limit ? -limit : limited > limit ? limit : limited;
+        target = (int64_t)floor(limited + 0.5);
     }
     uint8_t *frame = port->command_frame;
     frame[port->controlword_at] = controlword & 0xFF;
     frame[port->controlword_at + 1] = (controlword >> 8) & 0xFF;
-    frame[port->torque_at] = permille & 0xFF;
-    frame[port->torque_at + 1] = (permille >> 8) & 0xFF;
-    if (!send_frame(port, frame) || permille == 0)
+    for (int64_t i = 0; i < port->target_bytes; i++)
+        frame[port->target_at + i] = (target >> (8 * i)) & 0xFF;
+    if (!send_frame(port, frame) || target == 0)
         return 0.0;
-    return permille / port->scaling.permille_per_a;
+    return target / port->scaling.target_units_per_a;
 }
 
 static int64_t next_service_frame(struct queue_memory *queue, int64_t now_ns)
