@@ -64,8 +64,12 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Pro
             put(key, found[0], ways[found[0]].text)
             stand_ins.append(f"{key}: {found[0]}, {ways[found[0]].text}")
         elif key == "silence_reaction":
-            put(key, "none", "the drive has no object that says how it stops: try it by pulling the plug, or change it")
-            stand_ins.append(f"{key}: none. {REACTIONS['none'].text.capitalize()}: try it before you rely on it")
+            put(
+                key,
+                "none",
+                "the drive has no object that defines how it stops: test this by disconnecting the bus, or change it",
+            )
+            stand_ins.append(f"{key}: none. {REACTIONS['none'].text.capitalize()}: test it before you rely on it")
     timer = 0x1400 + rpdo - 1
     if not objects.has(timer, 5):
         put("command_timeout_ms", 0, f"the drive has no RPDO deadline (0x{timer:04X}:05)")

@@ -65,7 +65,7 @@ class Fitness(NamedTuple):
 
 
 def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) -> Fitness:
-    """What the service could do with this drive under this node-ID. `base`: the drive section of its profile."""
+    """What the service could do with this drive under this node-ID. `base`: the drive section from its profile."""
     dictionary = eds.dictionary
     objects = FileObjects(dictionary)
     proposal = propose(objects, base)
@@ -129,7 +129,7 @@ def mode_names(modes: int) -> list[str]:
 
 
 def snippet(eds: Eds, node_id: int, fitness: Fitness, profile: str | None = None) -> str:
-    """The drive section of an axis file, as far as the EDS fills it; keys of its profile need not stand in it."""
+    """The drive section of an axis file, as far as the EDS fills it; keys from its profile need not stand in it."""
     lines = [
         "drive:", "  kind: canopen", "  bus: socketcan:can0", f"  node_id: {node_id}", f"  eds: {eds.path}"
     ]  # fmt: skip
@@ -152,7 +152,7 @@ def _yaml_text(value: Any) -> str:
 def section_lines(proposal: Proposal) -> list[str]:
     """Keys and values as YAML, each with where it comes from."""
     return [
-        f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'of its profile')}"
+        f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'from its profile')}"
         for key, value in proposal.section.items()
     ]
 

@@ -17,10 +17,10 @@ from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_profile import with_profile
 from ..documents import check, parse
+from ..drive.canopen.told import ToldObjects
 from ..model.parameters import ModelFile
 from ..units import TWO_PI, rps_from_rpm
 from .drive_facts import ASSUMED, DriveFacts, Fact
-from .told import ToldObjects
 
 # what is assumed of an axis that nobody has measured yet
 ACCELERATION_RPS2 = 1000.0  # by the rated torque

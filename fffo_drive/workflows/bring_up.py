@@ -24,6 +24,7 @@ from ..drive.canopen.listening import Heard, Listening
 from ..drive.canopen.lss import LssAddress, LssLink, LssMaster
 from ..drive.canopen.scan import NodeName, Roll, Sign, ask_every_node, name_node, open_service
 from ..drive.canopen.service import Emergency, service_filters
+from ..drive.canopen.told import ToldObjects
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..system.bus import interface_bitrate_hz
@@ -44,7 +45,6 @@ from .rate_trial import (
     turnaround_of_drive_us,
 )
 from .readiness import stands_between, velocity_step
-from .told import ToldObjects
 
 FEEDBACK_GAP_FACTOR = 3  # of the longest gap that was seen, on a loopback bus
 LEAST_PATIENCE_TICKS, MOST_PATIENCE_TICKS = 200, 10_000

@@ -18,8 +18,8 @@ from ..config.drive_section import RATED_TORQUE_UNITS
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
+from ..drive.canopen.told import ToldObjects
 from ..drive.canopen.units_told import counts_increments, units_told
-from .told import ToldObjects
 
 MILLI = 1e-3
 SAME = 0.01  # ratings that agree

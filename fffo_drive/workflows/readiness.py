@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from ..drive.canopen.emergency import code_text, emergency_text, register_text
 from ..drive.canopen.service import Emergency
+from ..drive.canopen.told import ToldObjects
 from ..drive.cia402 import (
     STATE_FAULT,
     STATE_FAULT_REACTION_ACTIVE,
@@ -23,7 +24,6 @@ from ..drive.cia402 import (
     state_of,
 )
 from ..system.findings import Finding, Level, failure, ok, warning
-from .told import ToldObjects
 
 INPUT_NEGATIVE_LIMIT, INPUT_POSITIVE_LIMIT, INPUT_INTERLOCK = 1 << 0, 1 << 1, 1 << 3  # 0x60FD
 OUTPUT_BRAKE = 1 << 0  # 0x60FE:01

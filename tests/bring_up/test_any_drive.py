@@ -13,11 +13,11 @@ from told_by import Paper, u32
 from fffo_drive.cli.bring_up import exit_code, report_lines
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.drive.canopen.scan import NodeName
+from fffo_drive.drive.canopen.told import WANTED, ToldObjects
 from fffo_drive.system.findings import Level
 from fffo_drive.workflows import bring_up as workflow
 from fffo_drive.workflows.bring_up import Report, Wishes
 from fffo_drive.workflows.drive_facts import Answers
-from fffo_drive.workflows.told import WANTED, ToldObjects
 
 VENDORS = [0, 0x11, 0xFB, 0x9A, 0x26C, 0x1A3, 0x469, 0x586]
 ABORTS = [0x06020000, 0x06090011, 0x08000020, 0x06010001]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from told_by import Paper, told, u32
 
 from fffo_drive.drive.canopen.service import Emergency
+from fffo_drive.drive.canopen.told import WANTED, ToldObjects
 from fffo_drive.system.findings import Level
 from fffo_drive.workflows.readiness import stands_between, velocity_step
-from fffo_drive.workflows.told import WANTED, ToldObjects
 
 
 def word(value):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from told_by import SILENT, Paper, u32
 
+from fffo_drive.drive.canopen.told import CHANGING, MOST_SILENCES, WANTED, ToldObjects
 from fffo_drive.drive.port import BusUnavailableError
-from fffo_drive.workflows.told import CHANGING, MOST_SILENCES, WANTED, ToldObjects
 
 DENIED, WRITE_ONLY, EMPTY = 0x08000020, 0x06010001, 0x08000024
 

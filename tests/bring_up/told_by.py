@@ -7,8 +7,8 @@ import struct
 from scripted_node import servo_dictionary
 
 from fffo_drive.drive.canopen.service import SdoRefusedError
+from fffo_drive.drive.canopen.told import ToldObjects
 from fffo_drive.drive.port import BusUnavailableError
-from fffo_drive.workflows.told import ToldObjects
 
 NO_OBJECT = 0x06020000
 SILENT = object()

@@ -16,7 +16,7 @@ from ..port import DriveIdentity, DriveRefusedError
 from . import silence
 from .checked import write_checked, write_if_present
 from .config import CanopenDriveConfig
-from .needs import BusObjects, check_device_type, check_modes, mode_text, needs
+from .needs import check_device_type, check_modes, mode_text, needs
 from .object_map import MODE, MODE_DISPLAY, PdoMap, interpolation_period
 from .sdo_writes import write_phase
 from .service import (
@@ -28,6 +28,7 @@ from .service import (
     Service,
     object_name,
 )
+from .told import ToldObjects
 
 COB_ID_INVALID = 1 << 31
 READ_ONLY = 0x06010002  # abort code
@@ -120,7 +121,7 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
 
 def _check_drive(service: Service, config: CanopenDriveConfig) -> None:
     """The list of needs that `drive-info` reads a file against, here against the drive itself."""
-    objects = BusObjects(service)
+    objects = ToldObjects(service.read, most_silences=1)
     problems = [*check_device_type(objects, config), *check_modes(objects, config), *needs(objects, config)]
     if problems:
         raise DriveRefusedError(f"node {service.node_id}: {'; '.join(problems)}")

@@ -8,7 +8,7 @@ from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
 from . import silence
 from .config import CanopenDriveConfig
 from .object_map import CONTROLWORD, MODE, MODE_DISPLAY, POSITION, STATUSWORD, VELOCITY
-from .service import SdoRefusedError, Service, object_name
+from .service import object_name
 from .silence import DriveObjects
 
 DRIVE_PROFILE = 402  # low word of 0x1000; the type word is often 0 or the vendor's own
@@ -18,30 +18,6 @@ MODE_NAMES = {
     6: "homing", 7: "interpolated position", 8: "cyclic synchronous position", 9: "cyclic synchronous velocity",
     MODE_CYCLIC_SYNCHRONOUS_TORQUE: "cyclic synchronous torque",
 }  # fmt: skip
-
-
-class BusObjects:
-    """The objects of a drive that answers. Each is asked once."""
-
-    def __init__(self, service: Service) -> None:
-        self._service = service
-        self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
-
-    def _ask(self, index: int, sub: int) -> tuple[bool, int | None]:
-        if (index, sub) not in self._known:
-            try:
-                self._known[index, sub] = True, self._service.read_int(index, sub)
-            except SdoRefusedError as refusal:  # one that can only be written is there
-                self._known[index, sub] = not refusal.absent, None
-        return self._known[index, sub]
-
-    def has(self, index: int, sub: int = 0) -> bool:
-        """Raises BusUnavailableError."""
-        return self._ask(index, sub)[0]
-
-    def value(self, index: int, sub: int = 0) -> int | None:
-        """Unsigned, of whatever size. Raises BusUnavailableError."""
-        return self._ask(index, sub)[1]
 
 
 class FileObjects:

@@ -1,7 +1,7 @@
 """What a drive, or its file, says of its units: counts of a revolution, velocity, ratings, the shortest period.
 
 SI unit notation of 0x60A8 and 0x60A9: CiA 303-2 (prefix, numerator, denominator); factor group: CiA 402-2 (0x608F,
-0x6090 to 0x6092). A ratio of 1 to 1 is a placeholder: no encoder has one count.
+0x6090 to 0x6092). A ratio of 1 to 1 means that nobody set it: no encoder has one count.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _prefix(unit: int) -> int:
 
 
 def _ratio(objects: DriveObjects, index: int) -> float | None:
-    """Increments of a revolution (0x608F), or a second (0x6090); None for a placeholder."""
+    """Increments of a revolution (0x608F), or a second (0x6090); None where nobody set it."""
     above, below = objects.value(index, 1), objects.value(index, 2)
     return above / below if above and below and above > below else None
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from ..drive.canopen.service import SdoRefusedError, object_name
-from ..drive.port import BusUnavailableError
+from ..port import BusUnavailableError
+from .service import SdoRefusedError, object_name
 
 Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
 
@@ -25,10 +25,14 @@ CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # asked aga
 
 
 class ToldObjects:
-    """What a drive tells, as `DriveObjects` of the list of needs has it."""
+    """What a drive on the bus tells, as `DriveObjects` of the list of needs has it.
 
-    def __init__(self, read: Read) -> None:
+    `most_silences`: objects in a row without an answer, with which BusUnavailableError is raised.
+    """
+
+    def __init__(self, read: Read, most_silences: int = MOST_SILENCES) -> None:
         self._read: Read | None = read
+        self._most_silences = most_silences
         self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
         self._silences = 0
         self.unreadable: dict[str, str] = {}  # objects that are there, or may be, and tell nothing: the reason
@@ -91,7 +95,7 @@ class ToldObjects:
                     self.unreadable[object_name(*where)] = f"abort 0x{refusal.code:08X}"
             except BusUnavailableError:
                 self._silences += 1
-                if self._silences >= MOST_SILENCES:
+                if self._silences >= self._most_silences:
                     raise
                 self._known[where] = True, None
                 self.unreadable[object_name(*where)] = "no answer"
