@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..jit import njit
-from ..model.friction import FrictionConfig, FrictionState
+from ..model.friction import FrictionState
+from ..packing import flat_names, pack, reader
 from .feedforward import FeedforwardConfig, Reference
 from .friction_observer import (
     TOGGLE_OFF,
@@ -170,30 +171,11 @@ def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm
     return ControllerState(integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited)
 
 
-CONTROLLER_NAMES = (  # of the numbers of a packed record, in their order
-    *(f"pi.{name}" for name in PiConfig._fields),
-    *(f"observer.friction.{name}" for name in FrictionConfig._fields),
-    *(f"observer.{name}" for name in ObserverConfig._fields[1:]),
-    *(f"feedforward.{name}" for name in FeedforwardConfig._fields),
-    *ControllerConfig._fields[3:],
-)
+CONTROLLER_NAMES = flat_names(ControllerConfig)
+CONTROLLER_BLOCK_SIZE = len(CONTROLLER_NAMES)
+unpack_controller = njit(reader(ControllerConfig, "unpack_controller"))
 
 
 def pack_controller(config: ControllerConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The record as a flat array, for the block that the loop reads; `unpack_controller` is its inverse."""
-    parts = (*config.pi, *config.observer.friction, *config.observer[1:], *config.feedforward, *config[3:])
-    return np.array(parts, dtype=np.float64)
-
-
-@njit
-def unpack_controller(block: Any) -> ControllerConfig:
-    """The record from a flat array of `CONTROLLER_BLOCK_SIZE` numbers."""
-    friction = FrictionConfig(block[2], block[3], block[4], block[5], block[6], block[7], block[8], int(block[9]))
-    observer = ObserverConfig(friction, block[10], block[11], block[12])
-    feedforward = FeedforwardConfig(block[13], block[14], block[15])
-    return ControllerConfig(
-        PiConfig(block[0], block[1]), observer, feedforward, block[16], block[17], block[18], block[19]
-    )
-
-
-CONTROLLER_BLOCK_SIZE = 20
+    return pack(config)
