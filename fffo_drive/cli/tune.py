@@ -20,8 +20,8 @@ import yaml
 
 from .. import formats
 from ..config.axis import read_axis
-from ..control.stability import LinearAxis
-from ..documents import parse, read_text
+from ..control.stability import LinearAxis, linear_axis, stuck_axis
+from ..documents import DocumentError, parse, read_text
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
 from ..model.parameters import ModelFile, read_model
 from ..report.page import refuse_other_report, write_report
@@ -32,6 +32,7 @@ from ..units import text_on
 FIGURES = "figures"
 LOCUS_POINTS = 61
 STEP_S = 0.4
+ROUNDING = 1e-6  # of margins
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +63,8 @@ def execute(options: argparse.Namespace) -> int:
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
     axis = linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
-    found = design(axis, model.friction.attraction_nm_per_rev.value, wish)
+    found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
+    _refuse_unstable(found, axis, wish, model)
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     refuse_other_report(out, "tune")
@@ -108,24 +110,18 @@ def _commands(axis: Path | None, model: Path) -> list[str]:
     ]
 
 
-def linear_axis(model: ModelFile, period_s: float) -> LinearAxis:
-    """The axis at its smallest damping, with the whole delay: command to velocity, and half a period of hold."""
-    config = model.axis_config()
-    return LinearAxis(
-        config.inertia_nm_s2_per_rev,
-        config.friction.viscous_nm_per_rps,
-        model.delay_s.value + 0.5 * period_s,
-        config.torque_constant_nm_per_a,
-    )
-
-
 def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
     """The `controller:` section of an axis file."""
     return {
         "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
         "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
-        "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
+        "observer": {
+            "toggle": "ff",
+            "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
+            "learns_in": "integral",
+        },
+        "at_rest": {"gain_share": _rounded_down(found.gains.rest_share), "release_friction": True},
     }
 
 
@@ -142,6 +138,7 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
         "integral_time_s": integral_time_s,
         "margins_pi": found.margins_pi._asdict(),
         "margins_observer": found.margins_observer._asdict(),
+        "margins_rest": found.margins_rest._asdict(),
         "condition_14_nm_per_rev": found.condition_14_nm_per_rev,
         "real_poles_from_a_per_rps": found.real_poles_from_a_per_rps,
         "overshoot_percent": found.overshoot_percent,
@@ -161,6 +158,25 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
 def _rounded(value: float) -> float:
     """Four digits, rounded up in the last: the observer's gain must not fall below (14) by rounding."""
     return float(f"{value * (1.0 + 5e-5):.4g}")
+
+
+def _rounded_down(value: float) -> float:
+    """Three digits, never more than it was."""
+    return float(f"{value * (1.0 - 5e-4):.3g}") if value < 1.0 else value
+
+
+def _refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
+    """Gains below their own margins are not written. Raises DocumentError that names a crossover that holds them."""
+    margins = found.margins_observer
+    if margins.phase_deg >= wish.phase_margin_deg - ROUNDING and margins.gain >= wish.gain_margin - ROUNDING:
+        return
+    asked = f"phase margin {margins.phase_deg:.1f} deg and gain margin {margins.gain:.2f}"
+    text = f"these gains have a {asked}; wanted: {wish.phase_margin_deg:g} deg and {wish.gain_margin:g}. "
+    free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
+    if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
+        crossover_hz = free.margins_pi.crossover_hz
+        raise DocumentError(f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}{crossover_hz:.3g} Hz keeps them")
+    raise DocumentError(f"{model.name}: {text}No crossover keeps them: lower --damping-ratio's demand or the margins")
 
 
 def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:
@@ -189,7 +205,11 @@ def _lines(found: Design) -> list[str]:
     g = found.gains
     margins = [
         f"{name}: phase margin {one.phase_deg:.1f} deg, gain margin {one.gain:.2f}, crossover {one.crossover_hz:.1f} Hz"
-        for name, one in (("PI", found.margins_pi), ("with observer", found.margins_observer))
+        for name, one in (
+            ("PI", found.margins_pi),
+            ("with observer", found.margins_observer),
+            (f"at rest, {100.0 * g.rest_share:.3g} % of Kp and Ki", found.margins_rest),
+        )
     ]
     return [
         f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from .. import formats
 from ..control import envelope as env
-from ..control.controller import ControllerConfig
+from ..control.controller import ControllerConfig, RestConfig
 from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
 from ..control.pi import PiConfig
@@ -54,6 +54,7 @@ from .sections import (
     RealtimeSection,
     RecipeProfile,
     RecordingSection,
+    RestSection,
     SineProfile,
     length_problems,
 )
@@ -121,6 +122,7 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         section.observer.gain_nm_per_rev,
         section.observer.clamp_ratio * friction.static_nm,
         section.observer.feedback_band_rps,
+        section.observer.learns_in == "integral",
     )
     return ControllerConfig(
         PiConfig(section.proportional_a_per_rps, section.integral_a_per_rev),
@@ -130,7 +132,14 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         section.current_limit_a,
         axis.loop.period_s,
         error_share(section.error_filter_s, axis.loop.period_s),
+        rest_config(section.at_rest, axis.loop.period_s),
     )
+
+
+def rest_config(section: RestSection, period_s: float) -> RestConfig:
+    """What changes at rest."""
+    fade_share = error_share(section.time_s, period_s)
+    return RestConfig(section.gain_share, fade_share, fade_share if section.release_friction else 0.0)
 
 
 def error_share(time_constant_s: float, period_s: float) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..can.load import Chain, Load
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
+from ..control.stability import Margins, condition_14_nm_per_rev, linear_axis, loop_margins, stuck_axis
 from ..documents import refuse
 from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
@@ -22,17 +22,26 @@ HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 
 def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
     """Margins of the loop of this file on its model, at the smallest damping: the viscous one."""
-    config = model.axis_config()
-    linear = LinearAxis(
-        config.inertia_nm_s2_per_rev,
-        config.friction.viscous_nm_per_rps,
-        config.delay_s + 0.5 * axis.loop.period_s,  # and the hold of the command
-        config.torque_constant_nm_per_a,
-    )
     section = axis.controller
     gain = section.observer.gain_nm_per_rev if observer_on else 0.0
     return loop_margins(
-        linear, section.proportional_a_per_rps, section.integral_a_per_rev, gain, section.error_filter_s
+        linear_axis(model, axis.loop.period_s),
+        section.proportional_a_per_rps,
+        section.integral_a_per_rev,
+        gain,
+        section.error_filter_s,
+    )
+
+
+def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
+    """Margins at rest, where the contact sticks and the gains are those at rest."""
+    section = axis.controller
+    return loop_margins(
+        stuck_axis(linear_axis(model, axis.loop.period_s), model),
+        section.at_rest.gain_share * section.proportional_a_per_rps,
+        section.at_rest.gain_share * section.integral_a_per_rev,
+        0.0,
+        section.error_filter_s,
     )
 
 
@@ -40,7 +49,7 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     """What speaks against this law: condition (14) (with the observer on), phase and gain margin with the delay."""
     section = axis.controller
     problems = []
-    if observer_on:
+    if observer_on and section.observer.learns_in == "friction":
         excess = condition_14_nm_per_rev(
             section.integral_a_per_rev,
             model.torque_constant_nm_per_a,
@@ -64,6 +73,13 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
         problems.append(
             f"controller: gain margin {margins.gain:.2f} is below gain_margin {section.gain_margin:g}: lower "
             "proportional_a_per_rps"
+        )
+    at_rest = rest_margins(axis, model)
+    if at_rest.phase_deg < 0.0 or at_rest.gain < 1.0:
+        problems.append(
+            f"controller.at_rest.gain_share: {section.at_rest.gain_share:g} leaves a phase margin of "
+            f"{at_rest.phase_deg:.1f} deg at rest, where the contact is a spring on the inertia: the axis would shake "
+            "there. Lower it; `fffo-drive tune` finds one"
         )
     return problems
 

@@ -15,7 +15,7 @@ from ..control.compensation import (
     pack_compensation,
 )
 from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
+from ..control.stability import condition_14_nm_per_rev, linear_axis, loop_margins
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
 from ..model.effects.registry import is_compensable, law_of
@@ -164,18 +164,17 @@ def slope_margin(axis: AxisFile, model: ModelFile, profile: Profile, observer_on
     slope = sum(angle_slope_nm_per_rev(term, config, needed_nm) for term in compensated_terms(axis, model))
     section = axis.controller
     gain = section.observer.gain_nm_per_rev if observer_on else 0.0
-    attraction = config.friction.attraction_nm_per_rev if observer_on else 0.0
+    learning = observer_on and section.observer.learns_in == "friction"
+    attraction = config.friction.attraction_nm_per_rev if learning else 0.0
     left = condition_14_nm_per_rev(
         section.integral_a_per_rev, config.torque_constant_nm_per_a, gain - slope, attraction
     )
-    linear = LinearAxis(
-        config.inertia_nm_s2_per_rev,
-        config.friction.viscous_nm_per_rps,
-        config.delay_s + 0.5 * axis.loop.period_s,
-        config.torque_constant_nm_per_a,
-    )
     margins = loop_margins(
-        linear, section.proportional_a_per_rps, section.integral_a_per_rev, gain + slope, section.error_filter_s
+        linear_axis(model, axis.loop.period_s),
+        section.proportional_a_per_rps,
+        section.integral_a_per_rev,
+        gain + slope,
+        section.error_filter_s,
     )
     return SlopeMargin(slope, left, margins.phase_deg, margins.gain)
 

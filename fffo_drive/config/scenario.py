@@ -28,7 +28,7 @@ from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, m
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
-from .sections import FeedforwardSection, PaperProfile, ProfileSection, length_problems
+from .sections import FeedforwardSection, PaperProfile, ProfileSection, RestSection, length_problems
 from .simulated import read_simulated
 
 FRICTION_KEYS = (
@@ -58,6 +58,8 @@ class ControllerVariant(Record):
     integral_a_per_rev: Gain = None
     gain_nm_per_rev: Gain = None
     error_filter_s: Annotated[float | None, Field(ge=0, le=0.1)] = None
+    learns_in: Annotated[Literal["friction", "integral"] | None, Field(description="where L e goes")] = None
+    at_rest: RestSection | None = None
     clamp_ratio: Annotated[float | None, Field(ge=1, le=10)] = None
     feedback_band_rps: Annotated[float | None, Field(ge=0, le=10)] = None
 
@@ -166,9 +168,9 @@ def axis_of(scenario: Scenario, name: str) -> AxisFile:
     """The axis file as it would be with this controller."""
     variant = scenario.file.controllers[name]
     section = scenario.axis.controller
-    observer = _given(variant, "toggle", "gain_nm_per_rev", "clamp_ratio", "feedback_band_rps")
+    observer = _given(variant, "toggle", "gain_nm_per_rev", "learns_in", "clamp_ratio", "feedback_band_rps")
     changed = {
-        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s"),
+        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest"),
         "observer": section.observer.model_copy(update=observer),
         "feedforward": variant.feedforward,
     }

@@ -27,6 +27,10 @@ class ObserverSection(Record):
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")] = "ff"
     gain_nm_per_rev: Annotated[float, Field(ge=0, le=1e4, description="L of lambda(e) = L e")] = 5.0
+    learns_in: Annotated[
+        Literal["friction", "integral"],
+        Field(description="where L e goes: the friction estimate, as in the paper, or the integral, where it stays"),
+    ] = "friction"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
         float, Field(ge=0, le=10, description="measured velocity reverses the model only beyond this")
@@ -60,6 +64,16 @@ class EffectsSection(Record):
     ] = 1.0
 
 
+class RestSection(Record):
+    """While the reference stands at zero."""
+
+    gain_share: Annotated[float, Field(gt=0, le=1, description="of Kp and Ki: the contact is a spring there")] = 1.0
+    release_friction: Annotated[
+        bool, Field(description="let the friction estimate go: the contact unloads and the axis does not creep")
+    ] = False
+    time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
+
+
 class ControllerSection(Record):
     """PI with friction observer."""
 
@@ -70,6 +84,7 @@ class ControllerSection(Record):
         float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins count it")
     ] = 0.0
     observer: ObserverSection = ObserverSection()
+    at_rest: RestSection = RestSection()
     feedforward: FeedforwardSection = FeedforwardSection()
     effects: EffectsSection = EffectsSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0

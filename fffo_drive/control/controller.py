@@ -17,11 +17,23 @@ from .feedforward import FeedforwardConfig, Reference
 from .friction_observer import (
     TOGGLE_OFF,
     ObserverConfig,
+    observer_release,
     observer_start,
     observer_step,
     observer_velocity_rps,
 )
 from .pi import PiConfig, pi_step
+
+
+class RestConfig(NamedTuple):
+    """What changes while the reference stands at zero; all of it ends with the first tick of motion."""
+
+    gain_share: float  # of Kp and Ki at rest, where the contact is a spring on the inertia; 1: as in motion
+    fade_share: float  # of the way there that is made in a tick
+    release_share: float  # of the friction estimate that is let go in a tick; 0: it is held
+
+
+AS_IN_MOTION = RestConfig(1.0, 1.0, 0.0)
 
 
 class ControllerConfig(NamedTuple):
@@ -34,6 +46,7 @@ class ControllerConfig(NamedTuple):
     current_limit_a: float  # of the sum; the envelope has its own
     period_s: float
     error_share: float = 1.0  # of a new error that is taken in a period; 1: the error is not filtered
+    rest: RestConfig = AS_IN_MOTION
 
 
 class ControllerState(NamedTuple):
@@ -44,6 +57,7 @@ class ControllerState(NamedTuple):
     friction: FrictionState
     toggle: int  # of the last step; a change hands the estimate over
     limited: bool  # the envelope or the limit cut the last command
+    rest: float  # 0 in motion, towards 1 at rest: how far the gains have gone to those at rest
 
 
 class ControllerTerms(NamedTuple):
@@ -65,7 +79,7 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive gives no torque."""
-    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False)
+    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0)
 
 
 @njit
@@ -76,13 +90,15 @@ def _hand_over(
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
         nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
-        return ControllerState(integral_a, state.filtered_error_rps, nothing, toggle, state.limited)
+        return ControllerState(integral_a, state.filtered_error_rps, nothing, toggle, state.limited, state.rest)
     if state.toggle == TOGGLE_OFF:
         driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
         integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(integral_a, state.filtered_error_rps, friction, toggle, state.limited)
-    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited)
+        return ControllerState(integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest)
+    return ControllerState(
+        state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited, state.rest
+    )
 
 
 @njit
@@ -106,28 +122,43 @@ def controller_step(
 
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
-    While the reference stands at zero the estimate has no decay: lambda would make it a second integrator, four times
-    as strong as the PI's, and an axis with stiction would hunt. What the axis needs at rest the PI's integral finds.
+    While the reference stands at zero lambda would be a second integrator, several times as strong as the PI's, and an
+    axis with stiction would hunt. What the axis needs at rest the PI's integral finds, with the gains at rest.
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
     error_rps = reference.expected - velocity_rps
     driving_rps = filtered_error_rps(config, state.filtered_error_rps, error_rps)
 
+    at_rest = reference.value == 0.0 and reference.ahead == 0.0
+    rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
+    gain_share = 1.0 - rest * (1.0 - config.rest.gain_share)
+
     friction = state.friction
     observation_nm_per_s = 0.0
+    learned_a_per_rev = 0.0
     if toggle != TOGGLE_OFF:
-        at_rest = reference.value == 0.0 and reference.ahead == 0.0
         if not (state.limited or at_rest):
             observation_nm_per_s = config.observer.gain_nm_per_rev * driving_rps
-        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
-        friction = observer_step(config.observer, friction, driven_rps, observation_nm_per_s, config.period_s)
+        into_estimate_nm_per_s = observation_nm_per_s
+        if config.observer.learns_in_integral:
+            into_estimate_nm_per_s = 0.0
+            if not at_rest:
+                learned_a_per_rev = config.observer.gain_nm_per_rev / config.torque_constant_nm_per_a
+        if at_rest and config.rest.release_share > 0.0:
+            friction = observer_release(friction, config.rest.release_share)
+        else:
+            driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
+            friction = observer_step(config.observer, friction, driven_rps, into_estimate_nm_per_s, config.period_s)
 
     inertia_nm = config.feedforward.inertia_nm_s2_per_rev * reference.ahead_derivative
     feedforward_a = (friction.torque_nm + inertia_nm + effects_nm) / config.torque_constant_nm_per_a
     limit_a = config.current_limit_a
+    gains = PiConfig(
+        gain_share * config.pi.proportional_a_per_rps, gain_share * config.pi.integral_a_per_rev + learned_a_per_rev
+    )
     proportional_a, integral_a = pi_step(
-        config.pi, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
+        gains, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
     )
     requested_a = proportional_a + integral_a + feedforward_a
     command_a = min(max(requested_a, -limit_a), limit_a)
@@ -145,14 +176,14 @@ def controller_step(
         command_a,
         limited,
     )
-    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited)
+    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest)
 
 
 @njit
 def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, told whether the envelope cut the command as well."""
     either = state.limited or limited
-    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either)
+    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest)
 
 
 @njit
@@ -160,7 +191,7 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
     """What the proportional term loses by new gains the integrator gains, so that the command does not jump."""
     change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
     return ControllerState(
-        state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited
+        state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
     )
 
 
@@ -168,7 +199,9 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
     """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
     integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
-    return ControllerState(integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited)
+    return ControllerState(
+        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
+    )
 
 
 CONTROLLER_NAMES = flat_names(ControllerConfig)

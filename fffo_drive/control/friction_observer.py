@@ -23,6 +23,7 @@ class ObserverConfig(NamedTuple):
     gain_nm_per_rev: float  # L
     clamp_nm: float  # bound of the estimate's magnitude; a multiple of Fs
     feedback_band_rps: float  # measured velocity reverses the model only beyond this: a few counts of the sensor
+    learns_in_integral: bool = False  # lambda(e) goes to the controller's integral, where it does not decay
 
 
 @njit
@@ -45,6 +46,16 @@ def observer_step(
     stepped = friction_step(config.friction, state, velocity_rps, observation_nm_per_s, period_s)
     torque_nm = min(max(stepped.torque_nm, -config.clamp_nm), config.clamp_nm)
     return FrictionState(torque_nm, stepped.travel_rev, stepped.omega_nm, stepped.direction)
+
+
+@njit
+def observer_release(state: FrictionState, share: float) -> FrictionState:
+    """Estimate at rest after a tick in which `share` of its torque is let go.
+
+    A contact that stands carries what the motor gives it. When the torque goes, its spring unloads, and the next motion
+    begins with an unloaded contact, in either direction: that is the model at a reversal, with F as it is by then.
+    """
+    return FrictionState((1.0 - share) * state.torque_nm, 0.0, 0.0, 0.0)
 
 
 @njit

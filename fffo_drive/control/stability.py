@@ -3,9 +3,14 @@
 With lambda(e) = L e the estimate adds L / s to the controller (its worst case: the estimate's own decay helps), so the
 open loop in torque units is
 
-    G(s) = (Kp Kt + (Ki Kt + L) / s) / (J s + D) exp(-Td s)
+    G(s) = (Kp Kt + (Ki Kt + L) / s) / (J s + D + k / s) exp(-Td s)
 
-and (14) reads Ki Kt + L >= 2 B. It belongs to the loop with observer and is not a margin: L is chosen with the delay.
+with k = 0 in sliding. At rest the contact sticks: k is its stiffness, and what it takes away by hysteresis is left out,
+which is the safe side. Above the resonance the delay turns the damping of Kp into its opposite: an axis whose margin
+there is negative shakes at rest, whatever its margins in motion are. A part of the inertia may hang on a spring.
+
+(14) reads Ki Kt + L >= 2 B. It belongs to the loop whose friction estimate takes lambda(e), and is not a margin: where
+L goes to the integral the estimate is the model on a bounded reference, and there is nothing for (14) to bound.
 """
 
 from __future__ import annotations
@@ -14,10 +19,27 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from ..model.parameters import ModelFile
+
+Complexes = npt.NDArray[np.complex128]
+
+ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elasticity
 SWEEP_LOW_HZ = 1e-2
 SWEEP_HIGH_HZ = 1e4
 SWEEP_POINTS = 20_000
+
+
+class ElasticLoad(NamedTuple):
+    """A part of the inertia behind a damped spring; none of it: a rigid axis."""
+
+    share: float = 0.0  # of the inertia
+    frequency_hz: float = 0.0  # resonance of motor against load
+    damping_ratio: float = 0.0  # of it
+
+
+RIGID = ElasticLoad()
 
 
 class LinearAxis(NamedTuple):
@@ -27,6 +49,8 @@ class LinearAxis(NamedTuple):
     damping_nm_per_rps: float  # D of (17); the smallest one, sigma, is the worst case
     delay_s: float
     torque_constant_nm_per_a: float
+    contact_nm_per_rev: float = 0.0  # a contact that sticks: a spring on the inertia; 0: it slides
+    elastic: ElasticLoad = RIGID
 
 
 class Margins(NamedTuple):
@@ -45,6 +69,18 @@ def condition_14_nm_per_rev(
     return integral_a_per_rev * torque_constant_nm_per_a + observer_gain_nm_per_rev - 2.0 * attraction_nm_per_rev
 
 
+def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
+    """Torque over velocity of the motor shaft, without the delay; s and the answer (n,)."""
+    share, frequency_hz, damping_ratio = axis.elastic
+    inertia = (1.0 - share) * axis.inertia_nm_s2_per_rev * s
+    impedance = inertia + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+    if share > 0.0:
+        omega = 2.0 * math.pi * frequency_hz
+        joint = (1.0 - share) * (omega * omega / s + 2.0 * damping_ratio * omega)  # over the inertia of the load
+        impedance = impedance + share * axis.inertia_nm_s2_per_rev * joint * s / (s + joint)
+    return impedance
+
+
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
     error_filter_s: float = 0.0,
@@ -54,7 +90,7 @@ def loop_margins(
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    rational = controller / (1.0 + error_filter_s * s) / (axis.inertia_nm_s2_per_rev * s + axis.damping_nm_per_rps)
+    rational = controller / (1.0 + error_filter_s * s) / impedance_nm_per_rps(axis, s)
     magnitude = np.abs(rational)
     phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * axis.delay_s)
 
@@ -65,3 +101,27 @@ def loop_margins(
     gain_margin = min((1.0 / float(magnitude[i]) for i in beyond), default=math.inf)
     crossover_hz = float(omega[below[-1]] / (2.0 * math.pi)) if below.size else math.nan
     return Margins(phase_margin_deg, gain_margin, crossover_hz)
+
+
+def linear_axis(model: ModelFile, period_s: float) -> LinearAxis:
+    """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load where one was found.
+
+    The delay is the whole one: command to velocity, and half a period of hold.
+    """
+    config = model.axis_config()
+    elastic = [effect for effect in model.effects if effect.name == "elasticity"]
+    found = ElasticLoad(*(elastic[0].parameters[name].value for name in ELASTIC_PARAMETERS)) if elastic else RIGID
+    return LinearAxis(
+        config.inertia_nm_s2_per_rev,
+        config.friction.viscous_nm_per_rps,
+        config.delay_s + 0.5 * period_s,
+        config.torque_constant_nm_per_a,
+        elastic=found if found.share > 0.0 else RIGID,
+    )
+
+
+def stuck_axis(sliding: LinearAxis, model: ModelFile) -> LinearAxis:
+    """The same axis at rest, on a contact that was unloaded: dF/dx of (2) and (3) at F = 0 is Fc K + B."""
+    friction = model.friction_config()
+    stiffness = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
+    return sliding._replace(contact_nm_per_rev=stiffness)

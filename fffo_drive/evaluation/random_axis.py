@@ -17,6 +17,9 @@ from ..drive.simulated.surfaces import FrictionConfig, Surface
 
 SPREAD = 0.3  # of the numbers of the axis
 DELAY_S = (0.001, 0.005)
+WIDE_SPREAD = 0.5  # of the numbers, the delay and the noise of a wide axis
+ENCODER_BITS = (14, 18)  # of every other wide axis: counts, and no tracking loop that takes its time
+ENCODER_TRACKING_HZ = 2000.0  # the velocity of its drive
 STRONGEST = 1.5  # of an effect, in multiples of the registry's default
 MORE_EFFECTS = 2  # beside the one whose turn it is, at most
 FRICTION_LAWS = ("five surfaces", "2SEP", "LuGre", "Dahl", "stiff contact with high stiction")
@@ -54,8 +57,44 @@ def random_axis(nominal: PlantConfig, number: int) -> RandomAxis:
     raise ValueError(f"axis {number}: a hundred draws gave no drive; the last one: {plant.errors()[0]}")
 
 
-def _factor(rng: np.random.Generator) -> float:
-    return float(1.0 + SPREAD * rng.uniform(-1.0, 1.0))
+def wide_axis(nominal: PlantConfig, number: int) -> RandomAxis:
+    """Axis `number` with every number, the delay and the noise spread by half, on a resolver or an encoder.
+
+    Raises ValueError when no drive can be made of what is drawn.
+    """
+    rng = np.random.default_rng([number, 0xB])
+    for _ in range(100):
+        names = _effect_names(number, rng)
+        law = FRICTION_LAWS[number % len(FRICTION_LAWS)]
+        factors = [_factor(rng, WIDE_SPREAD) for _ in range(6)]
+        resolver = nominal.resolver
+        noisy = replace(
+            resolver,
+            noise_rev=resolver.noise_rev * factors[0],
+            velocity_noise_rps=resolver.velocity_noise_rps * factors[1],
+        )
+        if number % 2:
+            bits = int(rng.integers(*ENCODER_BITS, endpoint=True))
+            noisy = replace(noisy, bits=bits, noise_rev=0.0, tracking_hz=ENCODER_TRACKING_HZ)
+        plant = replace(
+            nominal,
+            seed=number + 1,
+            resolver=noisy,
+            inertia_kg_m2=nominal.inertia_kg_m2 * factors[2],
+            torque_constant_nm_per_a=nominal.torque_constant_nm_per_a * factors[3],
+            delay_s=nominal.delay_s * factors[4],
+            current_noise_a=nominal.current_noise_a * factors[5],
+            current_bandwidth_hz=5000.0 if nominal.delay_s * factors[4] < 0.0022 else nominal.current_bandwidth_hz,
+            friction=_friction(law, nominal.friction, rng, WIDE_SPREAD),
+            effects=tuple(_effect(name, rng) for name in names),
+        )
+        if not plant.errors():
+            return RandomAxis(number, plant, law, names)
+    raise ValueError(f"axis {number}: a hundred draws gave no drive; the last one: {plant.errors()[0]}")
+
+
+def _factor(rng: np.random.Generator, spread: float = SPREAD) -> float:
+    return float(1.0 + spread * rng.uniform(-1.0, 1.0))
 
 
 def _effect_names(number: int, rng: np.random.Generator) -> tuple[str, ...]:
@@ -81,8 +120,8 @@ def _fast_enough(resolver: ResolverConfig, delay_s: float) -> ResolverConfig:
     return replace(resolver, tracking_hz=2000.0 if delay_s < 0.0022 else resolver.tracking_hz)
 
 
-def _friction(law: str, nominal: FrictionConfig, rng: np.random.Generator) -> FrictionConfig:
-    level, rise, velocity, stiffness, memory, viscous = (_factor(rng) for _ in range(6))
+def _friction(law: str, nominal: FrictionConfig, rng: np.random.Generator, spread: float = SPREAD) -> FrictionConfig:
+    level, rise, velocity, stiffness, memory, viscous = (_factor(rng, spread) for _ in range(6))
     coulomb_nm, viscous_nm_per_rps = 0.025 * level, 0.003 * viscous
     if law == "2SEP":
         single = replace(nominal.single, viscous_nm_per_rps=viscous_nm_per_rps)

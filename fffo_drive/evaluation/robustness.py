@@ -18,15 +18,15 @@ from .campaign import Candidate, Case, simulate
 from .metrics import Floats, Rows
 
 RAMP_S = 0.02
-PLATEAU_S = 1.2
+PLATEAU_S = 4.0
 SPEEDS_RPS = (0.3, 1.0, 5.0, 8.0, -5.0, -1.0, -0.3)
-REST_S = 3.0  # standstill at the end
+REST_S = 6.0  # standstill at the end
 HUNTING_S = 1.0  # the last of it: nothing should move any more
 KICK_RPS = 0.5
 KICK_S = 0.02  # half of it up, half of it down
 KICK_AFTER_S = 0.55  # the plateau has settled
-KICK_AT_REST_S = 1.5  # after the last step, so that what is left of it falls into HUNTING_S
-FORGOTTEN_S = (0.5, 0.62)  # after the kick: what is left of it
+KICK_AT_REST_S = 2.2  # after the last step, so that what is left of it falls into HUNTING_S
+FORGOTTEN_S = (3.0, 3.12)  # after the kick: what is left of it; a slow integral forgets in a second
 
 HUNTING_RPS = 0.02  # rms of the shaft's velocity at standstill, and of what is left there of a kick
 REMAINING_SHARE = 0.3  # of the kick's own difference in motion
@@ -46,7 +46,7 @@ class Probe(NamedTuple):
     verdict: str
     trip: int
     hunting_rps: float  # rms at standstill
-    remaining: float  # largest share of a kick that is left after half a second
+    remaining: float  # largest share of a kick that is left after `FORGOTTEN_S`
     overshoot: float  # largest excursion beyond a level after its step, as a share of the step
     beyond_rest_rps: float  # how fast the axis turns back after its stop at the end
     limited_share: float
@@ -114,7 +114,7 @@ def _velocities(rows: Rows, profile: Profile) -> Floats:
 
 
 def _left_of_kicks(difference_rps: Floats, period_s: float) -> list[tuple[float, float]]:
-    """What is left of each kick half a second later: as a share of it (0 below REMAINING_RPS), and in rps."""
+    """What is left of each kick after `FORGOTTEN_S`: as a share of it (0 below REMAINING_RPS), and in rps."""
     found = []
     for start in kick_samples(period_s):
         made_rps = _rms(difference_rps[start : start + round(0.06 / period_s)])

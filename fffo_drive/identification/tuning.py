@@ -3,6 +3,11 @@
 The plant is 1/(J p + D) with the end-to-end delay. Friction changes D by orders of magnitude with amplitude, so a
 design is judged over a range of D: the closed loop's poles, its margins, the overshoot of a step with zero and delay.
 Gains act on current: proportional A/rps, integral A/rev, observer Nm/rev.
+
+The margins come first. Where the observer gain that (14) asks for breaks them, L gives way: (14) is sufficient for an
+estimate without delay, while a loop without phase margin shakes. With L below (14) what is learned has to go to the
+integral, where (14) does not apply. At rest the contact sticks and the axis is another plant: Kp and Ki are scaled
+until the margin on that spring holds too.
 """
 
 from __future__ import annotations
@@ -18,12 +23,15 @@ from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, lo
 Floats = npt.NDArray[np.float64]
 
 DAMPING_RATIO = 2.0  # of the wanted closed loop: real poles with room for friction; the paper's own loop has 1.96
+REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to it (results/chain.md)
+REST_SHARES = np.geomspace(1.0, 0.02, 41)  # of Kp and Ki at rest, tried from the largest on
 FRICTION_SPAN = 100.0  # the range over which friction damping is to be allowed to vary
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
 DELAY_SHARE_DEG = 26.0  # phase that the delay takes at the crossover: the paper's loop, 24 Hz at 3 ms
 SHORTEST_DELAY_S = 1e-4
-BANDWIDTHS = 25
+BANDWIDTHS = 61
+SLOWEST_SHARE = 0.03  # of the fastest crossover: slower than that is no velocity loop
 OBSERVER_STEPS = 25
 STEP_POINTS = 4000
 
@@ -43,6 +51,12 @@ class Gains(NamedTuple):
     proportional_a_per_rps: float
     integral_a_per_rev: float
     observer_nm_per_rev: float
+    rest_share: float = 1.0  # of Kp and Ki while the reference stands at zero
+
+    @property
+    def in_motion(self) -> tuple[float, float, float]:
+        """Kp, Ki and L, as `loop_margins` takes them."""
+        return self.proportional_a_per_rps, self.integral_a_per_rev, self.observer_nm_per_rev
 
 
 class LocusPoint(NamedTuple):
@@ -70,6 +84,7 @@ class Design(NamedTuple):
     gains: Gains
     margins_pi: Margins
     margins_observer: Margins
+    margins_rest: Margins  # on the contact's spring, with the gains at rest
     condition_14_nm_per_rev: float  # not negative where it holds
     real_poles_from_a_per_rps: float
     overshoot_percent: float  # of a step of the reference, PI alone, with zero and delay
@@ -101,23 +116,28 @@ def root_locus(axis: LinearAxis, integral_time_s: float, gains: Floats) -> list[
 
 
 def pi_gains(axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish) -> tuple[float, float]:
-    """Kp, Ki: for a wanted crossover, or the fastest whose margins hold with the observer that (14) asks for.
+    """Kp, Ki: for a wanted crossover, or the fastest whose margins hold.
 
-    The crossover of a fast loop is Kp Kt / (2 pi J); Ki follows from the damping ratio of the two poles. Where no
-    crossover has the wanted margins, the one with the largest phase margin is taken, and the design warns.
+    With the observer that (14) asks for if there is such a crossover, else without. The crossover of a fast loop is
+    Kp Kt / (2 pi J); Ki follows from the damping ratio of the two poles.
     """
     if wish.bandwidth_hz is not None:
         return _gains_at(axis, wish.bandwidth_hz, wish.damping_ratio)
     fastest_hz = DELAY_SHARE_DEG / 360.0 / max(axis.delay_s, SHORTEST_DELAY_S)
-    best = (-math.inf, 0.0, 0.0)
-    for bandwidth_hz in fastest_hz * np.geomspace(1.0, 0.3, BANDWIDTHS):
-        proportional, integral = _gains_at(axis, float(bandwidth_hz), wish.damping_ratio)
-        observer = least_observer_gain(axis, integral, attraction_nm_per_rev)
-        margins = loop_margins(axis, proportional, integral, observer)
-        if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
-            return proportional, integral
-        best = max(best, (margins.phase_deg, proportional, integral))
-    return best[1], best[2]
+    crossovers_hz = fastest_hz * np.geomspace(1.0, SLOWEST_SHARE, BANDWIDTHS)
+    found = [_gains_at(axis, float(bandwidth_hz), wish.damping_ratio) for bandwidth_hz in crossovers_hz]
+    with_observer = (
+        gains
+        for gains in found[: BANDWIDTHS // 3 + 1]  # slower ones are not worth what (14) asks for
+        if _holds(axis, *gains, least_observer_gain(axis, gains[1], attraction_nm_per_rev), wish)
+    )
+    without = (gains for gains in found if _holds(axis, *gains, 0.0, wish))
+    return next(with_observer, None) or next(without, found[-1])
+
+
+def _holds(axis: LinearAxis, proportional: float, integral: float, observer: float, wish: Wish) -> bool:
+    margins = loop_margins(axis, proportional, integral, observer)
+    return margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin
 
 
 def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tuple[float, float]:
@@ -136,14 +156,20 @@ def least_observer_gain(axis: LinearAxis, integral: float, attraction_nm_per_rev
 def observer_gain(
     axis: LinearAxis, proportional: float, integral: float, attraction_nm_per_rev: float, wish: Wish
 ) -> float:
-    """L (Nm/rev): the largest with the wanted margins, up to half as much again as (14) asks for, never below (14)."""
+    """L (Nm/rev): the largest with the wanted margins, up to half as much again as (14) asks for; 0 where none has."""
     least = least_observer_gain(axis, integral, attraction_nm_per_rev)
-    best = least
-    for gain in np.linspace(least, max(1.5 * least, 0.5 * attraction_nm_per_rev), OBSERVER_STEPS):
-        margins = loop_margins(axis, proportional, integral, float(gain))
-        if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
-            best = float(gain)
-    return best
+    most = max(1.5 * least, 0.5 * attraction_nm_per_rev)
+    tried = (float(gain) for gain in np.linspace(most, 0.0, OBSERVER_STEPS))
+    return next((gain for gain in tried if _holds(axis, proportional, integral, gain, wish)), 0.0)
+
+
+def rest_share(stuck: LinearAxis, proportional: float, integral: float) -> float:
+    """The largest share of Kp and Ki with `REST_MARGIN_DEG` on the stuck axis; the smallest where none has it."""
+    for share in REST_SHARES:
+        margins = loop_margins(stuck, share * proportional, share * integral, 0.0)
+        if margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0:
+            return float(share)
+    return float(REST_SHARES[-1])
 
 
 def step_response(
@@ -167,18 +193,27 @@ def step_response(
     return velocity
 
 
-def design(axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None) -> Design:
-    """Choose gains for an axis. `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins."""
+def design(
+    axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None, stuck: LinearAxis | None = None
+) -> Design:
+    """Choose gains for an axis, and for the same axis at rest (`stuck`; None: it is not looked at).
+
+    `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins.
+    """
     wish = wish or Wish()
     proportional, integral = pi_gains(axis, attraction_nm_per_rev, wish)
-    gains = Gains(proportional, integral, observer_gain(axis, proportional, integral, attraction_nm_per_rev, wish))
-    return judge(axis, attraction_nm_per_rev, gains, wish)
+    observer = observer_gain(axis, proportional, integral, attraction_nm_per_rev, wish)
+    share = rest_share(stuck, proportional, integral) if stuck is not None else 1.0
+    return judge(axis, attraction_nm_per_rev, Gains(proportional, integral, observer, share), wish, stuck)
 
 
-def judge(axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wish | None = None) -> Design:
+def judge(
+    axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wish | None = None,
+    stuck: LinearAxis | None = None,
+) -> Design:  # fmt: skip
     """Everything about given gains on an axis."""
     wish = wish or Wish()
-    proportional, integral, observer = gains
+    proportional, integral, observer, share = gains
     integral_time_s = proportional / integral if integral > 0.0 else math.inf
     duration_s = max(8.0 * integral_time_s, 0.5) if math.isfinite(integral_time_s) else 1.0
     response = step_response(axis, proportional, integral, duration_s)
@@ -193,6 +228,7 @@ def judge(axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wi
         gains,
         loop_margins(axis, proportional, integral, 0.0),
         margins_observer,
+        loop_margins(stuck or axis, share * proportional, share * integral, 0.0),
         excess,
         bound,
         100.0 * max(0.0, float(response.max()) - 1.0),
@@ -222,7 +258,7 @@ def margin_range(axis: LinearAxis, gains: Gains, wish: Wish) -> DampingRange:
     held = []
     for factor in factors:
         varied = axis._replace(damping_nm_per_rps=float(factor) * axis.damping_nm_per_rps)
-        margins = loop_margins(varied, *gains)
+        margins = loop_margins(varied, *gains.in_motion)
         held.append(margins.phase_deg >= wish.phase_margin_deg - 1e-9 and margins.gain >= wish.gain_margin - 1e-9)
     middle = int(np.argmin(np.abs(np.log(factors))))
     if not held[middle]:
@@ -239,13 +275,19 @@ def _warnings(found: Design, wish: Wish) -> list[str]:
     texts = []
     if found.condition_14_nm_per_rev < -1e-9:
         texts.append(
-            f"condition (14) is broken by {-found.condition_14_nm_per_rev:.3g} Nm/rev: raise the observer's gain"
+            f"the margins leave {-found.condition_14_nm_per_rev:.3g} Nm/rev less of L than condition (14) asks of an "
+            "estimate that learns: L goes to the integral (learns_in: integral), where (14) does not apply"
         )
     for name, margins in (("PI alone", found.margins_pi), ("with observer", found.margins_observer)):
         if margins.phase_deg < wish.phase_margin_deg:
             texts.append(f"{name}: phase margin {margins.phase_deg:.1f} deg is below {wish.phase_margin_deg:g}")
         if margins.gain < wish.gain_margin:
             texts.append(f"{name}: gain margin {margins.gain:.2f} is below {wish.gain_margin:g}")
+    if found.margins_rest.phase_deg < REST_MARGIN_DEG:
+        texts.append(
+            f"at rest: phase margin {found.margins_rest.phase_deg:.1f} deg on the contact's spring is below "
+            f"{REST_MARGIN_DEG:g} with the least gains that are tried: less delay is what helps"
+        )
     if found.without_overshoot.ratio < FRICTION_SPAN:
         texts.append(
             f"friction damping may vary only {found.without_overshoot.ratio:.3g}:1 with real poles, "

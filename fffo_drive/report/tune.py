@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..control.stability import LinearAxis, Margins, loop_margins
-from ..identification.tuning import DampingRange
+from ..identification.tuning import DampingRange, Design
 from ..model.parameters import ModelFile, Quantity
 from ..units import TWO_PI, inertia_nm_s2_per_rev
 from . import tune_figures as draw
@@ -84,15 +84,15 @@ def _verdict(tuning: Tuning) -> Verdict:
         "with delay and observer."
     )
     unstable = margins.phase_deg <= 0.0 or margins.gain <= 1.0
-    broken = unstable or design.condition_14_nm_per_rev < -1e-9
-    standing: Standing = "bad" if broken else "caution" if design.warnings else "good"
+    standing: Standing = "bad" if unstable else "caution" if design.warnings else "good"
     bound = design.real_poles_from_a_per_rps
     share = f", {significant(gains.proportional_a_per_rps / bound, 2)} times the bound" if bound > 0.0 else ""
     reasons = [
-        f"Condition (14) holds with {significant(design.condition_14_nm_per_rev)} Nm/rev to spare; "
-        f"poles are real from Kp {significant(bound)} A/rps{share}."
-        if not broken
-        else "The loop with these gains must not be run.",
+        "The loop with these gains must not be run."
+        if unstable
+        else f"Poles are real from Kp {significant(bound)} A/rps{share}. {_condition_14(design)}",
+        f"At rest, where the contact is a spring, {significant(100.0 * gains.rest_share, 3)} % of Kp and Ki have a "
+        f"phase margin of {significant(design.margins_rest.phase_deg, 2)}°.",
         f"A step goes {significant(design.overshoot_percent, 2)} % over and is within 2 % after "
         f"{significant(1e3 * design.settled_s, 2)} ms.",
         f"Friction's damping may vary {_ratio(design.without_overshoot)} with real poles, "
@@ -100,6 +100,16 @@ def _verdict(tuning: Tuning) -> Verdict:
     ]
     cautions = [f"{text[0].upper()}{text[1:]}." for text in design.warnings]
     return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
+
+
+def _condition_14(design: Design) -> str:
+    excess = design.condition_14_nm_per_rev
+    if excess >= -1e-9:
+        return f"Condition (14) holds with {significant(excess)} Nm/rev to spare."
+    return (
+        f"The margins leave {significant(-excess)} Nm/rev less of L than condition (14) asks for; L goes to the "
+        "integral, where (14) does not apply."
+    )
 
 
 def _ratio(damping: DampingRange) -> str:
@@ -115,6 +125,7 @@ def _gains(tuning: Tuning) -> Table:
         Row(label="Ki", unit="A/rev", cells=[number(g.integral_a_per_rev, 4), _text("integral gain")]),
         Row(label="Ti", unit="s", cells=[number(tuning.integral_time_s, 4), _text("integral time, Kp / Ki")]),
         Row(label="L", unit="Nm/rev", cells=[number(g.observer_nm_per_rev, 4), _text("gain of the friction observer")]),
+        Row(label="at rest", unit="-", cells=[number(g.rest_share, 3), _text("share of Kp and Ki at standstill")]),
     ]
     return Table(
         name="gains", title="Gains", corner="gain", rows=rows,
@@ -130,10 +141,14 @@ def _text(text: str) -> Cell:
 def _margins(source: TuneSource, tuning: Tuning) -> Table:
     axis, gains, wish = tuning.axis, tuning.gains, tuning.wish
     design = tuning.design
-    rows = [_margin_row("PI", design.margins_pi), _margin_row("PI and observer", design.margins_observer)]
+    rows = [
+        _margin_row("PI", design.margins_pi),
+        _margin_row("PI and observer", design.margins_observer),
+        _margin_row("at rest, on the contact's spring", design.margins_rest),
+    ]
     corners = _corners(source, axis)
     if corners:
-        found = [loop_margins(corner, *gains) for corner in corners]
+        found = [loop_margins(corner, *gains.in_motion) for corner in corners]
         worst = Margins(
             min(m.phase_deg for m in found), min(m.gain for m in found), min(found, key=lambda m: m.gain).crossover_hz
         )

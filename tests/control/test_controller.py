@@ -9,6 +9,7 @@ import pytest
 
 from fffo_drive.control.controller import (
     ControllerConfig,
+    RestConfig,
     controller_at_rest,
     controller_step,
     pack_controller,
@@ -165,3 +166,54 @@ def test_a_feed_forward_that_goes_at_once_is_handed_to_the_integrator():
     after, _ = controller_step(CONFIG, with_torque_lost(CONFIG, state, 0.02), TOGGLE_FEEDFORWARD, steady, 1.9, 0.0)
     assert abs(after.command_a - before.command_a) < 1e-12
     assert before.effects_nm == 0.02
+
+
+def test_what_is_learned_in_the_integral_is_a_pi_with_l_over_kt_more_and_the_friction_is_the_model():
+    n = 300
+    beside = CONFIG._replace(observer=CONFIG.observer._replace(learns_in_integral=True))
+    stronger = CONFIG._replace(
+        pi=CONFIG.pi._replace(integral_a_per_rev=9.75 + 5.0 / KT),
+        observer=CONFIG.observer._replace(gain_nm_per_rev=0.0),
+    )
+    velocities = 2.0 + 0.1 * np.sin(0.05 * np.arange(n))
+    one, other = (run(c, [TOGGLE_FEEDFORWARD] * n, [2.0] * n, velocities)[0] for c in (beside, stronger))
+    np.testing.assert_allclose([t.command_a for t in one], [t.command_a for t in other], rtol=1e-12)
+    assert [t.friction_nm for t in one] == [t.friction_nm for t in other]
+    assert max(abs(t.observation_nm_per_s) for t in one) > 0.0  # the row still says what was learned
+
+
+def test_at_rest_the_estimate_is_released_with_its_time_constant_and_the_next_start_is_of_an_unloaded_contact():
+    share = 1.0 - np.exp(-PERIOD_S / 0.1)
+    config = CONFIG._replace(rest=RestConfig(1.0, share, share))
+    _, moving = run(config, [TOGGLE_FEEDFORWARD] * 400, [1.0] * 400, [1.0] * 400)
+    terms, rested = run(config, [TOGGLE_FEEDFORWARD] * 200, [0.0] * 200, [0.0] * 200, moving)
+    assert terms[-1].friction_nm == pytest.approx(moving.friction.torque_nm * np.exp(-1.0), rel=1e-9)
+    assert rested.friction[1:] == (0.0, 0.0, 0.0)
+    long = rested._replace(friction=rested.friction._replace(torque_nm=0.0), integral_a=0.0)
+    starts = [run(config, [TOGGLE_FEEDFORWARD] * 40, [w] * 40, [w] * 40, long)[0] for w in (0.5, -0.5)]
+    np.testing.assert_array_equal([t.friction_nm for t in starts[0]], [-t.friction_nm for t in starts[1]])
+
+
+def test_gains_fade_at_rest_and_are_whole_in_the_first_tick_of_motion():
+    share = 1.0 - np.exp(-PERIOD_S / 0.1)
+    config = CONFIG._replace(rest=RestConfig(0.4, share, 0.0))
+    n = 200
+    terms, state = run(config, [TOGGLE_OFF] * n, [0.0] * n, [0.01] * n)
+    faded = 1.0 - 0.6 * (1.0 - np.exp(-PERIOD_S * np.arange(1, n + 1) / 0.1))
+    np.testing.assert_allclose([t.proportional_a for t in terms], -0.01 * 0.975 * faded, rtol=1e-9)
+    np.testing.assert_allclose(np.diff([t.integral_a for t in terms]), -0.01 * 9.75 * PERIOD_S * faded[1:], rtol=1e-9)
+    moving, state = run(config, [TOGGLE_OFF], [0.5], [0.01], state)
+    assert moving[0].proportional_a == 0.975 * 0.49
+    assert state.rest == 0.0
+
+
+def test_a_single_tick_at_zero_is_no_rest():
+    """A reference that crosses zero may hit it: the estimate goes on where it was."""
+    share = 1.0 - np.exp(-PERIOD_S / 0.1)
+    config = CONFIG._replace(rest=RestConfig(0.4, share, share))
+    references = np.full(401, 1.0)
+    whole, _ = run(config, [TOGGLE_FEEDFORWARD] * 401, references, references)
+    references[200] = 0.0
+    with_zero, _ = run(config, [TOGGLE_FEEDFORWARD] * 401, references, references)
+    lost = abs(with_zero[-1].friction_nm - whole[-1].friction_nm)
+    assert lost < share * abs(whole[200].friction_nm)

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
-from fffo_drive.control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
+from fffo_drive.control.stability import (
+    ElasticLoad,
+    LinearAxis,
+    condition_14_nm_per_rev,
+    impedance_nm_per_rps,
+    loop_margins,
+)
 
 KT = 0.148
 DAMPING = KT / 26.17
@@ -31,6 +38,29 @@ def test_the_paper_loop_with_its_delay(gain_nm_per_rev, phase_deg, gain_margin):
     assert margins.phase_deg == pytest.approx(phase_deg, abs=0.6)
     assert margins.gain == pytest.approx(gain_margin, abs=0.06)
     assert margins.crossover_hz == pytest.approx(24.0, rel=0.15)
+
+
+def test_a_stuck_contact_is_a_spring_and_its_margin_is_known():
+    # G = (Kp Kt + Ki Kt / s) / (J s + k / s) exp(-Td s): 90 deg - w Td - atan(Ki / (Kp w)) at the upper crossing
+    inertia, contact, delay_s, kt, kp, ki = 1e-3, 22.0, 0.0025, 0.1, 1.4, 14.0
+    axis = LinearAxis(inertia, 0.0, delay_s, kt, contact)
+    margins = loop_margins(axis, kp, ki, 0.0)
+    omega = 2.0 * math.pi * margins.crossover_hz
+    assert abs(inertia * omega - contact / omega) == pytest.approx(kt * math.hypot(kp, ki / omega), rel=1e-3)
+    assert omega > math.sqrt(contact / inertia)
+    expected_deg = 90.0 - math.degrees(omega * delay_s) - math.degrees(math.atan(ki / (kp * omega)))
+    assert margins.phase_deg == pytest.approx(expected_deg, abs=0.1)
+
+
+def test_an_elastic_load_is_the_whole_inertia_below_and_the_motors_above_its_resonance():
+    axis = LinearAxis(1e-3, 0.0, 0.0, 0.1, elastic=ElasticLoad(0.4, 50.0, 0.0))
+    slow, fast = np.array([1j]) * 2 * math.pi * 0.5, np.array([1j]) * 2 * math.pi * 5000.0
+    assert abs(impedance_nm_per_rps(axis, slow)[0] / (1e-3 * slow[0])) == pytest.approx(1.0, rel=1e-3)
+    assert abs(impedance_nm_per_rps(axis, fast)[0] / (0.6e-3 * fast[0])) == pytest.approx(1.0, rel=1e-3)
+    # motor against load: the motor moves without torque; the load alone on its spring: the motor cannot be moved
+    resonance, antiresonance = (np.array([2j * math.pi * f]) for f in (50.0, 50.0 * math.sqrt(0.6)))
+    assert abs(impedance_nm_per_rps(axis, resonance)[0]) < 1e-9
+    assert abs(impedance_nm_per_rps(axis, antiresonance * (1 + 1e-9))[0]) > 1e3
 
 
 def test_condition_14_fails_for_pi_alone_and_holds_from_l_of_3_2():

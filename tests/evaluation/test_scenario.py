@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,13 @@ from fffo_drive.config.scenario import (
     select_controllers,
     wrong_model,
 )
+from fffo_drive.control.controller import AS_IN_MOTION
+from fffo_drive.control.reference import MODE_VELOCITY, piecewise_linear
 from fffo_drive.documents import DocumentError
+from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.evaluation.campaign import run_campaign, run_case, simulate
-from fffo_drive.evaluation.random_axis import random_axis
+from fffo_drive.evaluation.passivity import comes_to_rest
+from fffo_drive.evaluation.random_axis import random_axis, wide_axis
 from fffo_drive.evaluation.robustness import HUNTING, STABLE, probe
 from fffo_drive.evaluation.summary import summarise
 
@@ -168,10 +173,9 @@ def test_recordings_are_evaluated_by_controller(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_plus_reaches_its_targets_on_the_papers_scenario():
-    """Three of its ten seeds: the whole is in tools/benchmarks/results/evaluation.md."""
+    """All ten seeds of the file: the same figures stand in tools/benchmarks/results/evaluation.md."""
     scenario = read_scenario(SCENARIOS / "paper_wrong_friction.yaml")
     scenario = select_controllers(scenario, ["pi+fffo", "pi+fffo+"])
-    scenario = scenario._replace(file=scenario.file.model_copy(update={"seeds": 3}))
     figures = summarise(run_campaign(cases_of(scenario), workers=1), "pi+fffo").figures
     for name, most in (("true.ise", 5.0), ("true.mae", 20.0), ("measured.ise", 20.0), ("measured.mae", 50.0)):
         assert figures[name].percent["pi+fffo+"].value < most, name
@@ -187,6 +191,58 @@ def test_random_axes_are_the_same_ones_every_time_and_all_effects_come_up():
 
     assert {name for axis in axes for name in axis.effects} == set(EFFECTS)
     assert all(0.001 <= axis.plant.delay_s <= 0.005 for axis in axes)
+
+
+@pytest.mark.slow
+def test_wide_axes_are_the_same_ones_every_time_on_resolvers_and_encoders():
+    nominal = read_scenario(SCENARIOS / "paper.yaml").plant
+    axes = [wide_axis(nominal, number) for number in range(20)]
+    assert [wide_axis(nominal, number).plant for number in range(20)] == [axis.plant for axis in axes]
+    assert {axis.plant.resolver.bits for axis in axes[::2]} == {nominal.resolver.bits}
+    assert {axis.plant.resolver.tracking_hz for axis in axes[1::2]} == {2000.0}
+    ratios = np.array([axis.plant.inertia_kg_m2 / nominal.inertia_kg_m2 for axis in axes])
+    assert 0.5 <= ratios.min() < 0.75
+    assert 1.25 < ratios.max() <= 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "passive"), [(None, True), ("periodic_disturbance", True), ("odd_direction_angle", False)]
+)
+def test_an_axis_that_gives_energy_is_told_from_one_that_is_disturbed(effect, passive):
+    from dataclasses import replace
+
+    nominal = read_scenario(SCENARIOS / "paper.yaml").plant
+    effects = () if effect is None else (EffectConfig(effect),)
+    assert comes_to_rest(replace(nominal, effects=effects)) == passive
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_plus_does_not_creep_at_rest_and_starts_no_worse_than_the_observer_that_holds_its_estimate(direction):
+    """One second of motion, ten of rest, a start the same way or the other; sums over three models, 10 % wrong."""
+    scenario = read_scenario(SCENARIOS / "paper_wrong_friction.yaml")
+    times_s = np.array([0.0, 0.2, 0.3, 1.5, 1.6, 11.6, 11.7, 12.5])
+    levels = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.5 * direction, 0.5 * direction])
+    creep_counts, start = Counter(), Counter()
+    for seed in range(3):
+        whole = case_of(scenario, seed)
+        period_s = whole.session.loop.period_ns * 1e-9
+        profile = piecewise_linear("stop and start", MODE_VELOCITY, period_s, times_s, levels)
+        plus = next(c for c in whole.candidates if c.name == "pi+fffo+")
+        observer = plus.controller.observer._replace(learns_in_integral=False)
+        held = plus._replace(controller=plus.controller._replace(rest=AS_IN_MOTION, observer=observer))
+        for name, candidate in (("released", plus), ("held", held)):
+            rows, trip = simulate(whole._replace(profile=profile), candidate)
+            assert trip == 0
+            rows = rows[rows["profile_sample"] >= 0]
+            velocity_rps = rows["true_velocity_rps"]
+            at = [round(time_s / period_s) for time_s in (6.3, 11.3, 11.6, 11.9)]
+            creep_counts[name] += abs(np.sum(velocity_rps[at[0] : at[1]])) * period_s * 2**15
+            start[name] += np.sum((profile.values[at[2] : at[3]] - velocity_rps[at[2] : at[3]]) ** 2) * period_s
+    assert creep_counts["released"] < 3 * 5.0
+    assert creep_counts["held"] > 3 * 50.0
+    assert start["released"] < start["held"]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import shutil
 import struct
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -72,6 +72,12 @@ class Declarations:
             return
         fields = "".join(self._field(field, item) for field, item in zip(value._fields, value, strict=True))
         self._parts[name] = f"struct {name} {{\n{fields}}};\n"
+
+    def unpacking(self, name: str, value: Any, names: Sequence[str]) -> None:
+        """A function that fills a record from its packed numbers, `names` in their order (fffo_drive.packing)."""
+        lines = [f"    c->{field} = block[{place}];\n" for place, field in enumerate(names)]
+        head = f"static inline void {name}(const double *block, struct {_struct_name(value)} *c)\n"
+        self._parts[name] = f"{head}{{\n{''.join(lines)}}}\n"
 
     def _field(self, name: str, value: Any) -> str:
         if isinstance(value, (bool, int, np.integer)):

@@ -26,7 +26,7 @@ from numba import typeof
 from fffo_drive.can import frame
 from fffo_drive.cli.drives import Plan, make_plan, plan_session
 from fffo_drive.control import envelope, friction_observer, reference
-from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, ControllerState
+from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
 from fffo_drive.drive import cia402
 from fffo_drive.drive.canopen import object_map, port_memory, service_queue
@@ -146,6 +146,7 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
         ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, Law,
     ):  # fmt: skip
         made.record(zeros(kind))
+    made.unpacking("unpack_controller", zeros(ControllerConfig), CONTROLLER_NAMES)
     return made.text
 
 

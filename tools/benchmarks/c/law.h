@@ -25,6 +25,12 @@ static void clamp_estimate(const struct observer_config *c, struct friction_stat
     state->torque_nm = smaller(larger(state->torque_nm, -c->clamp_nm), c->clamp_nm);
 }
 
+/* At rest the contact unloads: the next motion begins with it, in either direction. */
+static void release_estimate(struct friction_state *state, double share)
+{
+    *state = (struct friction_state){(1.0 - share) * state->torque_nm, 0.0, 0.0, 0.0};
+}
+
 static void hand_over(const struct controller_config *c, struct controller_state *state, int64_t toggle,
                       const struct reference *reference, double velocity_rps)
 {
@@ -50,20 +56,34 @@ static void controller_step(const struct controller_config *c, struct controller
     if (c->error_share < 1.0)
         driving_rps = state->filtered_error_rps + c->error_share * (error_rps - state->filtered_error_rps);
     state->filtered_error_rps = driving_rps;
-    double observation_nm_per_s = 0.0;
+    bool at_rest = reference->value == 0.0 && reference->ahead == 0.0;
+    state->rest = at_rest ? state->rest + c->rest.fade_share * (1.0 - state->rest) : 0.0;
+    double gain_share = 1.0 - state->rest * (1.0 - c->rest.gain_share);
+    double observation_nm_per_s = 0.0, learned_a_per_rev = 0.0;
     if (toggle != TOGGLE_OFF) {
-        int at_rest = reference->value == 0.0 && reference->ahead == 0.0;
         if (!(state->limited || at_rest))
             observation_nm_per_s = c->observer.gain_nm_per_rev * driving_rps;
-        double driven_rps = observer_velocity_rps(&c->observer, &state->friction, toggle, reference->ahead, velocity_rps);
-        friction_step(&c->observer.friction, &state->friction, driven_rps, observation_nm_per_s, c->period_s);
-        clamp_estimate(&c->observer, &state->friction);
+        double into_estimate_nm_per_s = observation_nm_per_s;
+        if (c->observer.learns_in_integral) {
+            into_estimate_nm_per_s = 0.0;
+            if (!at_rest)
+                learned_a_per_rev = c->observer.gain_nm_per_rev / c->torque_constant_nm_per_a;
+        }
+        if (at_rest && c->rest.release_share > 0.0) {
+            release_estimate(&state->friction, c->rest.release_share);
+        } else {
+            double driven_rps =
+                observer_velocity_rps(&c->observer, &state->friction, toggle, reference->ahead, velocity_rps);
+            friction_step(&c->observer.friction, &state->friction, driven_rps, into_estimate_nm_per_s, c->period_s);
+            clamp_estimate(&c->observer, &state->friction);
+        }
     }
     double inertia_nm = c->feedforward.inertia_nm_s2_per_rev * reference->ahead_derivative;
     double feedforward_a = (state->friction.torque_nm + inertia_nm + 0.0) / c->torque_constant_nm_per_a;
     double limit_a = c->current_limit_a;
-    double proportional_a = c->pi.proportional_a_per_rps * driving_rps;
-    double candidate_a = state->integral_a + c->pi.integral_a_per_rev * driving_rps * c->period_s;
+    double proportional_a = gain_share * c->pi.proportional_a_per_rps * driving_rps;
+    double integral_a_per_rev = gain_share * c->pi.integral_a_per_rev + learned_a_per_rev;
+    double candidate_a = state->integral_a + integral_a_per_rev * driving_rps * c->period_s;
     double sum_a = proportional_a + candidate_a + feedforward_a;
     if (!((fabs(sum_a) > limit_a || state->limited) && driving_rps * sum_a > 0.0))
         state->integral_a = candidate_a;
@@ -76,21 +96,6 @@ static void controller_step(const struct controller_config *c, struct controller
         .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
         .limited = state->limited,
     };
-}
-
-static void unpack_controller(const double *block, struct controller_config *c)
-{
-    c->pi = (struct pi_config){block[0], block[1]};
-    c->observer.friction = (struct friction_config){block[2], block[3], block[4], block[5],
-                                                    block[6], block[7], block[8], (int64_t)block[9]};
-    c->observer.gain_nm_per_rev = block[10];
-    c->observer.clamp_nm = block[11];
-    c->observer.feedback_band_rps = block[12];
-    c->feedforward = (struct feedforward_config){block[13], block[14], block[15]};
-    c->torque_constant_nm_per_a = block[16];
-    c->current_limit_a = block[17];
-    c->period_s = block[18];
-    c->error_share = block[19];
 }
 
 /* ---- the envelope ---- */

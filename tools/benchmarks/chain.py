@@ -1,0 +1,254 @@
+"""The chain as it is used, on random axes: excite, identify, tune, run; what the axis then does at rest and in motion.
+
+  .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER]
+
+Each axis has every number, its delay and its noise spread by half, one of five friction laws, one to three effects, a
+resolver or an encoder (fffo_drive/evaluation/random_axis.wide_axis). Axes that no controller can bring to rest are
+counted apart (fffo_drive/evaluation/passivity). Nothing is told to the chain but the torque constant, 5 % wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import RESULTS, ROOT, commit, machine, progress_bar
+
+from fffo_drive.config.axis import controller_config
+from fffo_drive.config.scenario import case_of, read_scenario
+from fffo_drive.control.controller import ControllerConfig
+from fffo_drive.control.envelope import TRIP_NONE
+from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
+from fffo_drive.control.stability import linear_axis, stuck_axis
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
+from fffo_drive.evaluation.passivity import comes_to_rest
+from fffo_drive.evaluation.random_axis import RandomAxis, wide_axis
+from fffo_drive.evaluation.robustness import STABLE, probe
+from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.identification.dataset import Record
+from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
+from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.identification.fit import FitSettings, fit_records
+from fffo_drive.identification.results import model_file
+from fffo_drive.identification.tuning import PHASE_MARGIN_DEG, design
+from fffo_drive.model.parameters import ModelFile
+from fffo_drive.recording.ring_reader import RingReader
+from fffo_drive.runtime.session import Session
+
+SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
+FRESH = 3000  # no choice was made on axes from here on
+TORQUE_CONSTANT_SHARE = 0.05  # by which the data sheet is wrong, with a random sign
+CHIRP_S = 40.0
+CHIRP_A = (0.3, 1.1)  # with the torque constant of the nominal axis
+SWEEP_S, SWEEP_A, SWEEP_HZ = 30.0, 0.8, (0.1, 50.0)  # what determines the delay
+REST_S = 6.0
+CREEP_FROM_S, CREEP_TO_S = 0.7, 5.7  # after the stop: five seconds, when the contact has unloaded
+CREEP_MEAN_S = 0.2  # over which a position is averaged
+MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
+COUNTS_PER_REV = 2.0**15
+
+
+class Outcome(NamedTuple):
+    """What became of an axis."""
+
+    number: int
+    law: str
+    effects: tuple[str, ...]
+    passive: bool
+    refused: str  # why the chain gave no gains; empty when it did
+    verdict: str  # of evaluation.robustness, with the tuned gains
+    nominal: str  # ... with those of the scenario
+    creep_counts: float  # nan where it was not run
+    nominal_creep_counts: float
+    phase_deg: float  # margin of the design
+    rest_share: float
+    seconds: float
+
+
+class Job(NamedTuple):
+    """An axis and the scenario's case."""
+
+    axis: RandomAxis
+    case: Case
+
+
+def excite(case: Case, profile: Profile, controller: ControllerConfig, declared_nm_per_a: float) -> Record:
+    """A run of the profile from power-on, as a record."""
+    drive = SimulatedDrive(case.plant, case.device)
+    drive.connect()
+    session = Session(drive, case.session._replace(controller=controller))
+    session.run_profile(profile, TOGGLE_OFF)
+    rows = RingReader(session.ring).read().rows
+    rows = rows[rows["profile_sample"] >= 0]
+    columns = {name: np.ascontiguousarray(rows[name]) for name in ("position_rev", "velocity_rps")}
+    return Record(
+        name=profile.name, path=Path(profile.name), period_s=profile.period_s,
+        torque_constant_nm_per_a=declared_nm_per_a, current_a=np.ascontiguousarray(rows["current_command_a"]),
+        reference_rps=None, lsb_rev=2.0**-case.plant.resolver.bits, breaks=(), digest="", **columns,
+    )  # fmt: skip
+
+
+def identified(case: Case, axis: RandomAxis, controller: ControllerConfig) -> ModelFile:
+    """The model of the axis, from the paper's two chirps of current."""
+    wrong = float(np.random.default_rng([axis.number, 0xC]).choice((-1.0, 1.0))) * TORQUE_CONSTANT_SHARE
+    declared_nm_per_a = case.plant.torque_constant_nm_per_a * (1.0 + wrong)
+    scale = 0.148 / declared_nm_per_a
+    period_s = case.session.loop.period_ns * 1e-9
+    chirp = identification_sequence(CHIRP_S, period_s, scale * CHIRP_A[0], scale * CHIRP_A[1], 0.01, 10.0)
+    fast = frequency_response_chirp(SWEEP_S, period_s, scale * SWEEP_A, *SWEEP_HZ)
+    records = [excite(case, profile, controller, declared_nm_per_a) for profile in (chirp, fast)]
+    facts = DriveFacts(torque_constant_nm_per_a=declared_nm_per_a, rated_current_a=8.3)
+    fit = fit_records(records, FitSettings(compare_literal=False), facts)
+    return model_file(fit, records, f"axis {axis.number}")
+
+
+def tuned(case: Case, base: Any, model: ModelFile) -> tuple[Candidate, float, float]:
+    """PI+FFFO+ with the gains that `tune` writes; their phase margin and their share at rest. ValueError: refused."""
+    period_s = base.loop.period_s
+    sliding = linear_axis(model, period_s)
+    found = design(sliding, model.friction.attraction_nm_per_rev.value, None, stuck_axis(sliding, model))
+    if found.margins_observer.phase_deg < PHASE_MARGIN_DEG - 1e-6:
+        raise ValueError("tune: no crossover keeps the margins")
+    section = base.controller
+    observer = section.observer.model_copy(
+        update={"gain_nm_per_rev": found.gains.observer_nm_per_rev, "learns_in": "integral"}
+    )
+    rest = section.at_rest.model_copy(update={"gain_share": found.gains.rest_share, "release_friction": True})
+    feedforward = section.feedforward.model_copy(update={"inertia": True, "preview": True, "delay_aware": True})
+    changed = section.model_copy(
+        update={
+            "proportional_a_per_rps": found.gains.proportional_a_per_rps,
+            "integral_a_per_rev": found.gains.integral_a_per_rev,
+            "observer": observer,
+            "at_rest": rest,
+            "feedforward": feedforward,
+        }
+    )
+    axis_file = base.model_copy(update={"controller": changed})
+    controller = controller_config(axis_file, model)
+    return Candidate("tuned", TOGGLE_FEEDFORWARD, controller), found.margins_observer.phase_deg, found.gains.rest_share
+
+
+def creep_counts(case: Case, candidate: Candidate) -> float:
+    """How far the shaft goes in five seconds at rest, in counts of 15 bits; nan where the envelope tripped."""
+    period_s = case.session.loop.period_ns * 1e-9
+    times_s = np.array([0.0, 0.2, 0.3, 1.5, 1.6, 1.6 + REST_S])
+    profile = piecewise_linear("stop", MODE_VELOCITY, period_s, times_s, np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
+    rows, trip = simulate(case._replace(profile=profile), candidate)
+    if trip != TRIP_NONE:
+        return math.nan
+    rows = rows[(rows["profile_sample"] >= 0) & (rows["profile_sample"] < profile.values.size)]
+    travel_rev = np.cumsum(rows["true_velocity_rps"]) * period_s
+    ends = []
+    for after_s in (CREEP_FROM_S, CREEP_TO_S):
+        first = round((1.6 + after_s) / period_s)
+        ends.append(float(np.mean(travel_rev[first : first + round(CREEP_MEAN_S / period_s)])))
+    return abs(ends[1] - ends[0]) * COUNTS_PER_REV
+
+
+def run_job(job: Job) -> Outcome:
+    """The chain on one axis."""
+    began = time.perf_counter()
+    axis = job.axis
+    case = job.case._replace(plant=axis.plant)
+    scenario = read_scenario(SCENARIO)
+    nominal = next(c for c in job.case.candidates if c.name == "pi+fffo+")
+    passive = comes_to_rest(axis.plant)
+    as_today = probe(case, nominal).verdict, creep_counts(case, nominal)
+    candidate, phase_deg, share, refused = None, math.nan, math.nan, ""
+    try:
+        model = identified(case, axis, nominal.controller)
+        candidate, phase_deg, share = tuned(case, scenario.axis, model)
+    except ValueError as error:
+        refused = str(error).splitlines()[0]
+    verdict, creep = ("refused", math.nan)
+    if candidate is not None:
+        verdict, creep = probe(case, candidate).verdict, creep_counts(case, candidate)
+    return Outcome(
+        axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1], phase_deg,
+        share, time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def share_text(part: int, whole: int) -> str:
+    """12 of 40"""
+    return f"{part} of {whole}"
+
+
+def table(found: list[Outcome]) -> list[str]:
+    """Verdicts, creep, and every axis that is not well."""
+    passive = [one for one in found if one.passive]
+    lines = [
+        f"{len(found)} axes, numbers {found[0].number} to {found[-1].number}; {len(found) - len(passive)} that no "
+        "controller can bring to rest are left out below.",
+        "",
+        "| gains | " + " | ".join(("stable", "hunting", "limit cycle", "unstable", "tripped", "refused")) + " | creep "
+        f"over {MOST_CREEP_COUNTS:g} counts in 5 s | median, 95 % quantile of it |",
+        "|---|" + "---|" * 8,
+    ]
+    verdicts = (STABLE, "hunting at standstill", "limit cycle in motion", "at the current limit", "tripped", "refused")
+    for name, which in (("as in the scenario", "nominal"), ("identified and tuned", "verdict")):
+        counted = Counter(getattr(one, which) for one in passive)
+        creeps = np.array([one.creep_counts if which == "verdict" else one.nominal_creep_counts for one in passive])
+        known = creeps[np.isfinite(creeps)]
+        cells = [str(counted[verdict]) for verdict in verdicts]
+        beyond = share_text(int(np.sum(known > MOST_CREEP_COUNTS)), known.size)
+        median, late = np.quantile(known, [0.5, 0.95])
+        lines.append(f"| {name} | " + " | ".join(cells) + f" | {beyond} | {median:.1f}, {late:.1f} |")
+    lines += ["", "Passive axes on which the tuned loop is not stable, or was refused:", ""]
+    lines += ["| axis | friction | effects | verdict | margin | share at rest |", "|---|---|---|---|---|---|"]
+    for one in passive:
+        if one.verdict != STABLE:
+            said = one.refused or one.verdict
+            lines.append(
+                f"| {one.number} | {one.law} | {', '.join(one.effects)} | {said} | {one.phase_deg:.0f} deg "
+                f"| {one.rest_share:.2f} |"
+            )
+    creeping = [one for one in passive if one.verdict == STABLE and one.creep_counts > MOST_CREEP_COUNTS]
+    lines += ["", "Stable ones that creep, by friction law: " + _by_law(creeping) + ".", ""]
+    return lines
+
+
+def _by_law(found: list[Outcome]) -> str:
+    counted = Counter(one.law for one in found)
+    return ", ".join(f"{law} {count}" for law, count in counted.most_common()) or "none"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run everything and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--axes", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=FRESH, help="number of the first random axis")
+    parser.add_argument("--out", type=Path, default=RESULTS / "chain.md")
+    options = parser.parse_args(arguments)
+    case = case_of(read_scenario(SCENARIO), 1)
+    warm_up(case)
+    numbers = range(options.first, options.first + options.axes)
+    jobs = [Job(wide_axis(case.plant, number), case) for number in numbers]
+    with progress_bar("axes") as progress:
+        done = None if progress is None else (lambda count: progress(count / len(jobs)))
+        found = over_cores(run_job, jobs, progress=done)
+    lines = [
+        "# chain",
+        "",
+        (__doc__ or "").partition("\n\n")[0].partition(": ")[0] + ": excite (70 s of the paper's chirps of current), "
+        "identify, tune, run, with nothing told but a torque constant that is 5 % wrong.",
+        "",
+        *table(found),
+        f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}; "
+        f"{np.median([one.seconds for one in found]):.1f} s an axis.",
+    ]
+    options.out.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
