@@ -66,10 +66,9 @@ def test_the_path_from_rest_is_the_parabola_the_line_and_the_parabola():
     path = walk(REST, [3.0] * 400)
     time_s = PERIOD_S * np.arange(1, 401)
     t1, total = A / J, 3.0 / A + A / J
-    expected = np.where(
-        time_s < t1, 0.5 * J * time_s**2,
-        np.where(time_s < total - t1, 0.5 * A * t1 + A * (time_s - t1), 3.0 - 0.5 * J * np.maximum(0, total - time_s) ** 2),
-    )  # fmt: skip
+    end = 3.0 - 0.5 * J * np.maximum(0, total - time_s) ** 2
+    middle = np.where(time_s < total - t1, 0.5 * A * t1 + A * (time_s - t1), end)
+    expected = np.where(time_s < t1, 0.5 * J * time_s**2, middle)
     np.testing.assert_allclose(path[:, 0], expected, atol=1e-12)
 
 
@@ -203,8 +202,11 @@ class Motion:
 
 
 PREVIEWS = [
-    NO_FEEDFORWARD, FeedforwardConfig(0.0, 5.0, 1.0), FeedforwardConfig(0.0, 5.5, 1.25), FeedforwardConfig(0.0, 0.0, 6.5)
-]  # fmt: skip
+    NO_FEEDFORWARD,
+    FeedforwardConfig(0.0, 5.0, 1.0),
+    FeedforwardConfig(0.0, 5.5, 1.25),
+    FeedforwardConfig(0.0, 0.0, 6.5),
+]
 
 
 @pytest.mark.parametrize("config", PREVIEWS)
