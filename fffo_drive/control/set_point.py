@@ -81,8 +81,8 @@ def no_motion(number: int) -> LiveMotion:
 def shortest_ramp(state: GeneratorState, target_rps: float, acceleration_rps2: float, jerk_rps3: float) -> Ramp:
     """The plan from here to `target_rps` at no acceleration. Bounds above zero; a state beyond them comes back first.
 
-    Let the velocity be v, its acceleration a, bounds A and J, everything in the direction of the way (dv >= 0 once a has
-    gone to zero): dv = (p^2 - a^2) / 2J + p^2 / 2J with the peak p, or A for longer.
+    Velocity v, acceleration a, bounds A and J, in the direction in which v has to go once a is zero:
+    dv = (p^2 - a^2) / 2J + p^2 / 2J with the peak p of the acceleration, or A for longer.
     """
     v, a, A, J = state.velocity_rps, state.acceleration_rps2, acceleration_rps2, jerk_rps3
     direction = 1.0 if target_rps >= v + a * abs(a) / (2.0 * J) else -1.0

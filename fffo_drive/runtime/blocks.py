@@ -183,7 +183,7 @@ def take_effects(blocks: Blocks, number_in_use: int) -> int:
 
 @njit
 def take_set_point(blocks: Blocks, number_in_use: int) -> int:
-    """A newly published set point to `blocks.set_point_loop[1]`, as `take_parameters` does. Returns the number in use."""
+    """A newly published set point to `blocks.set_point_loop[1]`, as `take_parameters` does. Returns its number."""
     number = load_acquire(blocks.control, SET_POINT_NUMBER)
     if number == number_in_use:
         return number_in_use

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -159,16 +160,17 @@ def test_a_jog_goes_on_as_long_as_it_is_renewed(rig, client):
 
 
 def test_a_stop_ends_the_motion_and_what_was_asked_before_it(rig, client):
-    for method in ("velocity", "jog"):
-        epoch = client.call("status")["epoch"]
-        client.call(method, to_rps=3, epoch=epoch)
-        answer = rig.client().call("stop")
-        assert reached(answer) == "enabled"
-        assert client.call("status")["motion"]["reference_rps"] == 0.0
-        for late in ("velocity", "jog"):
-            refused(lambda late=late: client.call(late, to_rps=3, epoch=epoch), f"epoch {epoch}", "set_point")
-        refused(lambda: client.call("step", by_rps=1, epoch=epoch), f"epoch {epoch}")
-        assert client.call("status")["state"] == "enabled"
+    begun = client.call("velocity", to_rps=3)["epoch"]
+    assert reached(rig.client().call("stop")) == "enabled"
+    assert client.call("status")["motion"]["reference_rps"] == 0.0
+    for method, asked in (("velocity", "to_rps"), ("jog", "to_rps"), ("step", "by_rps")):
+        late = partial(client.call, method, epoch=begun, **{asked: 3})
+        refused(late, f"epoch {begun}", "set_point")
+    assert client.call("status")["state"] == "enabled"
+    jogging = client.call("jog", to_rps=3)
+    answer = rig.client().call("stop")
+    refused(lambda: client.call("jog", to_rps=3, renews=jogging["set_point"], epoch=jogging["epoch"]), "is over")
+    assert client.call("status")["state"] == "enabled"
     client.call("velocity", to_rps=1, epoch=answer["epoch"])  # of the present epoch
     assert reached(client.call("disable")) == "ready"
     client.call("enable")
