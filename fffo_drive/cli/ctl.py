@@ -48,8 +48,8 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
     if info.is_required():
         metavar = {"file": "PATH", "profile": "PROFILE"}.get(str(kind), name.upper())
         choices = get_args(info.annotation) if get_origin(info.annotation) is Literal else None
-        kind_of = float if info.annotation is float else str
-        command.add_argument(name, metavar=metavar, type=kind_of, choices=choices, help=f"{text}{_choices(choices)}")
+        type_of = float if info.annotation is float else str
+        command.add_argument(name, metavar=metavar, type=type_of, choices=choices, help=f"{text}{_choices(choices)}")
     elif info.annotation is bool:
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
