@@ -217,6 +217,7 @@ def _status_text(status: dict[str, Any]) -> str:
     if status["set_point"]:
         asked = status["set_point"]
         state = ", not renewed in time: braked" if asked["lapsed"] and asked["kind"] == "jog" else ""
+        state += ", leads out of the position window: braked" if asked["blocked"] else ""
         lines.append(
             f"{asked['kind']}: to {asked['to_rps']:.4g} rps (set point {asked['number']}){state}; a set point acts "
             f"{asked['latency_s'] * 1e3:.3g} ms later than it is given (preview)"

@@ -315,6 +315,10 @@ class SetPointSection(Record):
     jog_timeout_s: Annotated[
         float, Field(ge=0.05, le=10, description="a jog that is not renewed within it ends at standstill")
     ] = 0.5
+    window_margin_rev: Annotated[
+        float,
+        Field(gt=0, le=1000, description="standstill before envelope.position_window_rev; at most a tenth of it"),
+    ] = 0.05
 
 
 class DaemonSection(Record):

@@ -37,6 +37,9 @@ class SetPoint(NamedTuple):
     hold_ticks: int  # so long it holds, from the tick that takes it; 0: until another one comes
     after_rps: float  # the target when it holds no more
     after_acceleration_rps2: float
+    low_rev: float  # the way ends at standstill before these positions; infinite: nowhere
+    high_rev: float
+    lag_s: float  # from the position that the feedback shows to the newest sample of the trajectory
 
 
 SET_POINT_NAMES = SetPoint._fields
@@ -68,13 +71,14 @@ class LiveMotion(NamedTuple):
     taken_tick: int  # of the last set point
     head: int  # newest sample of the trajectory
     resting: int  # how many of the newest samples stand at zero, to stay there
+    blocked: int  # 1 or -1: the set point leads out of its window above or below, and is not followed
     generator: GeneratorState
 
 
 @njit
 def no_motion(number: int) -> LiveMotion:
     """None runs, the last one was driven by set point `number`."""
-    return LiveMotion(number, -1, -1, -1, 0, GeneratorState(0.0, 0.0))
+    return LiveMotion(number, -1, -1, -1, 0, 0, GeneratorState(0.0, 0.0))
 
 
 @njit
@@ -132,6 +136,44 @@ def set_point_step(
 
 
 @njit
+def _way_rev(velocity_rps: float, acceleration_rps2: float, jerk_rps3: float, time_s: float) -> float:
+    return time_s * (velocity_rps + time_s * (0.5 * acceleration_rps2 + jerk_rps3 * time_s / 6.0))
+
+
+@njit
+def stopping_rev(state: GeneratorState, acceleration_rps2: float, jerk_rps3: float) -> float:
+    """How far it still goes on the shortest way to standstill."""
+    ramp = shortest_ramp(state, 0.0, acceleration_rps2, jerk_rps3)
+    way_rev = _way_rev(state.velocity_rps, state.acceleration_rps2, ramp.begin_jerk_rps3, ramp.begin_s)
+    state = _moved(state, ramp.begin_jerk_rps3, ramp.begin_s)
+    way_rev += _way_rev(state.velocity_rps, state.acceleration_rps2, 0.0, ramp.middle_s)
+    state = _moved(state, 0.0, ramp.middle_s)
+    end_jerk_rps3 = -ramp.direction * jerk_rps3
+    return way_rev + _way_rev(state.velocity_rps, state.acceleration_rps2, end_jerk_rps3, ramp.end_s)
+
+
+@njit
+def leads_out(
+    set_point: SetPoint, state: GeneratorState, following: GeneratorState, position_rev: float, velocity_rps: float,
+    time_s: float,
+) -> int:  # fmt: skip
+    """1 or -1 where a step to the state `following` leaves no way to stop inside the window, by its side; else 0.
+
+    An axis that is faster than its reference (`velocity_rps` is the feedback) needs a longer way.
+    """
+    outwards = 1 if following.velocity_rps > 0.0 else -1
+    edge_rev = set_point.high_rev if outwards == 1 else set_point.low_rev
+    if math.isinf(edge_rev):
+        return 0
+    excess_rps = max(0.0, outwards * (velocity_rps - state.velocity_rps)) * outwards
+    faster = GeneratorState(following.velocity_rps + excess_rps, following.acceleration_rps2)
+    way_rev = _way_rev(state.velocity_rps + excess_rps, -state.acceleration_rps2, 0.0, set_point.lag_s)
+    way_rev += 0.5 * (state.velocity_rps + following.velocity_rps) * time_s
+    way_rev += stopping_rev(faster, set_point.after_acceleration_rps2, set_point.jerk_rps3)
+    return outwards if outwards * way_rev > 0.0 and outwards * (position_rev + way_rev - edge_rev) > 0.0 else 0
+
+
+@njit
 def read_trajectory(samples: Any, position: float) -> float:
     """Samples of a trajectory at a position between them, as `feedforward.read_samples` reads those of a profile."""
     below = math.floor(position)
@@ -152,7 +194,9 @@ def preview_ticks(config: FeedforwardConfig) -> int:
 @njit
 def unpack_set_point(block: Any) -> SetPoint:
     """The record from a flat array of SET_POINT_SIZE numbers."""
-    return SetPoint(block[0], block[1], block[2], int(block[3]), block[4], block[5])
+    return SetPoint(
+        block[0], block[1], block[2], int(block[3]), block[4], block[5], block[6], block[7], block[8]
+    )  # fmt: skip
 
 
 @njit
@@ -165,22 +209,24 @@ def has_lapsed(set_point: SetPoint, motion: LiveMotion, tick: int) -> bool:
 def begin_motion(trajectory: Floats, number: int, tick: int) -> LiveMotion:
     """From standstill: nothing of an earlier trajectory is left."""
     trajectory[:] = 0.0
-    return LiveMotion(number, tick, tick, -1, 0, GeneratorState(0.0, 0.0))
+    return LiveMotion(number, tick, tick, -1, 0, 0, GeneratorState(0.0, 0.0))
 
 
 @njit
 def with_set_point(motion: LiveMotion, number: int, tick: int) -> LiveMotion:
     """Another set point, in the same motion."""
-    return LiveMotion(number, motion.start_tick, tick, motion.head, motion.resting, motion.generator)
+    return LiveMotion(number, motion.start_tick, tick, motion.head, motion.resting, motion.blocked, motion.generator)
 
 
 @njit
 def advance_motion(
-    config: FeedforwardConfig, set_point: SetPoint, motion: LiveMotion, trajectory: Floats, tick: int, period_s: float
-) -> tuple[LiveMotion, float, Reference]:
+    config: FeedforwardConfig, set_point: SetPoint, motion: LiveMotion, trajectory: Floats, tick: int,
+    position_rev: float, velocity_rps: float, period_s: float,
+) -> tuple[LiveMotion, float, Reference]:  # fmt: skip
     """The motion at a tick: (memory, target in force, reference). `trajectory` (2, HISTORY): velocity, acceleration.
 
-    Periods that were skipped are samples all the same, as they are of a profile.
+    Periods that were skipped are samples all the same, as they are of a profile. A way that would leave the window is
+    braked to standstill before its edge; it stays there until a set point leads back.
     """
     target_rps, acceleration_rps2 = set_point.target_rps, set_point.acceleration_rps2
     if has_lapsed(set_point, motion, tick):
@@ -188,11 +234,23 @@ def advance_motion(
     sample = tick - motion.start_tick
     last = sample + preview_ticks(config)
     head, resting, state = motion.head, motion.resting, motion.generator
+    blocked = motion.blocked if target_rps * motion.blocked > 0.0 else 0
+    if blocked != 0:
+        target_rps, acceleration_rps2 = 0.0, set_point.after_acceleration_rps2
     if head < 0:  # the samples until it can act are known already: standstill
         head = last - 1
     while head < last:
         samples = max(1, last - head - HISTORY)  # what nobody can read any more is gone through in one
-        state = set_point_step(state, target_rps, acceleration_rps2, set_point.jerk_rps3, samples * period_s)
+        time_s = samples * period_s
+        following = set_point_step(state, target_rps, acceleration_rps2, set_point.jerk_rps3, time_s)
+        side = leads_out(set_point, state, following, position_rev, velocity_rps, time_s)
+        if side != 0:
+            following = set_point_step(
+                state, 0.0, set_point.after_acceleration_rps2, set_point.jerk_rps3, time_s
+            )  # fmt: skip
+            if target_rps * side > 0.0:
+                blocked, target_rps, acceleration_rps2 = side, 0.0, set_point.after_acceleration_rps2
+        state = following
         head += samples
         trajectory[0, head & _KEPT] = state.velocity_rps
         trajectory[1, head & _KEPT] = state.acceleration_rps2
@@ -205,7 +263,7 @@ def advance_motion(
         read_trajectory(trajectory[1], sample + config.ahead_ticks),
         read_trajectory(trajectory[0], sample - config.behind_ticks),
     )
-    moved = LiveMotion(motion.number, motion.start_tick, motion.taken_tick, head, resting, state)
+    moved = LiveMotion(motion.number, motion.start_tick, motion.taken_tick, head, resting, blocked, state)
     return moved, target_rps, reference
 
 

@@ -6,8 +6,8 @@ Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
 status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
             list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, set_point {kind, number,
-            to_rps, hold_s, lapsed, latency_s}, recording {on, wanted, file, finished, rows_*, write_errors, trouble},
-            last_event, loop {connection, running, tick, rows, late,
+            to_rps, hold_s, lapsed, blocked, latency_s}, recording {on, wanted, file, finished, rows_*, write_errors,
+            trouble}, last_event, loop {connection, running, tick, rows, late,
             skipped, missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code,
             nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
             friction_nm, mode, age}; null where there is none
@@ -19,7 +19,8 @@ enable, disable, start, stop, quick_stop, reset_fault
 jog, velocity, step
             {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
             "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of
-            daemon.set_points. Bound to an epoch as a start is. A jog that is not renewed in time ends at standstill
+            daemon.set_points. Bound to an epoch as a start is. A jog that is not renewed in time ends at standstill,
+            and so does what would leave envelope.position_window_rev
 toggle, model, set, reload
             what is in use now
 record      {"on": ..., "file": ..., "files": [...]}

@@ -25,7 +25,7 @@ class Motion:
         self._brake_pending = False
         self.asked: AskedSetPoint | None = None  # the last one, while a motion by set points lasts
         self.set_point_number = 0
-        self._told_lapsed = 0
+        self._told_lapsed = self._told_blocked = 0
 
     @property
     def _session(self) -> Session:
@@ -62,6 +62,19 @@ class Motion:
             return None
         self._told_lapsed = self.set_point_number
         return self.asked
+
+    @property
+    def blocked(self) -> bool:
+        """The last set point leads out of the position window, and was braked before its edge."""
+        return self._session.status(b.SET_POINT_BLOCKED) == self.set_point_number != 0
+
+    def newly_blocked(self) -> bool:
+        """It has just come to the edge of the window; once."""
+        if not self.blocked or self._told_blocked == self.set_point_number:
+            return False
+        renewed = self._told_blocked == self.set_point_number - 1  # a jog that goes on pushing
+        self._told_blocked = self.set_point_number
+        return not renewed
 
     @property
     def target_rps(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from ..config.axis import feedforward_config
@@ -10,6 +11,8 @@ from ..control.set_point import SetPoint
 from ..documents import DocumentError
 
 JOG, VELOCITY, STEP, STOP = "jog", "velocity", "step", "stop"
+
+WINDOW_SHARE = 0.1  # of the position window: its margin at most
 
 
 class AskedSetPoint(NamedTuple):
@@ -39,7 +42,7 @@ def step(plan: Plan, from_rps: float, by_rps: float, for_s: float) -> AskedSetPo
 def standstill(plan: Plan) -> AskedSetPoint:
     """An ordered stop."""
     deceleration_rps2, jerk_rps3 = plan.axis.daemon.stop_rps2, plan.axis.daemon.set_points.jerk_rps3
-    return AskedSetPoint(STOP, SetPoint(0.0, deceleration_rps2, jerk_rps3, 0, 0.0, deceleration_rps2))
+    return AskedSetPoint(STOP, SetPoint(0.0, deceleration_rps2, jerk_rps3, 0, 0.0, deceleration_rps2, *_window(plan)))
 
 
 def latency_s(plan: Plan) -> float:
@@ -47,6 +50,17 @@ def latency_s(plan: Plan) -> float:
     period_s = plan.axis.loop.period_s
     feedforward = feedforward_config(plan.axis.controller.feedforward, plan.model, period_s)
     return feedforward.preview_ticks * period_s
+
+
+def _window(plan: Plan) -> tuple[float, float, float]:
+    """Where a way has to end, and how much older than the newest sample the position is that the feedback shows."""
+    period_s, sensor_s = plan.axis.loop.period_s, plan.model.sensor_delay_s.value
+    lag_s = max(plan.model.delay_s.value + 0.5 * period_s, sensor_s + latency_s(plan))
+    window = plan.axis.envelope.position_window_rev
+    if window is None:
+        return -math.inf, math.inf, lag_s
+    margin_rev = min(plan.axis.daemon.set_points.window_margin_rev, WINDOW_SHARE * (window[1] - window[0]))
+    return window[0] + margin_rev, window[1] - margin_rev, lag_s
 
 
 def longest_stop_s(plan: Plan, from_rps: float) -> float:
@@ -65,7 +79,7 @@ def _set_point(plan: Plan, kind: str, to_rps: float, hold_s: float, after_rps: f
         raise DocumentError(f"{kind}: {to_rps:g} rps is beyond {key} {largest_rps:g}")
     # 0.0 takes the sign from a zero
     bounds = section.acceleration_rps2, section.jerk_rps3
-    found = SetPoint(to_rps + 0.0, *bounds, 0, 0.0, section.acceleration_rps2)
+    found = SetPoint(to_rps + 0.0, *bounds, 0, 0.0, section.acceleration_rps2, *_window(plan))
     if hold_s > 0:
         ticks = max(1, round(hold_s * plan.axis.loop.rate_hz))
         found = found._replace(hold_ticks=ticks, after_rps=after_rps)

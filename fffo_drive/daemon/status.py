@@ -69,6 +69,7 @@ def _set_point_of(supervisor: Supervisor) -> dict[str, Any] | None:
         "to_rps": motion.target_rps,
         "hold_s": hold_s or None,
         "lapsed": motion.lapsed,
+        "blocked": motion.blocked,
         "latency_s": latency_s(supervisor.plan),
     }
 

@@ -250,6 +250,9 @@ class Supervisor:
             timeout_s = self.plan.axis.daemon.set_points.jog_timeout_s
             text = f"the jog was not renewed within {timeout_s:g} s (daemon.set_points.jog_timeout_s): braked"
             self.log.add("set_point", text, Level.WARNING)
+        if motion.newly_blocked():
+            text = "the set point leads out of envelope.position_window_rev: braked before its edge"
+            self.log.add("set_point", text, Level.WARNING)
         if motion.ended():
             self.apply(Event.PROFILE_ENDED)
         if self.state is State.STOPPING and not motion.wants_torque:

@@ -80,7 +80,9 @@ def follow_into(
             motion = with_set_point(motion, number, tick)
         set_point = unpack_set_point(set_points[set_points_at[k]])
         config = unpack_controller(parameters[parameters_at[k]]).feedforward
-        motion, target_rps, reference = advance_motion(config, set_point, motion, trajectory, tick, period_s)
+        motion, target_rps, reference = advance_motion(
+            config, set_point, motion, trajectory, tick, row["position_rev"], row["velocity_rps"], period_s
+        )
         out[k, 0] = target_rps
         out[k, 1] = reference.value
         out[k, 2] = reference.derivative

@@ -57,7 +57,8 @@ EFFECTS_IN_USE = 15  # number of the effects that are compensated
 TRIP_STATUSWORD = 16  # of the tick of the trip: a moment later it shows the reaction
 SET_POINT_DONE = 17  # number of the set point whose motion ended last, at standstill or aborted
 SET_POINT_LAPSED = 18  # number of the last set point that held for its time and was not renewed
-STATUS_WORDS = 19
+SET_POINT_BLOCKED = 19  # number of the last set point that led out of its window, and was braked
+STATUS_WORDS = 20
 
 PROFILE_ROWS = 2  # value and derivative
 

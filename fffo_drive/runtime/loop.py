@@ -167,8 +167,9 @@ def run_loop(
             goal = GOAL_DISABLED
             wanted = active = False
         live, live_sample, set_point_rps, live_reference = follow_set_points(
-            blocks, live, controller_config.feedforward, config, timing.tick, active, cursor.start_tick < 0
-        )
+            blocks, live, controller_config.feedforward, config, timing.tick, feedback, active,
+            cursor.start_tick < 0,
+        )  # fmt: skip
         if live_sample >= 0:
             reference = live_reference
         effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active, in_service)

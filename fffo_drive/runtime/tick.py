@@ -163,8 +163,8 @@ def follow_profile(
 
 @njit
 def follow_set_points(
-    blocks: Blocks, motion: LiveMotion, feedforward: FeedforwardConfig, config: LoopConfig, tick: int, active: bool,
-    may_begin: bool,
+    blocks: Blocks, motion: LiveMotion, feedforward: FeedforwardConfig, config: LoopConfig, tick: int,
+    feedback: Any, active: bool, may_begin: bool,
 ) -> tuple[LiveMotion, int, float, Reference]:  # fmt: skip
     """Returns (memory, sample, target in force, reference); sample is -1 where no motion by set points runs.
 
@@ -187,7 +187,12 @@ def follow_set_points(
     if has_lapsed(set_point, motion, tick):
         blocks.status[b.SET_POINT_LAPSED] = motion.number
     period_s = config.period_ns / NS_PER_S
-    motion, target_rps, reference = advance_motion(feedforward, set_point, motion, blocks.trajectory, tick, period_s)
+    motion, target_rps, reference = advance_motion(
+        feedforward, set_point, motion, blocks.trajectory, tick, feedback["position_rev"], feedback["velocity_rps"],
+        period_s,
+    )  # fmt: skip
+    if motion.blocked != 0:
+        blocks.status[b.SET_POINT_BLOCKED] = motion.number
     return motion, tick - motion.start_tick, target_rps, reference
 
 

@@ -23,6 +23,7 @@ from fffo_drive.control.set_point import (
     ramp_s,
     set_point_step,
     shortest_ramp,
+    stopping_rev,
     unpack_set_point,
     with_set_point,
 )
@@ -181,10 +182,12 @@ class Motion:
         self.motion = None
         self.number = 0
         self.set_point = None
+        self.window, self.lag_s = (-math.inf, math.inf), 0.0
+        self.position_rev = self.velocity_rps = 0.0
 
     def ask(self, target, hold_ticks=0, after=0.0, acceleration=A):
         self.number += 1
-        self.set_point = SetPoint(target, acceleration, J, hold_ticks, after, acceleration)
+        self.set_point = SetPoint(target, acceleration, J, hold_ticks, after, acceleration, *self.window, self.lag_s)
         if self.motion is None:
             self.motion = begin_motion(self.trajectory, self.number, self.tick)
         else:
@@ -194,7 +197,14 @@ class Motion:
         found = []
         for _ in range(ticks):
             self.motion, target, reference = advance_motion(
-                self.config, self.set_point, self.motion, self.trajectory, self.tick, PERIOD_S
+                self.config,
+                self.set_point,
+                self.motion,
+                self.trajectory,
+                self.tick,
+                self.position_rev,
+                self.velocity_rps,
+                PERIOD_S,
             )
             self.tick += 1 + skip
             found.append((target, *reference))
@@ -290,8 +300,110 @@ def test_it_is_not_done_before_the_last_reader_sees_standstill():
     assert not rows[0, 1:].any()
 
 
+@settings(max_examples=200, deadline=None)
+@given(states, bounds)
+def test_the_way_to_standstill_is_the_integral_of_the_velocity(state, limits):
+    whole_s = duration_s(state, 0.0, *limits)
+    v = np.insert(walk(state, [0.0] * 2000, *limits, whole_s / 2000 + 1e-12)[:, 0], 0, state.velocity_rps)
+    integral_rev = (v[0] / 2 + v[1:-1].sum() + v[-1] / 2) * whole_s / 2000
+    scale = whole_s * (1.0 + np.abs(v).max())
+    assert stopping_rev(state, *limits) == pytest.approx(integral_rev, abs=1e-3 * scale)
+
+
+def test_from_a_steady_speed_it_stops_after_v_over_2_times_the_time():
+    """The deceleration is symmetric: half the speed on average, over v/A + A/J."""
+    assert stopping_rev(GeneratorState(4.0, 0.0), A, J) == pytest.approx(2.0 * (4.0 / A + A / J), rel=1e-12)
+    assert stopping_rev(GeneratorState(-4.0, 0.0), A, J) == pytest.approx(-2.0 * (4.0 / A + A / J), rel=1e-12)
+    assert stopping_rev(REST, A, J) == 0.0
+
+
+LAG_TICKS = 6
+
+
+class Window(Motion):
+    """A motion of an axis that follows the newest sample of the trajectory some periods later, exactly."""
+
+    def __init__(self, low_rev=-1.0, high_rev=1.0, config=PREVIEWS[2]):
+        super().__init__(config)
+        self.window, self.lag_s = (low_rev, high_rev), LAG_TICKS * PERIOD_S
+        self.positions = [0.0] * (LAG_TICKS + 2)
+        self.excess = 1.0
+
+    def go(self, ticks, skip=0):
+        found = []
+        for _ in range(ticks):
+            self.position_rev = self.positions[-1 - LAG_TICKS]
+            self.velocity_rps = self.excess * (self.position_rev - self.positions[-2 - LAG_TICKS]) / PERIOD_S
+            before = self.motion.generator
+            found.append(super().go(1)[0])
+            step_rev = 0.5 * (before.velocity_rps + self.motion.generator.velocity_rps) * PERIOD_S
+            self.positions.append(self.positions[-1] + step_rev)
+        return np.array(found)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_way_out_of_the_window_ends_at_standstill_before_its_edge(side):
+    motion = Window()
+    motion.ask(side * 3.0)
+    rows = motion.go(3000)
+    positions = side * np.array(motion.positions)
+    assert motion.motion.blocked == side
+    assert positions.max() <= 1.0 + 1e-5
+    assert positions[-1] > 1.0 - 3.0 * PERIOD_S  # not earlier than it must
+    assert positions[-1] == positions.max()
+    assert tuple(rows[-1]) == (0.0,) * 6
+    assert np.abs(np.diff(rows[:, 2])).max() <= J * PERIOD_S * (1 + 1e-4)
+    assert np.abs(rows[:, 2]).max() <= A * (1 + 1e-9)
+    assert has_ended(motion.config, motion.motion, 100)
+    # more of the same changes nothing, also renewed; the other way is free
+    for _ in range(20):
+        motion.ask(side * 3.0, 100)
+        assert not motion.go(30)[:, 1:].any()
+    motion.ask(side * -3.0)
+    motion.go(400)
+    assert motion.motion.blocked == 0
+    assert side * motion.positions[-1] < 0.9
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(-8.0, 8.0), st.integers(1, 400)), min_size=1, max_size=12))
+def test_whatever_is_asked_for_the_window_holds(asked):
+    motion = Window(-0.4, 0.7)
+    changes = []
+    for target, ticks in asked:
+        motion.ask(target)
+        changes.append(motion.go(ticks)[:, 2])
+    motion.go(2000)
+    assert min(motion.positions) >= -0.4 - 1e-4
+    assert max(motion.positions) <= 0.7 + 1e-4
+    assert np.abs(np.diff(np.concatenate(changes))).max(initial=0.0) <= J * PERIOD_S * (1 + 1e-4)
+
+
+def test_an_axis_that_runs_ahead_of_its_reference_is_braked_earlier():
+    """By the way that the excess takes: (w^2 - v^2) / 2A, and the jerk's share."""
+    stands = []
+    for excess in (1.0, 1.2):
+        motion = Window(-10.0, 10.0)
+        motion.excess = excess
+        motion.ask(4.0)
+        motion.go(8000)
+        stands.append(motion.positions[-1])
+    assert stands[0] - stands[1] == pytest.approx(
+        (4.8**2 - 4.0**2) / (2 * A) + 0.8 * A / (2 * J) + 0.8 * LAG_TICKS * PERIOD_S, abs=0.01
+    )
+
+
+def test_an_axis_outside_its_window_may_go_back_in():
+    motion = Window(0.5, 1.0)
+    motion.ask(-2.0)
+    assert not motion.go(100)[:, 1:].any()
+    motion.ask(2.0)
+    motion.go(1500)
+    assert 0.9 < motion.positions[-1] < 1.0 + 1e-5
+
+
 def test_the_block_holds_the_record():
-    set_point = SetPoint(1.5, 2.5, 3.5, 7, -4.5, 5.5)
+    set_point = SetPoint(1.5, 2.5, 3.5, 7, -4.5, 5.5, -6.5, 7.5, 8.5)
     block = np.array(set_point)
     assert block.shape == (SET_POINT_SIZE,)
     assert unpack_set_point(block) == set_point

@@ -79,7 +79,7 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     status = at_speed(rig, client, 3.0)
     assert status["set_point"] == {
         "kind": "velocity", "number": answer["set_point"], "to_rps": 3.0, "hold_s": None, "lapsed": False,
-        "latency_s": answer["latency_s"],
+        "blocked": False, "latency_s": answer["latency_s"],
     }  # fmt: skip
     assert answer["latency_s"] > 0
     client.call("velocity", to_rps=-2)  # and in the middle of it
@@ -232,3 +232,26 @@ def test_ctl_jogs_until_it_is_interrupted(rig, client, capsys):
     assert "later than it is given (preview)" in out
     assert main(["ctl", *sockets, "jog", "0"]) == 0
     rig.until("enabled", client)
+
+
+def test_a_set_point_does_not_leave_the_position_window(tmp_path):
+    made = Rig(tmp_path, set_points={**SET_POINTS, "window_margin_rev": 0.1})
+    edit(made.path, lambda axis: axis["envelope"].update(position_window_rev=[-2.0, 2.0]))
+    with made as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        client.call("velocity", to_rps=5)
+        rig.until("enabled", client)
+        (told,) = rig.events("set_point")
+        assert "position_window_rev" in told["text"]
+        there_rev = client.call("status")["motion"]["position_rev"]
+        assert 1.5 < there_rev < 2.0
+        again = client.call("velocity", to_rps=5, for_s=1)  # taken, and not followed
+        assert again["state"] == "following"
+        rig.until("enabled", client)
+        client.call("velocity", to_rps=-1, for_s=0.5)
+        rig.until("enabled", client)
+        status = client.call("status")
+        assert status["motion"]["position_rev"] < there_rev - 0.2
+        assert status["fault"] is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from evaluation.asked import AXIS, PERIOD_S, models
@@ -16,13 +18,14 @@ from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime import blocks as b
 
 A, J = 60.0, 2e3
+LAG_S = 3e-3
 LATER = {"tick", "row_number", "request_number", "set_point_rps", "set_point_number", "set_point_sample",
          "profile_number", "profile_sample", "busy_ns"}  # fmt: skip
 FEEDFORWARD = {"inertia": True, "preview": True, "delay_aware": True}
 
 
-def to(target_rps, hold_ticks=0, after_rps=0.0):
-    return SetPoint(target_rps, A, J, hold_ticks, after_rps, A)
+def to(target_rps, hold_ticks=0, after_rps=0.0, window=(-math.inf, math.inf)):
+    return SetPoint(target_rps, A, J, hold_ticks, after_rps, A, *window, LAG_S)
 
 
 class Live:
@@ -35,6 +38,7 @@ class Live:
         self.run = GatedRun(self.config, GatedDrive())
         self.session = self.run.session
         self.ahead = self.config.controller.feedforward.preview_ticks
+        self.window = (-math.inf, math.inf)
         self.run.begin(20_000)
         self.session.request(b.TOGGLE, TOGGLE_FEEDFORWARD)
         self.enable()
@@ -44,7 +48,7 @@ class Live:
         self.run.ticks(40)
 
     def ask(self, *set_point):
-        return self.session.set_point(to(*set_point))
+        return self.session.set_point(to(*set_point, window=self.window))
 
     def rows(self):
         """All of the run."""
@@ -180,3 +184,20 @@ def test_a_trip_ends_the_motion_and_a_reset_does_not_bring_it_back(live):
     rows = live.rows()
     after = rows[int(np.flatnonzero(rows["trip"])[0]) :]
     assert not after["reference_rps"].any()
+
+
+def test_the_axis_stays_in_its_window_whoever_jogs(live):
+    live.window = (-0.3, 0.4)
+    live.ask(5.0)
+    live.run.ticks(1200)
+    assert live.session.status(b.SET_POINT_BLOCKED) == live.session.status(b.SET_POINT_DONE) == 1
+    live.ask(-5.0)
+    live.run.ticks(1200)
+    live.ask(-5.0)  # at the edge already
+    live.run.ticks(800)
+    rows = live.rows()
+    assert rows["position_rev"].max() == pytest.approx(0.4, abs=0.01)
+    assert rows["position_rev"].min() == pytest.approx(-0.3, abs=0.01)
+    assert np.abs(rows["reference_rps"]).max() > 2.0
+    assert (rows["trip"] == 0).all()
+    assert not rows["set_point_rps"][-700:].any()  # braked again, and not renewed for ever

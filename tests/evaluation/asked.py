@@ -114,7 +114,7 @@ class Asked:
         """Some hold for a time, some until the next one."""
         target_rps = (3.0, -2.0, 0.0, 6.5)[round(3 * value)]
         hold_ticks = (0, 40)[round(10 * value) % 2]
-        self.session.set_point(SetPoint(target_rps, 100.0, 4e3, hold_ticks, 0.0, 150.0))
+        self.session.set_point(SetPoint(target_rps, 100.0, 4e3, hold_ticks, 0.0, 150.0, -0.2, 0.3, 3e-3))
 
     def abort_set_point(self, value: float) -> None:
         self.session.request(b.SET_POINT_ABORT, int(self.session.blocks.control[b.SET_POINT_NUMBER]))
