@@ -25,7 +25,8 @@ class Motion:
         self._brake_pending = False
         self.asked: AskedSetPoint | None = None  # the last one, while a motion by set points lasts
         self.set_point_number = 0
-        self._told_lapsed = self._told_blocked = 0
+        self._told_lapsed = 0
+        self._told_blocked = False
 
     @property
     def _session(self) -> Session:
@@ -48,6 +49,9 @@ class Motion:
 
     def follow(self, asked: AskedSetPoint) -> None:
         """A set point to the loop."""
+        before_rps = 0.0 if self.asked is None else self.asked.set_point.target_rps
+        if before_rps * asked.set_point.target_rps <= 0.0:  # a jog that is renewed at the edge is no news
+            self._told_blocked = False
         self.set_point_number = self._session.set_point(asked.set_point)
         self.asked = asked
 
@@ -70,11 +74,9 @@ class Motion:
 
     def newly_blocked(self) -> bool:
         """It has just come to the edge of the window; once."""
-        if not self.blocked or self._told_blocked == self.set_point_number:
-            return False
-        renewed = self._told_blocked == self.set_point_number - 1  # a jog that goes on pushing
-        self._told_blocked = self.set_point_number
-        return not renewed
+        newly = self.blocked and not self._told_blocked
+        self._told_blocked = self._told_blocked or newly
+        return newly
 
     @property
     def target_rps(self) -> float:

@@ -101,8 +101,10 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     file, rows, records = recorded(client)
     within_bounds(rows)
     assert (rows["trip"] == 0).all()
-    begun = rows[(rows["set_point_sample"] >= 0) & (rows["reference_rps"] != 0.0)][0]
-    assert begun["set_point_sample"] == round(answer["latency_s"] * RATE_HZ)
+    # the first sample that moves is as many periods on as was told; a tick may be missing here
+    first = int(np.flatnonzero(rows["reference_rps"])[0])
+    before, begun = rows["set_point_sample"][first - 1 : first + 1]
+    assert before < round(answer["latency_s"] * RATE_HZ) <= begun
     # the axis follows
     steady = rows[(rows["set_point_sample"] > 0) & (rows["reference_rps"] == 4.5)]
     assert np.abs(steady["velocity_rps"][-10:] - 4.5).max() < 1.0
@@ -130,12 +132,13 @@ def test_a_jog_that_nobody_renews_ends_at_standstill_without_a_step(rig, client)
     within_bounds(rows, STOP)
     lives = rows[rows["set_point_sample"] >= 0]
     held = lives["tick"][lives["set_point_rps"] == 2.0].astype(np.int64)
-    assert held[-1] - held[0] == TIMEOUT_S * RATE_HZ - 1  # in ticks of the loop, whatever the daemon does
+    lapsed = int(held[0] + TIMEOUT_S * RATE_HZ)  # in ticks of the loop, whatever the daemon does; some may be missing
+    assert held[-1] < lapsed <= int(lives["tick"][held.size])
     # dv / A + A / J to standstill, with the deceleration of a stop, and the preview
-    down = lives[lives["set_point_sample"] >= held[-1] + 1 - held[0]]
-    stood = int(down["tick"][down["reference_rps"] != 0.0][-1]) - int(held[-1])
+    moved = int(np.flatnonzero(lives["reference_rps"])[-1])
+    moving, standing = (int(lives["tick"][moved + k]) - lapsed for k in (0, 1))
     expected_s = 2 * math.sqrt(2.0 / J) if STOP**2 / J >= 2.0 else 2.0 / STOP + STOP / J
-    assert stood == pytest.approx((expected_s + answer["latency_s"]) * RATE_HZ, abs=2)
+    assert moving - 1 <= (expected_s + answer["latency_s"]) * RATE_HZ <= standing + 1
 
 
 def test_a_jog_goes_on_as_long_as_it_is_renewed(rig, client):
