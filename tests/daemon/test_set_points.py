@@ -86,15 +86,13 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     client.call("velocity", to_rps=4, wait_s=30)
     assert client.call("step", by_rps=0.5, wait_s=30)["to_rps"] == 4.5
     assert client.call("status")["motion"]["reference_rps"] == 4.5
-    client.call("step", by_rps=-1, for_s=0.2)
-    at_speed(rig, client, 3.5)
-    status = at_speed(rig, client, 4.5)
-    assert status["set_point"]["to_rps"] == 4.5
+    number = client.call("step", by_rps=-1, for_s=0.4)["set_point"]
+    rig.until_status(lambda s: s["set_point"]["lapsed"], client)
+    assert at_speed(rig, client, 4.5)["set_point"]["to_rps"] == 4.5
     assert client.call("velocity", to_rps=0, wait_s=30)["state"] in ("following", "enabled")
     rig.until("enabled", client)
     assert client.call("status")["set_point"] is None
-    client.call("velocity", to_rps=1, for_s=0.3)
-    at_speed(rig, client, 1.0)
+    last = client.call("velocity", to_rps=1, for_s=0.3)["set_point"]
     rig.until("enabled", client)
     client.call("start", profile=SHORT, wait_s=30)  # a profile as before
     client.call("disable")
@@ -105,6 +103,8 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     first = int(np.flatnonzero(rows["reference_rps"])[0])
     before, begun = rows["set_point_sample"][first - 1 : first + 1]
     assert before < round(answer["latency_s"] * RATE_HZ) <= begun
+    assert rows["reference_rps"][rows["set_point_number"] == number].min() == 3.5
+    assert rows["reference_rps"][(rows["set_point_number"] == last) & (rows["set_point_sample"] >= 0)].max() == 1.0
     # the axis follows
     steady = rows[(rows["set_point_sample"] > 0) & (rows["reference_rps"] == 4.5)]
     assert np.abs(steady["velocity_rps"][-10:] - 4.5).max() < 1.0
@@ -120,7 +120,6 @@ def test_a_jog_that_nobody_renews_ends_at_standstill_without_a_step(rig, client)
     answer = client.call("jog", to_rps=2)
     assert answer["renew_within_s"] == pytest.approx(TIMEOUT_S)
     number = answer["set_point"]
-    at_speed(rig, client, 2.0)
     client.close()  # whoever jogged is gone
     other = rig.client()
     rig.until("enabled", other)
