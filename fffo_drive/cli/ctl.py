@@ -214,7 +214,7 @@ def _status_text(status: dict[str, Any]) -> str:
     if status["profile"]:
         profile = status["profile"]
         lines.append(f"profile {profile['name']}: sample {profile['sample']} of {profile['samples']}")
-    if status["set_point"]:
+    if status.get("set_point"):  # an older daemon has none
         asked = status["set_point"]
         state = ", not renewed in time: braked" if asked["lapsed"] and asked["kind"] == "jog" else ""
         state += ", leads out of the position window: braked" if asked["blocked"] else ""

@@ -168,7 +168,7 @@ METHODS: dict[str, Method] = {
     "enable": Method(Enable, False, "torque; the axis is held at standstill"),
     "disable": Method(Ending, False, "brake to standstill, then no torque"),
     "start": Method(Start, False, "run a profile"),
-    "jog": Method(Jog, False, "turn at a velocity as long as it is renewed; the command renews it until Ctrl-C"),
+    "jog": Method(Jog, False, "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
     "velocity": Method(SetVelocity, False, "turn at a velocity, which may be changed at any time"),
     "step": Method(Step, False, "change the velocity set point by so much"),
     "toggle": Method(Toggle, False, "friction from the reference, the feedback, or not"),

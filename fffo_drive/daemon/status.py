@@ -117,6 +117,8 @@ def line_of(supervisor: Supervisor) -> str:
         return f"{supervisor.state.value}: {supervisor.obstacles[0]}"
     profile = supervisor.profile
     running = f" {profile.name}" if supervisor.state is State.RUNNING and profile is not None else ""
+    if supervisor.state is State.FOLLOWING and supervisor.motion is not None and supervisor.motion.asked is not None:
+        running = f" {supervisor.motion.asked.kind} to {supervisor.motion.target_rps:g} rps"
     return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}"
 
 
