@@ -214,8 +214,8 @@ def begin_motion(trajectory: Floats, number: int, tick: int) -> LiveMotion:
 
 @njit
 def with_set_point(motion: LiveMotion, number: int, tick: int) -> LiveMotion:
-    """Another set point, in the same motion."""
-    return LiveMotion(number, motion.start_tick, tick, motion.head, motion.resting, motion.blocked, motion.generator)
+    """Another set point, in the same motion, however long it has stood still."""
+    return LiveMotion(number, motion.start_tick, tick, motion.head, 0, motion.blocked, motion.generator)
 
 
 @njit

@@ -298,6 +298,9 @@ def test_it_is_not_done_before_the_last_reader_sees_standstill():
         if has_ended(config, motion.motion, 0):
             break
     assert not rows[0, 1:].any()
+    motion.ask(2.0)  # in the very tick in which it would end: it goes on
+    assert not has_ended(config, motion.motion, 0)
+    assert motion.go(400)[-1, 1] == 2.0
 
 
 @settings(max_examples=200, deadline=None)

@@ -170,6 +170,21 @@ def test_a_jog_that_is_not_renewed_stands_still_after_its_time(live):
     assert tail == live.config.loop.tail_ticks + int(np.ceil(feedforward.behind_ticks)) + 1
 
 
+@pytest.mark.parametrize("offset", [-1, 0, 1])
+def test_a_set_point_in_the_tick_in_which_the_motion_ends_is_followed(offset):
+    live = Live()
+    live.ask(0.0)
+    feedforward = live.config.controller.feedforward
+    stands = live.config.loop.tail_ticks + live.ahead + int(np.ceil(feedforward.behind_ticks)) + 1
+    live.run.ticks(stands + offset)
+    number = live.ask(1.0)
+    live.run.ticks(200)
+    assert live.session.status(b.SET_POINT_DONE) == (1 if offset > 0 else 0)
+    rows = live.rows()
+    assert rows["set_point_number"][-1] == number
+    assert rows["reference_rps"].max() == 1.0
+
+
 def test_a_trip_ends_the_motion_and_a_reset_does_not_bring_it_back(live):
     number = live.ask(4.0)
     live.run.ticks(150)
