@@ -23,6 +23,7 @@ SUFFIXES = {
     "rev": "revolutions",
     "rps": "revolutions per second",
     "rps2": "revolutions per second squared",
+    "rps3": "revolutions per second cubed",
     "nm": "newton metre",
     "nm_per_a": "newton metre per ampere",
     "nm_per_rev": "newton metre per revolution",

@@ -39,7 +39,7 @@ from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
 
 EXIT_REFUSED = 1
 EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT}  # the first that applies, in this order
-TORQUE_STATES = ("enabled", "running", "stopping")
+TORQUE_STATES = ("enabled", "preparing", "running", "following", "stopping")
 ANSWER_S = 2.0
 
 

@@ -10,6 +10,7 @@ import argparse
 import json
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -22,6 +23,7 @@ from ..daemon.places import CONTROL, SYSTEM_DIRECTORY, WATCH, user_directory
 from ..documents import DocumentError, parse, read_text
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
 
+RENEWED_SHARE = 0.25  # of the time within which a jog has to be renewed
 BAD_INPUT = (rpc.BAD_DOCUMENT, rpc.INVALID_PARAMS, rpc.METHOD_NOT_FOUND, rpc.INVALID_REQUEST, rpc.PARSE_ERROR)
 
 
@@ -46,7 +48,8 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
     if info.is_required():
         metavar = {"file": "PATH", "profile": "PROFILE"}.get(str(kind), name.upper())
         choices = get_args(info.annotation) if get_origin(info.annotation) is Literal else None
-        command.add_argument(name, metavar=metavar, choices=choices, help=f"{text}{_choices(choices)}")
+        type_of = float if info.annotation is float else str
+        command.add_argument(name, metavar=metavar, type=type_of, choices=choices, help=f"{text}{_choices(choices)}")
     elif info.annotation is bool:
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
@@ -80,6 +83,8 @@ def execute(options: argparse.Namespace) -> int:
                 _follow(client, options.json)
             if name == "enable" and params.get("hold"):
                 _hold(client)
+            if name == "jog" and result["to_rps"] != 0:
+                _keep_jogging(client, result)
         return 0
     except ClientError as error:
         print(f"fffo-drive ctl: {error}", file=sys.stderr)
@@ -166,6 +171,21 @@ def _hold(client: DaemonClient) -> None:
     _follow(client, False)
 
 
+def _keep_jogging(client: DaemonClient, jog: dict[str, Any]) -> None:
+    """Renew it in time until Ctrl-C, then end it. Raises CallError when a stop or another set point ends it."""
+    print("jogging; Ctrl-C ends at standstill", file=sys.stderr, flush=True)
+    ended = threading.Event()
+    before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        to_rps = jog["to_rps"]
+        while not ended.wait(RENEWED_SHARE * jog["renew_within_s"]):
+            jog = client.call("jog", to_rps=to_rps, renews=jog["set_point"], epoch=jog["epoch"])
+        client.call("jog", to_rps=0, renews=jog["set_point"], epoch=jog["epoch"])
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _print(name: str, result: Any, as_json: bool) -> None:
     if as_json:
         print(json.dumps(result, indent=2), flush=True)
@@ -194,6 +214,14 @@ def _status_text(status: dict[str, Any]) -> str:
     if status["profile"]:
         profile = status["profile"]
         lines.append(f"profile {profile['name']}: sample {profile['sample']} of {profile['samples']}")
+    if status.get("set_point"):  # an older daemon has none
+        asked = status["set_point"]
+        state = ", not renewed in time: braked" if asked["lapsed"] and asked["kind"] == "jog" else ""
+        state += ", leads out of the position window: braked" if asked["blocked"] else ""
+        lines.append(
+            f"{asked['kind']}: to {asked['to_rps']:.4g} rps (set point {asked['number']}){state}; a set point acts "
+            f"{asked['latency_s'] * 1e3:.3g} ms later than it is given (preview)"
+        )
     if status["loop"]:
         loop = status["loop"]
         wire = [f"{count} {name}" for name, count in loop["exchange"].items() if count]

@@ -132,6 +132,7 @@ def as_json(report: ReplayReport, files: Iterable[Path]) -> dict[str, object]:
         **report._asdict(),
         "blocks": [used._asdict() for used in report.blocks],
         "profiles": report.profiles._asdict(),
+        "live": report.live._asdict(),
     }
 
 
@@ -149,6 +150,11 @@ def sentences(files: list[Path], report: ReplayReport, other: str | None) -> lis
         if whole.as_asked or whole.other:
             said = f", {whole.other} with samples other than asked for" if whole.other else ""
             lines.append(f"  profiles that ran from end to end: {whole.as_asked} as asked for{said}")
+        live = report.live
+        if any(live):
+            said = f", {live.other} with another one" if live.other else ""
+            said += f", {live.not_followed} not followed" if live.not_followed else ""
+            lines.append(f"  rows by live set points: {live.as_asked} with the reference made again{said}")
     if report.not_replayed:
         lines.append(
             f"  {report.not_replayed} rows not replayed: the recording does not hold the begin of that motion, "

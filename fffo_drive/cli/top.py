@@ -24,7 +24,13 @@ STATUS_HZ = 10.0
 KEPT = 60  # statuses in the sparklines
 KEPT_EVENTS = 8
 BARS = " ▁▂▃▄▅▆▇█"
-STATE_STYLE = {"fault": "bold red", "running": "bold green", "enabled": "green", "stopping": "yellow"}
+STATE_STYLE = {
+    "fault": "bold red",
+    "running": "bold green",
+    "following": "bold green",
+    "enabled": "green",
+    "stopping": "yellow",
+}
 LEVEL_STYLE = {"error": "red", "fatal": "bold red", "warning": "yellow"}
 
 
@@ -149,6 +155,9 @@ class View:
             profile = status["profile"]
             done = max(0, profile["sample"]) / max(1, profile["samples"])
             lines.append(("profile", f"{profile['name']}, {100.0 * done:.0f} % of {profile['duration_s']:.1f} s"))
+        if status.get("set_point"):
+            given = status["set_point"]
+            lines.append(("set point", f"{given['kind']} to {given['to_rps']:.4g} rps"))
         lines.append(("recorder", _recorder_text(recording)))
         return lines
 

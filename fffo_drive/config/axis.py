@@ -95,6 +95,9 @@ class AxisFile(Record):
         unknown = sorted(set(self.envelope.reactions) - set(TRIP_NAMES))
         if unknown:
             raise ValueError(f"envelope.reactions: unknown trip '{unknown[0]}'; known: {', '.join(TRIP_NAMES)}")
+        largest_rps = self.daemon.set_points.largest_rps
+        if largest_rps is not None and largest_rps > self.envelope.speed_limit_rps:
+            raise ValueError("daemon.set_points.largest_rps must not exceed envelope.speed_limit_rps")
         return self
 
 

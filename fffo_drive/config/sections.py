@@ -317,6 +317,25 @@ def length_problems(section: ProfileSection, loop: LoopSection) -> list[str]:
     return []
 
 
+class SetPointSection(Record):
+    """Live set points (`ctl jog`, `velocity`, `step`): how the reference gets there."""
+
+    largest_rps: Annotated[
+        Rps | None, Field(description="a set point beyond it is refused; null: envelope.speed_limit_rps")
+    ] = None
+    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="bound of the reference's acceleration")] = 50.0
+    jerk_rps3: Annotated[
+        float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; of stops and of a lapsed jog too")
+    ] = 1000.0
+    jog_timeout_s: Annotated[
+        float, Field(ge=0.05, le=10, description="a jog that is not renewed within it ends at standstill")
+    ] = 0.5
+    window_margin_rev: Annotated[
+        float,
+        Field(gt=0, le=1000, description="standstill before envelope.position_window_rev; at most a tenth of it"),
+    ] = 0.05
+
+
 class DaemonSection(Record):
     """`fffo-drive serve`: who may do what, how it stops, what it records."""
 
@@ -333,6 +352,7 @@ class DaemonSection(Record):
         Field(description="what happens when the client that holds the axis goes away"),
     ] = "stop"
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
+    set_points: SetPointSection = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
         float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")

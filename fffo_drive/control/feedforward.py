@@ -24,6 +24,11 @@ class FeedforwardConfig(NamedTuple):
     ahead_ticks: float  # how far ahead the reference is read for torque
     behind_ticks: float  # how old the reference is that the error compares with
 
+    @property
+    def preview_ticks(self) -> int:
+        """Periods for which the reference must be known ahead (control.set_point.preview_ticks is the kernel)."""
+        return max(0, math.ceil(self.ahead_ticks))
+
 
 class Reference(NamedTuple):
     """A reference at one tick, as the parts of the law see it."""

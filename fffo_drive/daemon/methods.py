@@ -5,8 +5,9 @@ Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) 
 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
 status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
-            list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, recording {on, wanted,
-            file, finished, rows_*, write_errors, trouble}, last_event, loop {connection, running, tick, rows, late,
+            list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, set_point {kind, number,
+            to_rps, hold_s, lapsed, blocked, latency_s}, recording {on, wanted, file, finished, rows_*, write_errors,
+            trouble}, last_event, loop {connection, running, tick, rows, late,
             skipped, missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code,
             nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
             friction_nm, mode, age}; null where there is none
@@ -15,6 +16,11 @@ enable, disable, start, stop, quick_stop, reset_fault
             stop succeeds in every state and says what is: in a fault the axis may coast. Once it is acknowledged, no
             start or enable that was sent before is carried out: each is bound to the epoch in which it arrived, or
             which its parameter `epoch` names
+jog, velocity, step
+            {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
+            "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of
+            daemon.set_points. Bound to an epoch as a start is. A jog that is not renewed in time ends at standstill,
+            and so does what would leave envelope.position_window_rev
 toggle, model, set, reload
             what is in use now
 record      {"on": ..., "file": ..., "files": [...]}
@@ -39,7 +45,7 @@ from ..config.plan import YAML_TYPE, Plan, toggle_name
 from ..recording.events import Level
 from ..runtime.states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
 from . import parameters as p
-from . import settings
+from . import set_points, settings
 from .profiles import chosen_profile
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
 from .status import info_of, status_of
@@ -170,6 +176,49 @@ class Api:
         if wanted.wait_s == 0:
             return self._now(True)
         return await self._reached(lambda: supervisor.state is not State.RUNNING, wanted.wait_s, "the profile's end")
+
+    async def jog(self, wanted: p.Jog, caller: Caller) -> Any:
+        """A velocity as long as it is renewed."""
+        motion = self.supervisor.motion
+        if wanted.renews is not None and (motion is None or not motion.can_renew(wanted.renews)):
+            text = f"jog {wanted.renews} is over: it lapsed, or another set point or a stop came; jog again"
+            raise RefusedError(text, self.supervisor.state, ())
+        asked = set_points.jog(self.supervisor.plan, wanted.to_rps)
+        return await self._follow(asked, wanted.epoch, caller, 0.0)
+
+    async def velocity(self, wanted: p.SetVelocity, caller: Caller) -> Any:
+        """A velocity until another one comes."""
+        asked = set_points.velocity(self.supervisor.plan, wanted.to_rps, wanted.for_s)
+        return await self._follow(asked, wanted.epoch, caller, wanted.wait_s)
+
+    async def step(self, wanted: p.Step, caller: Caller) -> Any:
+        """A change of the set point in force."""
+        motion = self.supervisor.motion
+        from_rps = 0.0 if motion is None else motion.target_rps
+        asked = set_points.step(self.supervisor.plan, from_rps, wanted.by_rps, wanted.for_s)
+        return await self._follow(asked, wanted.epoch, caller, wanted.wait_s)
+
+    async def _follow(
+        self, asked: set_points.AskedSetPoint, epoch: int | None, caller: Caller, wait_s: float
+    ) -> dict[str, Any]:
+        supervisor = self.supervisor
+        before = None if supervisor.motion is None else supervisor.motion.asked
+        motion = supervisor.follow(asked, epoch)
+        number = motion.set_point_number
+        to_rps, hold_ticks = asked.set_point.target_rps, asked.set_point.hold_ticks
+        if asked != before:  # what renews a jog is no news
+            self._command(caller, f"{asked.kind} {to_rps:g} rps")
+        if wait_s > 0:
+            await self._reached(
+                lambda: motion.there(number, to_rps), wait_s, f"{to_rps:g} rps",
+                lambda: supervisor.motion is not motion or motion.set_point_number != number or motion.lapsed,
+            )  # fmt: skip
+        renew_s = hold_ticks * supervisor.plan.axis.loop.period_s if asked.kind == set_points.JOG else None
+        return {
+            "state": supervisor.state.value, "set_point": number, "to_rps": to_rps,
+            "latency_s": set_points.latency_s(supervisor.plan), "renew_within_s": renew_s,
+            "epoch": supervisor.machine.epoch.value,
+        }  # fmt: skip
 
     # parameters
 

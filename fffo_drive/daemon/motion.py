@@ -1,4 +1,4 @@
-"""What the supervisor asks of the loop: torque or not, a profile, a ramp to standstill. Python side of its blocks."""
+"""What the supervisor asks of the loop: torque or not, a profile, set points, standstill. Python side of its blocks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from ..runtime import blocks as b
 from ..runtime.session import Session
 from .connection import Connection
 from .profiles import STOP, braking_ramp
+from .set_points import JOG, AskedSetPoint, standstill
 
 SETTLED_TICKS = 3  # between two profiles handed to the loop: it must have taken the first one
 
@@ -22,6 +23,10 @@ class Motion:
         self._number: int | None = None
         self._handed_tick = 0
         self._brake_pending = False
+        self.asked: AskedSetPoint | None = None  # the last one, while a motion by set points lasts
+        self.set_point_number = 0
+        self._told_lapsed = 0
+        self._told_blocked = False
 
     @property
     def _session(self) -> Session:
@@ -42,8 +47,62 @@ class Motion:
         self._handed_tick = self._session.status(b.TICK)
         self.profile = profile
 
+    def follow(self, asked: AskedSetPoint) -> None:
+        """A set point to the loop."""
+        before_rps = 0.0 if self.asked is None else self.asked.set_point.target_rps
+        if before_rps * asked.set_point.target_rps <= 0.0:  # a jog that is renewed at the edge is no news
+            self._told_blocked = False
+        self.set_point_number = self._session.set_point(asked.set_point)
+        self.asked = asked
+
+    @property
+    def lapsed(self) -> bool:
+        """The last set point has held for its time."""
+        return self._session.status(b.SET_POINT_LAPSED) == self.set_point_number != 0
+
+    def newly_lapsed(self) -> AskedSetPoint | None:
+        """The set point that has just lapsed; once."""
+        if self.asked is None or not self.lapsed or self._told_lapsed == self.set_point_number:
+            return None
+        self._told_lapsed = self.set_point_number
+        return self.asked
+
+    @property
+    def blocked(self) -> bool:
+        """The last set point leads out of the position window, and was braked before its edge."""
+        return self._session.status(b.SET_POINT_BLOCKED) == self.set_point_number != 0
+
+    def newly_blocked(self) -> bool:
+        """It has just come to the edge of the window; once."""
+        newly = self.blocked and not self._told_blocked
+        self._told_blocked = self._told_blocked or newly
+        return newly
+
+    @property
+    def target_rps(self) -> float:
+        """The set point in force; 0 where none is."""
+        if self.asked is None:
+            return 0.0
+        set_point = self.asked.set_point
+        return set_point.after_rps if self.lapsed else set_point.target_rps
+
+    def there(self, number: int, velocity_rps: float) -> bool:
+        """The reference has come to this velocity by this set point, or the motion has ended there."""
+        if self.asked is None and self.set_point_number == number:
+            return velocity_rps == 0.0
+        row = self.connection.last_row()
+        return row is not None and int(row["set_point_number"]) == number and row["reference_rps"] == velocity_rps
+
+    def can_renew(self, number: int) -> bool:
+        """It is a jog, the last that came, and it still holds."""
+        jogs = self.asked is not None and self.asked.kind == JOG
+        return jogs and number == self.set_point_number and not self.lapsed
+
     def drop(self) -> None:
-        """The profile ends at once; the law holds zero velocity if there is torque."""
+        """The motion ends at once; the law holds zero velocity if there is torque."""
+        if self.asked is not None:
+            self._session.request(b.SET_POINT_ABORT, self.set_point_number)
+        self.asked = None
         self._brake_pending = False
         self.profile = None
         if self._number is not None:
@@ -51,7 +110,10 @@ class Motion:
         self._number = None
 
     def ended(self) -> bool:
-        """True once, when the profile has ended."""
+        """True once, when the profile, or the motion by set points, has ended."""
+        if self.asked is not None and self._session.status(b.SET_POINT_DONE) == self.set_point_number:
+            self.asked = None
+            return True
         if self._number is None or self._session.status(b.PROFILE_DONE) != self._number:
             return False
         self._number, self.profile = None, None
@@ -63,11 +125,17 @@ class Motion:
 
     @property
     def braking(self) -> bool:
-        """A ramp to standstill runs, or is about to."""
+        """It is being braked to standstill, or is about to."""
+        if self.asked is not None:
+            return self.asked.kind == STOP
         return self._brake_pending or (self.profile is not None and self.profile.name == STOP)
 
-    def brake(self) -> None:
-        """Brake to standstill, as soon as `brake_when_settled` may do so."""
+    def brake(self, plan: Plan) -> None:
+        """Brake to standstill: a live motion now, a profile as soon as `brake_when_settled` may do so."""
+        if self.asked is not None:
+            if not self.braking:
+                self.follow(standstill(plan))
+            return
         self._brake_pending = self._brake_pending or not self.braking
 
     def brake_when_settled(self, plan: Plan) -> Profile | None:

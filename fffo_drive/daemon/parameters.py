@@ -68,6 +68,35 @@ class Start(Bound):
     wait_s: Annotated[Seconds, Field(description="how long to wait for its end; 0: not")] = 0.0
 
 
+Velocity = Annotated[float, Field(ge=-1000, le=1000)]
+
+
+class Jog(Bound):
+    """Parameters of `jog`."""
+
+    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends it")]
+    renews: Annotated[
+        int | None,
+        Field(ge=1, description="number of the jog that this renews (answer: set_point): refused when it has lapsed"),
+    ] = None
+
+
+class SetVelocity(Bound):
+    """Parameters of `velocity`."""
+
+    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends at standstill")]
+    for_s: Annotated[Seconds, Field(description="for so long, then standstill; 0: until another one comes")] = 0.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
+
+
+class Step(Bound):
+    """Parameters of `step`."""
+
+    by_rps: Annotated[Velocity, Field(description="change of the velocity set point in force")]
+    for_s: Annotated[Seconds, Field(description="for so long, then back to what was before; 0: for good")] = 0.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
+
+
 class Toggle(Record):
     """Parameters of `toggle`."""
 
@@ -139,6 +168,9 @@ METHODS: dict[str, Method] = {
     "enable": Method(Enable, False, "torque; the axis is held at standstill"),
     "disable": Method(Ending, False, "brake to standstill, then no torque"),
     "start": Method(Start, False, "run a profile"),
+    "jog": Method(Jog, False, "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
+    "velocity": Method(SetVelocity, False, "turn at a velocity, which may be changed at any time"),
+    "step": Method(Step, False, "change the velocity set point by so much"),
     "toggle": Method(Toggle, False, "friction from the reference, the feedback, or not"),
     "stop": Method(Ending, False, "brake to standstill and stay enabled"),
     "quick_stop": Method(Ending, False, "the drive's quick stop, then no torque"),

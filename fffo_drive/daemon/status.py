@@ -13,6 +13,7 @@ from ..runtime import blocks as b
 from ..runtime.states import State
 from .parameters import agreed_protocol
 from .profiles import profile_names
+from .set_points import latency_s
 from .settings import LIVE_KEYS, value_of
 from .supervisor import Supervisor
 from .watch import TRIP_NAMES
@@ -37,6 +38,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
         "model": {"name": plan.model.name, "hash": supervisor.model_hash},
         "effects": supervisor.effects.status(),
         "profile": _profile_of(supervisor),
+        "set_point": _set_point_of(supervisor),
         "recording": supervisor.recorder.status(),
         "last_event": supervisor.log.last_number,
         **_loop_of(supervisor),
@@ -53,6 +55,22 @@ def _profile_of(supervisor: Supervisor) -> dict[str, Any] | None:
         "sample": sample,
         "samples": int(profile.values.size),
         "duration_s": profile.duration_s,
+    }
+
+
+def _set_point_of(supervisor: Supervisor) -> dict[str, Any] | None:
+    motion = supervisor.motion
+    if motion is None or motion.asked is None:
+        return None
+    hold_s = motion.asked.set_point.hold_ticks * supervisor.plan.axis.loop.period_s
+    return {
+        "kind": motion.asked.kind,
+        "number": motion.set_point_number,
+        "to_rps": motion.target_rps,
+        "hold_s": hold_s or None,
+        "lapsed": motion.lapsed,
+        "blocked": motion.blocked,
+        "latency_s": latency_s(supervisor.plan),
     }
 
 
@@ -99,6 +117,8 @@ def line_of(supervisor: Supervisor) -> str:
         return f"{supervisor.state.value}: {supervisor.obstacles[0]}"
     profile = supervisor.profile
     running = f" {profile.name}" if supervisor.state is State.RUNNING and profile is not None else ""
+    if supervisor.state is State.FOLLOWING and supervisor.motion is not None and supervisor.motion.asked is not None:
+        running = f" {supervisor.motion.asked.kind} to {supervisor.motion.target_rps:g} rps"
     return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}"
 
 

@@ -33,6 +33,7 @@ from .effects_watch import EffectsWatch
 from .event_log import EventLog
 from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
+from .set_points import JOG, AskedSetPoint, longest_stop_s
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
 from .worker import Worker
 
@@ -82,6 +83,7 @@ class Supervisor:
         self._connections = 0
         self._closing = False
         self._next_profile: Profile | None = None
+        self._next_set_point: AskedSetPoint | None = None
         self._deadline_s = NEVER_S
         self._torque_seen = False
         self._quick = False
@@ -133,6 +135,9 @@ class Supervisor:
         elif action is Action.START:
             assert self._next_profile is not None
             motion.hand(self._next_profile)
+        elif action is Action.FOLLOW:
+            assert self._next_set_point is not None
+            motion.follow(self._next_set_point)
         elif action is Action.BRAKE:
             self._brake(motion, now_s)
         elif action is Action.CLEAR:
@@ -149,11 +154,11 @@ class Supervisor:
     def _brake(self, motion: Motion, now_s: float) -> None:
         """To standstill under control; where there is no torque yet there is nothing to brake."""
         if self._torque_seen and self._watcher is not None and self._watcher.commanding:
-            motion.brake()
+            motion.brake(self.plan)
             motion.brake_when_settled(self.plan)
             self._quick = False
             if self.state is State.STOPPING:
-                longest_s = MAX_SPEED_FACTOR * self.plan.axis.envelope.speed_limit_rps / self.plan.axis.daemon.stop_rps2
+                longest_s = longest_stop_s(self.plan, MAX_SPEED_FACTOR * self.plan.axis.envelope.speed_limit_rps)
                 self._deadline_s = now_s + longest_s + self.plan.axis.loop.tail_s + self.plan.axis.daemon.stop_timeout_s
         elif self.state is State.STOPPING:
             self._act(Action.DISABLE, now_s)
@@ -240,6 +245,14 @@ class Supervisor:
                 self._deadline_s = NEVER_S
             self._torque_seen = True
         motion.brake_when_settled(self.plan)
+        lapsed = motion.newly_lapsed()
+        if lapsed is not None and lapsed.kind == JOG and lapsed.set_point.target_rps != 0.0:
+            timeout_s = self.plan.axis.daemon.set_points.jog_timeout_s
+            text = f"the jog was not renewed within {timeout_s:g} s (daemon.set_points.jog_timeout_s): braked"
+            self.log.add("set_point", text, Level.WARNING)
+        if motion.newly_blocked():
+            text = "the set point leads out of envelope.position_window_rev: braked before its edge"
+            self.log.add("set_point", text, Level.WARNING)
         if motion.ended():
             self.apply(Event.PROFILE_ENDED)
         if self.state is State.STOPPING and not motion.wants_torque:
@@ -321,6 +334,17 @@ class Supervisor:
             raise ValueError(f"profile '{profile.name}' is longer than loop.longest_profile_s")
         self._next_profile = profile
         self.apply(Event.PREPARED, epoch)
+
+    def follow(self, asked: AskedSetPoint, asked_in: int | None) -> Motion:
+        """Follow a live set point from now on. Raises RefusedError."""
+        acts = self._watcher is not None and self._watcher.commanding
+        if self.state is State.ENABLED and not acts:
+            text = "the axis has no torque yet: wait for enable to answer, and for the brake (drive.enable_delay_s)"
+            raise RefusedError(text, self.state, (State.ENABLED, State.FOLLOWING))
+        self._next_set_point = asked
+        self.apply(Event.SET_POINT, asked_in)
+        assert self.motion is not None
+        return self.motion
 
     def start_failed(self, epoch: int) -> None:
         """A profile could not be prepared; where a stop or a fault has ended the start already, nothing is left."""

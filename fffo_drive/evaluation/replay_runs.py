@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..control.controller import CONTROLLER_BLOCK_SIZE
 from ..control.envelope import (
     TRIP_BUS_OFF,
     TRIP_EMERGENCY,
@@ -23,9 +24,10 @@ from ..control.envelope import (
     EnvelopeConfig,
 )
 from ..control.reference import MODE_VELOCITY
+from ..control.set_point import SET_POINT_SIZE
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..recording.run_records import Kind, RunRecord
-from ..runtime.records import block_of, effects_of, envelope_of
+from ..runtime.records import block_of, effects_of, envelope_of, period_s_of, set_point_of
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
@@ -36,6 +38,7 @@ from ..runtime.tick import (
 )
 from ..signals import ROW
 from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Floats, Integers, Replay, Replayed, Rows, law_in_force
+from .replay_live import LIVE_FIELDS, LiveReplay, LiveRows
 
 FLAG_OF_TRIP = {
     TRIP_EMERGENCY: FLAG_EMERGENCY,
@@ -90,12 +93,14 @@ class ReplayReport(NamedTuple):
     first_trip: str  # the first of them, in words
     blocks: list[BlocksUsed]
     profiles: ProfilesRun
+    live: LiveRows
     names_blocks: bool  # False: a recording of an older version among them
 
     @property
     def exact(self) -> bool:
         """True when the record is reproduced, all of it."""
-        return self.rows > 0 and self.all_identical == self.all_rows and not self.not_replayed
+        made_again = not (self.live.other or self.live.not_followed)
+        return self.rows > 0 and self.all_identical == self.all_rows and not self.not_replayed and made_again
 
 
 class Replayer:
@@ -114,7 +119,8 @@ class Replayer:
         """
         rows, records = as_current(recorded), tuple(records)
         name = session_id(records)
-        if name is not None and rows is recorded:
+        names_blocks = "row_number" in (recorded.dtype.names or ())
+        if name is not None and names_blocks:
             session = self._sessions.setdefault(name, _Session(name))
             session.learn(records)
         else:
@@ -124,8 +130,10 @@ class Replayer:
             session = _Session("", law)
             self._sum.names_blocks = False
         replayed = session.replay(rows, self._instead)
-        self._sum.add(rows, replayed, all_of_it=rows is recorded)
+        self._sum.add(rows, replayed, all_of_it=names_blocks)
         session.follow_profiles(rows, self._sum)
+        if name is not None and names_blocks:
+            session.follow_set_points(rows, self._sum)
         self._sum.count_blocks(session, rows, replayed)
         return replayed
 
@@ -158,6 +166,8 @@ def as_current(rows: Rows) -> Rows:
         made["row_number"] = np.arange(rows.size)
     if "heartbeat_age_ns" in missing:
         made["heartbeat_age_ns"] = -1
+    if "set_point_sample" in missing:
+        made["set_point_sample"] = -1
     if "i2t_a2s" in missing:
         made["i2t_a2s"] = np.nan
     if "goal" in missing:
@@ -183,12 +193,17 @@ class _Session:
         self.models: dict[int, str] = {}
         self._profiles: dict[int, RunRecord] = {}
         self._playing: _Playing | None = None
+        self._live = LiveReplay()
+        self._set_points: list[Floats] = []
+        self._set_points_at: dict[int, int] = {}
+        self._period_s = 0.0
 
     def learn(self, records: tuple[RunRecord, ...]) -> None:
         """Blocks that a file tells of."""
         for record in records:
             if record.kind == Kind.SESSION:
                 self._envelope = envelope_of(record)
+                self._period_s = period_s_of(record)
             elif record.kind == Kind.PARAMETERS and record.number not in self._parameters_at:
                 self._parameters_at[record.number] = len(self._parameters)
                 self._parameters.append(block_of(record))
@@ -196,6 +211,9 @@ class _Session:
             elif record.kind == Kind.EFFECTS and record.number not in self._effects_at:
                 self._effects_at[record.number] = len(self._effects)
                 self._effects.append(effects_of(record))
+            elif record.kind == Kind.SET_POINT and record.number not in self._set_points_at:
+                self._set_points_at[record.number] = len(self._set_points)
+                self._set_points.append(set_point_of(record))
             elif record.kind == Kind.PROFILE:
                 self._profiles[record.number] = record
 
@@ -213,6 +231,23 @@ class _Session:
             _places(rows["parameters_number"], self._parameters_at),
             _places(rows["effects_number"], self._effects_at),
         )
+
+    def follow_set_points(self, rows: Rows, sums: _Sums) -> None:
+        """Make the references of live set points again."""
+        lives = rows["set_point_sample"] >= 0
+        found = self._live.run(
+            np.array(self._set_points).reshape(-1, SET_POINT_SIZE),
+            np.array(self._parameters).reshape(-1, CONTROLLER_BLOCK_SIZE),
+            self._period_s,
+            rows,
+            _places(rows["set_point_number"], self._set_points_at),
+            _places(rows["parameters_number"], self._parameters_at),
+        )
+        followed = lives & ~np.isnan(found[:, 0])
+        same = np.logical_and.reduce([_same_bits(rows[name], found[:, k]) for k, name in enumerate(LIVE_FIELDS)])
+        sums.live["as_asked"] += int((followed & same).sum())
+        sums.live["other"] += int((followed & ~same).sum())
+        sums.live["not_followed"] += int((lives & ~followed).sum())
 
     def follow_profiles(self, rows: Rows, sums: _Sums) -> None:
         """Hold the samples that ran against the profiles that were asked for."""
@@ -275,6 +310,7 @@ class _Sums:
         self.squares_a2 = self.command_squares_a2 = self.largest_a = 0.0
         self.blocks: Counter[BlocksUsed] = Counter()
         self.profiles = {"as_asked": 0, "other": 0}
+        self.live = dict.fromkeys(LiveRows._fields, 0)
         self.names_blocks = True
 
     def add(self, rows: Rows, replayed: Replayed, all_of_it: bool) -> None:
@@ -331,7 +367,7 @@ class _Sums:
             self.first_name, float(np.sqrt(self.squares_a2 / rows)), self.largest_a,
             float(np.sqrt(self.command_squares_a2 / rows)), self.trips_elsewhere, self.first_trip,
             [used._replace(rows=count) for used, count in self.blocks.items()],
-            ProfilesRun(**self.profiles), self.names_blocks,
+            ProfilesRun(**self.profiles), LiveRows(**self.live), self.names_blocks,
         )  # fmt: skip
 
 

@@ -21,8 +21,8 @@ RECORD_TYPE = "fffo_drive_msgs/msg/Record"
 RECORD_FIELDS = (
     Field("uint64", "time_ns", "ns", "wall clock when it was made, Unix epoch"),
     Field("uint32", "sequence", "-", "place among all records of the session; a row's request_number is one"),
-    Field("uint32", "number", "-", "as rows name it: of parameters, effects or profile; also of model and reset"),
-    Field("string", "kind", "-", "session, model, parameters, effects, profile, request, or a word of the loop"),
+    Field("uint32", "number", "-", "as rows name it: of parameters, effects, profile, set point; also model and reset"),
+    Field("string", "kind", "-", "session, model, parameters, effects, profile, set_point, request, or a loop's word"),
     Field("string[]", "names", "-", "of the values; units as suffixes"),
     Field("float64[]", "values", "-", "bit for bit as the loop has them"),
     Field("string", "data", "-", "JSON object for programs: names, texts, hashes, who asked for what"),
@@ -38,12 +38,14 @@ class Kind(StrEnum):
     PARAMETERS = "parameters"  # a whole controller block
     EFFECTS = "effects"  # a whole table of compensated effects
     PROFILE = "profile"  # a profile handed to the loop; its samples are in the rows
+    SET_POINT = "set_point"  # a live set point handed to the loop: control.set_point.SetPoint
     REQUEST = "request"  # who asked for what
     GOAL = "goal"  # from here on words of the loop: drive.cia402.GOAL_*
     TOGGLE = "toggle"  # control.friction_observer.TOGGLE_*
     IN_SERVICE = "in_service"  # effects in service, as bits
     RESET = "reset"  # of the latched trip and the drive's fault
     ABORT = "abort"  # the number of a profile that is to end at once
+    SET_POINT_ABORT = "set_point_abort"  # the number of a set point whose motion is to end at once
     STOP = "stop"  # the loop is to end
     AUTOSTOP = "autostop"  # the loop is to end with the profile
 
@@ -52,6 +54,7 @@ NAMED_BY_ROWS: dict[str, str] = {  # kind -> the row's field with its number
     Kind.PARAMETERS: "parameters_number",
     Kind.EFFECTS: "effects_number",
     Kind.PROFILE: "profile_number",
+    Kind.SET_POINT: "set_point_number",
 }
 REQUEST_NUMBER = "request_number"
 

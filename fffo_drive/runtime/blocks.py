@@ -13,6 +13,7 @@ import numpy as np
 from ..control.compensation import ALL_EFFECTS, TABLE_SIZE, new_memory
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.reference import Profile
+from ..control.set_point import HISTORY, SET_POINT_SIZE, SetPoint
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 
@@ -32,7 +33,9 @@ SUPERVISOR_BEAT = 8  # changes as long as somebody is in charge of the loop (Loo
 EFFECTS = 9  # bits: which of the model's effects are in service
 EFFECTS_NUMBER = 10  # a new number publishes the effects in slot number & 1
 REQUEST_NUMBER = 11  # raised after each request, with the sequence of its record: rows name the last one seen
-CONTROL_WORDS = 12
+SET_POINT_NUMBER = 12  # a new number publishes the live set point in slot number & 1
+SET_POINT_ABORT = 13  # the number of a set point whose motion is to end at once
+CONTROL_WORDS = 14
 
 # status words: written by the loop
 TICK = 0
@@ -52,7 +55,10 @@ FINISHED = 13  # 1 when the loop has returned
 ABANDONED = 14  # 1 when the loop stopped because the supervisor was silent
 EFFECTS_IN_USE = 15  # number of the effects that are compensated
 TRIP_STATUSWORD = 16  # of the tick of the trip: a moment later it shows the reaction
-STATUS_WORDS = 17
+SET_POINT_DONE = 17  # number of the set point whose motion ended last, at standstill or aborted
+SET_POINT_LAPSED = 18  # number of the last set point that held for its time and was not renewed
+SET_POINT_BLOCKED = 19  # number of the last set point that led out of its window, and was braked
+STATUS_WORDS = 20
 
 PROFILE_ROWS = 2  # value and derivative
 
@@ -68,6 +74,9 @@ class Blocks(NamedTuple):
     effects: Floats  # (2, compensation.TABLE_SIZE)
     effects_loop: Floats  # the same size, the loop's own: copy under way, and effects in use
     effects_memory: Floats  # (compensation.MEMORY_SIZE,), the loop's own
+    set_points: Floats  # (2, SET_POINT_SIZE)
+    set_point_loop: Floats  # the same size, the loop's own: copy under way, and set point in use
+    trajectory: Floats  # (2, set_point.HISTORY), the loop's own: what the set points came to
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -81,6 +90,9 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros((2, TABLE_SIZE)),
         np.zeros((2, TABLE_SIZE)),
         new_memory(),
+        np.zeros((2, SET_POINT_SIZE)),
+        np.zeros((2, SET_POINT_SIZE)),
+        np.zeros((2, HISTORY)),
     )
     blocks.control[EFFECTS] = ALL_EFFECTS
     blocks.parameters[:] = pack_controller(controller)
@@ -130,6 +142,14 @@ def publish_profile(blocks: Blocks, profile: Profile) -> int:
     return number
 
 
+def publish_set_point(blocks: Blocks, set_point: SetPoint) -> int:
+    """Hand a live set point to the loop. Returns its number."""
+    number = int(blocks.control[SET_POINT_NUMBER]) + 1
+    blocks.set_points[number & 1] = set_point
+    store_release(blocks.control, SET_POINT_NUMBER, number)
+    return number
+
+
 @njit
 def take_parameters(blocks: Blocks, number_in_use: int, scratch: Floats, in_use: Floats) -> int:
     """Copy newly published parameters to `in_use`. Returns the number in use: still the old one if the copy was torn.
@@ -159,6 +179,20 @@ def take_effects(blocks: Blocks, number_in_use: int) -> int:
         blocks.status[STALE_BLOCKS] += 1
         return number_in_use
     _copy(blocks.effects_loop[0], blocks.effects_loop[1])
+    return number
+
+
+@njit
+def take_set_point(blocks: Blocks, number_in_use: int) -> int:
+    """A newly published set point to `blocks.set_point_loop[1]`, as `take_parameters` does. Returns its number."""
+    number = load_acquire(blocks.control, SET_POINT_NUMBER)
+    if number == number_in_use:
+        return number_in_use
+    _copy(blocks.set_points[number & 1], blocks.set_point_loop[0])
+    if load_acquire(blocks.control, SET_POINT_NUMBER) != number:
+        blocks.status[STALE_BLOCKS] += 1
+        return number_in_use
+    _copy(blocks.set_point_loop[0], blocks.set_point_loop[1])
     return number
 
 

@@ -22,6 +22,7 @@ from ..control.envelope import (
     envelope_step,
 )
 from ..control.reference import MODE_IDLE
+from ..control.set_point import no_motion
 from ..drive.cia402 import (
     GOAL_DISABLED,
     GOAL_ENABLED,
@@ -45,6 +46,7 @@ from .tick import (
     exchange,
     flags_of,
     follow_profile,
+    follow_set_points,
     look,
     publish_tick,
     wake,
@@ -90,6 +92,7 @@ def run_loop(
     compensation_rest(blocks.effects_memory)
     envelope = envelope_at_rest()
     cursor = ProfileCursor(status[b.PROFILE_DONE], -1, 0, MODE_IDLE)
+    live = no_motion(status[b.SET_POINT_DONE])
     baseline = baseline_of(feedback)
     reset_number = load_acquire(control, b.RESET_NUMBER)
     reset_ticks = 0
@@ -156,12 +159,19 @@ def run_loop(
         active = wanted and enabled_ticks > config.enable_delay_ticks
         was_running = cursor.start_tick >= 0
         cursor, sample, reference = follow_profile(
-            blocks, cursor, controller_config.feedforward, timing.tick, active, config.tail_ticks
-        )
+            blocks, cursor, controller_config.feedforward, timing.tick, active and live.start_tick < 0,
+            config.tail_ticks,
+        )  # fmt: skip
         if was_running and cursor.start_tick < 0 and load_acquire(control, b.AUTOSTOP) != 0:
             stopping_ticks = 1
             goal = GOAL_DISABLED
             wanted = active = False
+        live, live_sample, set_point_rps, live_reference = follow_set_points(
+            blocks, live, controller_config.feedforward, config, timing.tick, feedback, active,
+            cursor.start_tick < 0,
+        )  # fmt: skip
+        if live_sample >= 0:
+            reference = live_reference
         effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active, in_service)
         law, controller = apply_law(
             controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active, effects_nm
@@ -198,6 +208,9 @@ def run_loop(
         row["parameters_number"] = parameter_number
         row["effects_number"] = effects_number
         row["profile_number"] = cursor.number
+        row["set_point_number"] = live.number
+        row["set_point_sample"] = live_sample
+        row["set_point_rps"] = set_point_rps
         row["flags"] = flags_of(seen, ticks_run == 0)
         row["goal"] = goal
         row["resetting"] = reset_ticks

@@ -12,7 +12,9 @@ from ..control.compensation import effect_names, table_numbers, table_of
 from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig
 from ..control.reference import Profile
+from ..control.set_point import SET_POINT_NAMES, SetPoint
 from ..recording.run_records import Kind, RunRecord
+from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Floats
 from .tick import LoopConfig
@@ -22,6 +24,7 @@ WORD_KINDS = {  # control words whose changes are records of their own
     b.GOAL: Kind.GOAL,
     b.TOGGLE: Kind.TOGGLE,
     b.PROFILE_ABORT: Kind.ABORT,
+    b.SET_POINT_ABORT: Kind.SET_POINT_ABORT,
     b.RESET_NUMBER: Kind.RESET,
     b.AUTOSTOP: Kind.AUTOSTOP,
     b.EFFECTS: Kind.IN_SERVICE,
@@ -85,6 +88,11 @@ def of_profile(number: int, profile: Profile) -> Unnumbered:
     )
 
 
+def of_set_point(number: int, set_point: SetPoint) -> Unnumbered:
+    """A live set point: from these the reference is made again."""
+    return Unnumbered(number, Kind.SET_POINT, SET_POINT_NAMES, _floats(set_point), {})
+
+
 def values_digest(values: Floats) -> str:
     """SHA-256 of samples as little-endian float64."""
     return hashlib.sha256(np.ascontiguousarray(values, "<f8").tobytes()).hexdigest()
@@ -125,11 +133,23 @@ def envelope_of(record: RunRecord) -> EnvelopeConfig:
     return EnvelopeConfig(**fields, reactions=np.array(reactions, np.int64))
 
 
+def period_s_of(record: RunRecord) -> float:
+    """Period of the loop of a `session` record, as the loop has it."""
+    return record.by_name["loop.period_ns"] / NS_PER_S
+
+
 def block_of(record: RunRecord) -> Floats:
     """The packed controller block of a `parameters` record. Raises ValueError for one of other parameters."""
     if record.names != CONTROLLER_NAMES:
         other = sorted(set(record.names) ^ set(CONTROLLER_NAMES))
         raise ValueError(f"parameters {record.number} have other names than this version's: {', '.join(other)}")
+    return np.array(record.values)
+
+
+def set_point_of(record: RunRecord) -> Floats:
+    """The packed set point of a `set_point` record. Raises ValueError for one of other names."""
+    if record.names != SET_POINT_NAMES:
+        raise ValueError(f"set point {record.number} has other names than this version's: {', '.join(record.names)}")
     return np.array(record.values)
 
 

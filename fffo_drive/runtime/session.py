@@ -18,6 +18,7 @@ from numba import typeof
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.reference import Profile
+from ..control.set_point import SetPoint
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
@@ -26,7 +27,16 @@ from ..jit.linear_algebra import leave_out as leave_out_linear_algebra
 from ..recording.run_records import RecordBook, RunRecord
 from . import blocks as b
 from . import records
-from .blocks import Blocks, Floats, new_blocks, publish_controller, publish_effects, publish_profile, require_room
+from .blocks import (
+    Blocks,
+    Floats,
+    new_blocks,
+    publish_controller,
+    publish_effects,
+    publish_profile,
+    publish_set_point,
+    require_room,
+)
 from .loop import run_loop
 from .realtime import (
     RealtimeRefusedError,
@@ -168,6 +178,11 @@ class Session:
         told = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
         with self._asking, self._recorded(told._replace(number=self._next(b.PROFILE_NUMBER))):
             return publish_profile(self.blocks, profile)
+
+    def set_point(self, set_point: SetPoint) -> int:
+        """Ask for a velocity, now; a motion begins with it once the drive is enabled. Returns its number."""
+        with self._asking, self._recorded(records.of_set_point(self._next(b.SET_POINT_NUMBER), set_point)):
+            return publish_set_point(self.blocks, set_point)
 
     def _next(self, word: int) -> int:
         return int(self.blocks.control[word]) + 1

@@ -25,6 +25,7 @@ class State(StrEnum):
     ENABLED = "enabled"
     PREPARING = "preparing"
     RUNNING = "running"
+    FOLLOWING = "following"
     STOPPING = "stopping"
     FAULT = "fault"
 
@@ -36,6 +37,7 @@ MEANINGS = {
     State.ENABLED: "torque is asked for, the axis is held at standstill",
     State.PREPARING: "as enabled, and the profile of a start is being computed and checked",
     State.RUNNING: "a profile runs, or is braked to standstill",
+    State.FOLLOWING: "live set points are followed (jog, velocity, step), or braked to standstill",
     State.STOPPING: "torque is on its way out",
     State.FAULT: "latched; no torque until somebody resets it",
 }
@@ -50,6 +52,7 @@ class Event(StrEnum):
     START = "start"
     PREPARED = "prepared"
     NOT_PREPARED = "not_prepared"
+    SET_POINT = "set_point"
     STOP = "stop"
     QUICK_STOP = "quick_stop"
     RESET = "reset"
@@ -83,14 +86,15 @@ EVENTS = {
     Event.START: Happening(True, "somebody starts a profile", bound=True),
     Event.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
     Event.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
-    Event.STOP: Happening(True, "somebody ends the profile, in order", raises=True),
+    Event.SET_POINT: Happening(True, "somebody gives a live set point", bound=True),
+    Event.STOP: Happening(True, "somebody ends the motion, in order", raises=True),
     Event.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop", raises=True),
     Event.RESET: Happening(True, "somebody resets a fault, the drive still answers", raises=True),
     Event.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone", raises=True),
     Event.FOUND: Happening(False, "the drive is brought up, the loop runs"),
     Event.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
     Event.FORBIDDEN: Happening(False, "one of these no longer holds"),
-    Event.PROFILE_ENDED: Happening(False, "the profile, or the ramp that brakes it, has ended"),
+    Event.PROFILE_ENDED: Happening(False, "the profile, the motion by set points, or what brakes it, has ended"),
     Event.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
     Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
     Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
@@ -113,8 +117,9 @@ class Action(StrEnum):
     DISABLE = "switch the power stage off"
     QUICK_STOP = "quick stop"
     START = "hand the profile to the loop"
+    FOLLOW = "hand the set point to the loop"
     BRAKE = "brake the reference to standstill"
-    FORGET = "ask for nothing, drop the profile"
+    FORGET = "ask for nothing, drop profile and set point"
     CLEAR = "clear the trip and the drive's fault"
     RELEASE = "end the loop, leave the drive, try again"
 
@@ -160,6 +165,7 @@ TABLE: dict[tuple[State, Event], Transition] = {
     #
     (_S.ENABLED, _E.ENABLE): Transition(_S.ENABLED),
     (_S.ENABLED, _E.START): Transition(_S.PREPARING),
+    (_S.ENABLED, _E.SET_POINT): Transition(_S.FOLLOWING, (_A.FOLLOW,)),
     (_S.ENABLED, _E.STOP): Transition(_S.ENABLED),
     (_S.ENABLED, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
     (_S.ENABLED, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
@@ -182,6 +188,14 @@ TABLE: dict[tuple[State, Event], Transition] = {
     (_S.RUNNING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
     **_falls(_S.RUNNING),
     #
+    (_S.FOLLOWING, _E.SET_POINT): Transition(_S.FOLLOWING, (_A.FOLLOW,)),
+    (_S.FOLLOWING, _E.PROFILE_ENDED): Transition(_S.ENABLED),
+    (_S.FOLLOWING, _E.STOP): Transition(_S.FOLLOWING, (_A.BRAKE,)),
+    (_S.FOLLOWING, _E.DISABLE): Transition(_S.STOPPING, (_A.BRAKE,)),
+    (_S.FOLLOWING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.FOLLOWING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    **_falls(_S.FOLLOWING),
+    #
     (_S.STOPPING, _E.PROFILE_ENDED): Transition(_S.STOPPING, (_A.DISABLE,)),
     (_S.STOPPING, _E.TORQUE_OFF): Transition(_S.READY, (_A.FORGET,)),
     (_S.STOPPING, _E.DISABLE): Transition(_S.STOPPING),
@@ -196,7 +210,7 @@ TABLE: dict[tuple[State, Event], Transition] = {
     (_S.FAULT, _E.RESET_AWAY): Transition(_S.OFFLINE, (_A.RELEASE,)),
 }
 
-TORQUE_STATES = frozenset({State.ENABLED, State.PREPARING, State.RUNNING, State.STOPPING})
+TORQUE_STATES = frozenset({State.ENABLED, State.PREPARING, State.RUNNING, State.FOLLOWING, State.STOPPING})
 WANTING_TORQUE = TORQUE_STATES - {State.STOPPING}
 AT_REST = frozenset(State) - TORQUE_STATES
 
@@ -308,7 +322,7 @@ class Machine:
         return row
 
     def _require_epoch(self, event: Event, asked_in: int | None) -> None:
-        what = Event.ENABLE if event is Event.ENABLE else Event.START
+        what = event if event in (Event.ENABLE, Event.SET_POINT) else Event.START
         if self.epoch.stopping:
             text = f"{what.value}: a stop is being carried out; ask again when it is acknowledged"
         elif asked_in is not None and asked_in != self.epoch.value:

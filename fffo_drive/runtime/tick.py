@@ -9,6 +9,16 @@ from ..control.controller import ControllerConfig, ControllerState, ControllerTe
 from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
+from ..control.set_point import (
+    LiveMotion,
+    advance_motion,
+    begin_motion,
+    has_ended,
+    has_lapsed,
+    no_motion,
+    unpack_set_point,
+    with_set_point,
+)
 from ..drive.cia402 import (
     NOT_READY_MASK,
     STATUS_FAULT,
@@ -21,7 +31,7 @@ from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 from ..units import NS_PER_S
 from . import blocks as b
-from .blocks import Blocks, Words
+from .blocks import Blocks, Words, take_set_point
 from .ring import HEAD, Ring
 
 # bits of the row's flags: what else the envelope saw, and where memory began
@@ -149,6 +159,41 @@ def follow_profile(
         return ProfileCursor(cursor.number, -1, 0, MODE_IDLE), -1, steady_reference(0.0)
     profile = blocks.profiles[cursor.number & 1]
     return cursor, sample, read_reference(feedforward, profile[0], profile[1], cursor.length, sample)
+
+
+@njit
+def follow_set_points(
+    blocks: Blocks, motion: LiveMotion, feedforward: FeedforwardConfig, config: LoopConfig, tick: int,
+    feedback: Any, active: bool, may_begin: bool,
+) -> tuple[LiveMotion, int, float, Reference]:  # fmt: skip
+    """Returns (memory, sample, target in force, reference); sample is -1 where no motion by set points runs.
+
+    The first set point begins a motion, others change it; at standstill with a target of zero it is done.
+    """
+    if active and (may_begin or motion.start_tick >= 0):
+        number = take_set_point(blocks, motion.number)
+        if number != motion.number:
+            if motion.start_tick < 0:
+                motion = begin_motion(blocks.trajectory, number, tick)
+            else:
+                motion = with_set_point(motion, number, tick)
+    if motion.start_tick < 0:
+        return motion, -1, 0.0, steady_reference(0.0)
+    set_point = unpack_set_point(blocks.set_point_loop[1])
+    aborted = load_acquire(blocks.control, b.SET_POINT_ABORT) == motion.number
+    if aborted or not active or has_ended(feedforward, motion, config.tail_ticks):
+        store_release(blocks.status, b.SET_POINT_DONE, motion.number)
+        return no_motion(motion.number), -1, 0.0, steady_reference(0.0)
+    if has_lapsed(set_point, motion, tick):
+        blocks.status[b.SET_POINT_LAPSED] = motion.number
+    period_s = config.period_ns / NS_PER_S
+    motion, target_rps, reference = advance_motion(
+        feedforward, set_point, motion, blocks.trajectory, tick, feedback["position_rev"], feedback["velocity_rps"],
+        period_s,
+    )  # fmt: skip
+    if motion.blocked != 0:
+        blocks.status[b.SET_POINT_BLOCKED] = motion.number
+    return motion, tick - motion.start_tick, target_rps, reference
 
 
 @njit

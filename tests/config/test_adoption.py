@@ -323,7 +323,7 @@ def test_an_axis_with_torque_on_is_left_alone(axis_path, tmp_path, capsys):
     """A daemon's socket that answers with a state; the real one is asked in tests/daemon."""
     words = ["adopt", str(axis_path.parent / "found" / "model.yaml"), "--axis", str(axis_path)]
     before = axis_path.read_text()
-    for state, code in (("running", 70), ("ready", 0)):
+    for state, code in (("running", 70), ("following", 70), ("ready", 0)):
         with answering(tmp_path / state, state) as sockets:
             assert main([*words, "--sockets", str(sockets)]) == code
         captured = capsys.readouterr()

@@ -92,10 +92,11 @@ def test_what_raises_the_epoch_and_what_is_bound_to_it():
     raising = {event for event, happening in EVENTS.items() if happening.raises}
     assert raising == {*STOPS, *RESETS, *FALLS, Event.ENABLE_TIMEOUT, Event.STOP_TIMEOUT, Event.STOP_FAILED}
     assert {event for event, happening in EVENTS.items() if happening.bound} == {
-        Event.ENABLE, Event.START, Event.PREPARED, Event.NOT_PREPARED,
+        Event.ENABLE, Event.START, Event.PREPARED, Event.NOT_PREPARED, Event.SET_POINT,
     }  # fmt: skip
     # motion begins nowhere else
     assert {event for (_, event), row in TABLE.items() if Action.START in row.actions} == {Event.PREPARED}
+    assert {event for (_, event), row in TABLE.items() if Action.FOLLOW in row.actions} == {Event.SET_POINT}
 
 
 @given(st.sampled_from(list(State)), st.sampled_from(ASKED))
@@ -129,7 +130,7 @@ def test_the_model_changes_only_without_torque_and_gains_always():
 
 
 class Request:
-    """A start or an enable on its way: asked for, taken, and for a start prepared."""
+    """A start, a set point or an enable on its way: asked for, taken, and for a start prepared."""
 
     def __init__(self, event: Event, epoch: int) -> None:
         self.event, self.epoch = event, epoch
@@ -175,7 +176,7 @@ class Axis(RuleBasedStateMachine):
         for action in row.actions:
             if action is Action.ENABLE:
                 self.wants_torque = True
-            elif action is Action.START:
+            elif action in (Action.START, Action.FOLLOW):
                 self.moves = True
             elif action in (Action.DISABLE, Action.QUICK_STOP, Action.FORGET, Action.RELEASE):
                 self.wants_torque = self.moves = False
@@ -202,7 +203,7 @@ class Axis(RuleBasedStateMachine):
         except RefusedError:
             assert (self.state, event) not in TABLE
 
-    @rule(event=st.sampled_from([Event.ENABLE, Event.START]))
+    @rule(event=st.sampled_from([Event.ENABLE, Event.START, Event.SET_POINT]))
     def a_request_arrives(self, event: Event) -> None:
         self.arrived.append(Request(event, self.machine.epoch.value))
 
@@ -265,7 +266,7 @@ class Axis(RuleBasedStateMachine):
         assert not self.wants_torque or self.state in TORQUE_STATES
         if self.state in WANTING_TORQUE:
             assert self.wants_torque
-        assert not self.moves or self.state in (State.RUNNING, State.STOPPING)
+        assert not self.moves or self.state in (State.RUNNING, State.FOLLOWING, State.STOPPING)
 
     @invariant()
     def torque_after_a_fault_needs_a_reset_and_an_enable(self) -> None:

@@ -52,6 +52,14 @@ def test_a_daemon_without_a_drive_says_what_keeps_it():
     assert "velocity" not in page
 
 
+def test_a_live_set_point_is_shown():
+    view = View(INFO)
+    view.see(running(10_000, 0, state="following", profile=None, set_point={"kind": "jog", "to_rps": -2.5}))
+    page = text_of(view)
+    assert "FOLLOWING" in page
+    assert "jog to -2.5 rps" in page
+
+
 def test_late_ticks_are_counted_over_what_is_shown():
     """12 late ones in 2000 ticks are 0.60 %, whatever was late before."""
     view = View(INFO)

@@ -14,6 +14,7 @@ from fffo_drive.config.axis import AxisFile, build_profile, controller_config, m
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.control.compensation import ALL_EFFECTS
 from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY, piecewise_linear, sine
+from fffo_drive.control.set_point import SetPoint
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.evaluation.replay_runs import Replayer
@@ -109,6 +110,15 @@ class Asked:
         self.session.note_request("pid 1", "start", {"value": value}, epoch=self.resets)
         self.number = self.session.start_profile(PROFILES[round(value * (len(PROFILES) - 1))])
 
+    def set_point(self, value: float) -> None:
+        """Some hold for a time, some until the next one."""
+        target_rps = (3.0, -2.0, 0.0, 6.5)[round(3 * value)]
+        hold_ticks = (0, 40)[round(10 * value) % 2]
+        self.session.set_point(SetPoint(target_rps, 100.0, 4e3, hold_ticks, 0.0, 150.0, -0.2, 0.3, 3e-3))
+
+    def abort_set_point(self, value: float) -> None:
+        self.session.request(b.SET_POINT_ABORT, int(self.session.blocks.control[b.SET_POINT_NUMBER]))
+
     def abort(self, value: float) -> None:
         self.session.request(b.PROFILE_ABORT, int(self.session.blocks.control[b.PROFILE_NUMBER]))
 
@@ -136,13 +146,15 @@ class Asked:
 
 WHAT = (
     "gains", "other_model", "toggle", "in_service", "enable", "start", "abort", "disable", "fault", "reset", "drain",
+    "set_point", "abort_set_point",
 )  # fmt: skip
 STORY = (  # everything at least once, and a motion under most of it
     ("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("gains", 0.3, 61), ("in_service", 0.0, 90),
     ("in_service", 1.0, 150), ("other_model", 1.0, 70), ("toggle", 1.0, 33), ("drain", 0.0, 1), ("gains", 0.9, 47),
     ("other_model", 0.0, 21), ("fault", 0.0, 30), ("reset", 0.0, 60), ("other_model", 0.5, 10), ("start", 0.3, 120),
     ("toggle", 0.0, 20), ("abort", 0.0, 10), ("start", 0.6, 60), ("disable", 0.0, 30), ("enable", 0.0, 30),
-    ("start", 1.0, 150), ("disable", 1.0, 80),
+    ("start", 1.0, 150), ("abort", 0.0, 3), ("set_point", 0.0, 120), ("set_point", 0.35, 60), ("gains", 0.5, 30),
+    ("set_point", 1.0, 90), ("abort_set_point", 0.0, 20), ("set_point", 0.1, 700), ("disable", 1.0, 80),
 )  # fmt: skip
 
 

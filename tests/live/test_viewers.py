@@ -21,8 +21,8 @@ from fffo_drive.signals import SIGNALS
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 SERVICES = {
-    "info", "status", "events", "enable", "disable", "start", "stop", "quick_stop", "toggle", "reset_fault",
-    "model", "set", "reload", "record",
+    "info", "status", "events", "enable", "disable", "start", "jog", "velocity", "step", "stop", "quick_stop", "toggle",
+    "reset_fault", "model", "set", "reload", "record",
 }  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
-  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
+  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
   const FRAME_MS = 40, SILENT_MS = 1500, TELL_MS = 200;
   const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], mayCommand: false };
   let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0, toldMs = 0;
@@ -80,7 +80,7 @@
     scope.epoch = s.epoch;
     document.body.dataset.state = s.state;
     $("state").textContent = s.state.toUpperCase();
-    $("meaning").textContent = s.profile && s.state === "running" ? `${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} % of ${s.profile.duration_s.toFixed(1)} s` : MEANING[s.state] || "";
+    $("meaning").textContent = s.profile && s.state === "running" ? `${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} % of ${s.profile.duration_s.toFixed(1)} s` : (MEANING[s.state] || "") + (s.set_point ? `: ${s.set_point.kind}` : "");
     $("fault").hidden = !s.fault;
     if (s.fault) $("fault").textContent = `Fault: ${s.fault.text} (${s.fault.name})`;
     $("obstacles").textContent = s.obstacles.length ? `Not ready: ${s.obstacles.join("; ")}` : "";
@@ -90,7 +90,7 @@
     $("enable").disabled = s.state !== "ready";
     $("disable").disabled = AT_REST.includes(s.state);
     $("start").disabled = s.state !== "enabled";
-    $("hold").disabled = !["preparing", "running"].includes(s.state);
+    $("hold").disabled = !["preparing", "running", "following"].includes(s.state);
     $("reset").disabled = s.state !== "fault";
   }
 

@@ -359,6 +359,9 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         row->parameters_number = parameter_number;
         row->effects_number = load_acquire(&control[EFFECTS_NUMBER]);
         row->profile_number = cursor.number;
+        row->set_point_number = status[SET_POINT_DONE]; /* a loop without live set points */
+        row->set_point_sample = -1;
+        row->set_point_rps = 0.0;
         row->flags = flags_of(&seen, ticks_run == 0);
         row->goal = goal;
         row->resetting = reset_ticks;

@@ -1,0 +1,273 @@
+"""Live set points: a velocity that nobody knew before, as a reference that is known ahead all the same.
+
+A set point passes a generator with bounds on acceleration and jerk, which runs ahead of the tick by as much as
+feed-forward reads ahead (control/feedforward). So value, torque's reference and what the error compares with come from
+one trajectory, as they do of a profile. A new set point changes the trajectory from its newest sample on: it acts as
+many periods later as the generator is ahead.
+
+The generator goes from any velocity and acceleration to a constant velocity in the shortest time (Biagiotti and
+Melchiorri, Trajectory Planning, 3.4, in velocity): jerk at its bound towards a peak acceleration, that acceleration for
+a while if it is the bound, jerk at its bound back to zero. It is planned again in each period from where it is, so that
+a set point may change at any time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..jit import njit
+from .feedforward import FeedforwardConfig, Reference
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+
+HISTORY = 1024  # samples of a trajectory that are kept, a power of two: twice the longest delay of a model and more
+_KEPT = HISTORY - 1
+ARRIVED_SHARE = 1e-5  # of a step: a ramp that would end so little after it has arrived, or rounding would cost a period
+
+
+class SetPoint(NamedTuple):
+    """What is asked for, with the bounds on the way there."""
+
+    target_rps: float
+    acceleration_rps2: float
+    jerk_rps3: float
+    hold_ticks: int  # so long it holds, from the tick that takes it; 0: until another one comes
+    after_rps: float  # the target when it holds no more
+    after_acceleration_rps2: float
+    low_rev: float  # the way ends at standstill before these positions; infinite: nowhere
+    high_rev: float
+    lag_s: float  # from the position that the feedback shows to the newest sample of the trajectory
+
+
+SET_POINT_NAMES = SetPoint._fields
+SET_POINT_SIZE = len(SET_POINT_NAMES)
+
+
+class GeneratorState(NamedTuple):
+    """Where the generator is."""
+
+    velocity_rps: float
+    acceleration_rps2: float
+
+
+class Ramp(NamedTuple):
+    """The shortest way to a target: three stretches of constant jerk, the middle one of none."""
+
+    direction: float  # of the acceleration in the middle: 1 or -1
+    begin_s: float
+    begin_jerk_rps3: float
+    middle_s: float
+    end_s: float
+
+
+class LiveMotion(NamedTuple):
+    """Memory of a motion by set points. Samples count from the tick in which it began."""
+
+    number: int  # of the set point that was taken last
+    start_tick: int  # -1: none runs
+    taken_tick: int  # of the last set point
+    head: int  # newest sample of the trajectory
+    resting: int  # how many of the newest samples stand at zero, to stay there
+    blocked: int  # 1 or -1: the set point leads out of its window above or below, and is not followed
+    generator: GeneratorState
+
+
+@njit
+def no_motion(number: int) -> LiveMotion:
+    """None runs, the last one was driven by set point `number`."""
+    return LiveMotion(number, -1, -1, -1, 0, 0, GeneratorState(0.0, 0.0))
+
+
+@njit
+def shortest_ramp(state: GeneratorState, target_rps: float, acceleration_rps2: float, jerk_rps3: float) -> Ramp:
+    """The plan from here to `target_rps` at no acceleration. Bounds above zero; a state beyond them comes back first.
+
+    Velocity v, acceleration a, bounds A and J, in the direction in which v has to go once a is zero:
+    dv = (p^2 - a^2) / 2J + p^2 / 2J with the peak p of the acceleration, or A for longer.
+    """
+    v, a, A, J = state.velocity_rps, state.acceleration_rps2, acceleration_rps2, jerk_rps3
+    direction = 1.0 if target_rps >= v + a * abs(a) / (2.0 * J) else -1.0
+    dv, a = direction * (target_rps - v), direction * a
+    if a > A:
+        middle_s = max(0.0, (dv - a * a / (2.0 * J)) / A)
+        return Ramp(direction, (a - A) / J, -direction * J, middle_s, A / J)
+    peak = math.sqrt(max(0.0, J * dv + 0.5 * a * a))
+    middle_s = 0.0
+    if peak > A:
+        middle_s = max(0.0, (dv - (A * A - 0.5 * a * a) / J) / A)
+        peak = A
+    return Ramp(direction, max(0.0, peak - a) / J, direction * J, middle_s, peak / J)
+
+
+@njit
+def ramp_s(ramp: Ramp) -> float:
+    """How long a ramp takes."""
+    return ramp.begin_s + ramp.middle_s + ramp.end_s
+
+
+@njit
+def _moved(state: GeneratorState, jerk_rps3: float, time_s: float) -> GeneratorState:
+    velocity_rps = state.velocity_rps + time_s * (state.acceleration_rps2 + 0.5 * jerk_rps3 * time_s)
+    return GeneratorState(velocity_rps, state.acceleration_rps2 + jerk_rps3 * time_s)
+
+
+@njit
+def set_point_step(
+    state: GeneratorState, target_rps: float, acceleration_rps2: float, jerk_rps3: float, time_s: float
+) -> GeneratorState:
+    """Where the generator is after `time_s`. It arrives exactly, and stays."""
+    ramp = shortest_ramp(state, target_rps, acceleration_rps2, jerk_rps3)
+    left_s = time_s
+    if left_s * (1.0 + ARRIVED_SHARE) >= ramp_s(ramp):
+        return GeneratorState(target_rps, 0.0)
+    state = _moved(state, ramp.begin_jerk_rps3, min(left_s, ramp.begin_s))
+    left_s -= ramp.begin_s
+    if left_s > 0.0:
+        if ramp.middle_s > 0.0:  # no rounding of the peak
+            state = GeneratorState(state.velocity_rps, ramp.direction * acceleration_rps2)
+        state = _moved(state, 0.0, min(left_s, ramp.middle_s))
+        left_s -= ramp.middle_s
+    if left_s > 0.0:
+        state = _moved(state, -ramp.direction * jerk_rps3, left_s)
+    return state
+
+
+@njit
+def _way_rev(velocity_rps: float, acceleration_rps2: float, jerk_rps3: float, time_s: float) -> float:
+    return time_s * (velocity_rps + time_s * (0.5 * acceleration_rps2 + jerk_rps3 * time_s / 6.0))
+
+
+@njit
+def stopping_rev(state: GeneratorState, acceleration_rps2: float, jerk_rps3: float) -> float:
+    """How far it still goes on the shortest way to standstill."""
+    ramp = shortest_ramp(state, 0.0, acceleration_rps2, jerk_rps3)
+    way_rev = _way_rev(state.velocity_rps, state.acceleration_rps2, ramp.begin_jerk_rps3, ramp.begin_s)
+    state = _moved(state, ramp.begin_jerk_rps3, ramp.begin_s)
+    way_rev += _way_rev(state.velocity_rps, state.acceleration_rps2, 0.0, ramp.middle_s)
+    state = _moved(state, 0.0, ramp.middle_s)
+    end_jerk_rps3 = -ramp.direction * jerk_rps3
+    return way_rev + _way_rev(state.velocity_rps, state.acceleration_rps2, end_jerk_rps3, ramp.end_s)
+
+
+@njit
+def leads_out(
+    set_point: SetPoint, state: GeneratorState, following: GeneratorState, position_rev: float, velocity_rps: float,
+    time_s: float,
+) -> int:  # fmt: skip
+    """1 or -1 where a step to the state `following` leaves no way to stop inside the window, by its side; else 0.
+
+    An axis that is faster than its reference (`velocity_rps` is the feedback) needs a longer way.
+    """
+    outwards = 1 if following.velocity_rps > 0.0 else -1
+    edge_rev = set_point.high_rev if outwards == 1 else set_point.low_rev
+    if math.isinf(edge_rev):
+        return 0
+    excess_rps = max(0.0, outwards * (velocity_rps - state.velocity_rps)) * outwards
+    faster = GeneratorState(following.velocity_rps + excess_rps, following.acceleration_rps2)
+    way_rev = _way_rev(state.velocity_rps + excess_rps, -state.acceleration_rps2, 0.0, set_point.lag_s)
+    way_rev += 0.5 * (state.velocity_rps + following.velocity_rps) * time_s
+    way_rev += stopping_rev(faster, set_point.after_acceleration_rps2, set_point.jerk_rps3)
+    return outwards if outwards * way_rev > 0.0 and outwards * (position_rev + way_rev - edge_rev) > 0.0 else 0
+
+
+@njit
+def read_trajectory(samples: Any, position: float) -> float:
+    """Samples of a trajectory at a position between them, as `feedforward.read_samples` reads those of a profile."""
+    below = math.floor(position)
+    share = position - below
+    first = samples[below & _KEPT] if below >= 0 else 0.0
+    if share == 0.0:
+        return float(first)
+    second = samples[(below + 1) & _KEPT] if below >= -1 else 0.0
+    return float(first + share * (second - first))
+
+
+@njit
+def preview_ticks(config: FeedforwardConfig) -> int:
+    """How many periods the generator is ahead of the tick: so much later a set point acts."""
+    return max(0, math.ceil(config.ahead_ticks))
+
+
+@njit
+def unpack_set_point(block: Any) -> SetPoint:
+    """The record from a flat array of SET_POINT_SIZE numbers."""
+    return SetPoint(
+        block[0], block[1], block[2], int(block[3]), block[4], block[5], block[6], block[7], block[8]
+    )  # fmt: skip
+
+
+@njit
+def has_lapsed(set_point: SetPoint, motion: LiveMotion, tick: int) -> bool:
+    """It was to hold for a time, and nobody has renewed it."""
+    return set_point.hold_ticks > 0 and tick - motion.taken_tick >= set_point.hold_ticks
+
+
+@njit
+def begin_motion(trajectory: Floats, number: int, tick: int) -> LiveMotion:
+    """From standstill: nothing of an earlier trajectory is left."""
+    trajectory[:] = 0.0
+    return LiveMotion(number, tick, tick, -1, 0, 0, GeneratorState(0.0, 0.0))
+
+
+@njit
+def with_set_point(motion: LiveMotion, number: int, tick: int) -> LiveMotion:
+    """Another set point, in the same motion, however long it has stood still."""
+    return LiveMotion(number, motion.start_tick, tick, motion.head, 0, motion.blocked, motion.generator)
+
+
+@njit
+def advance_motion(
+    config: FeedforwardConfig, set_point: SetPoint, motion: LiveMotion, trajectory: Floats, tick: int,
+    position_rev: float, velocity_rps: float, period_s: float,
+) -> tuple[LiveMotion, float, Reference]:  # fmt: skip
+    """The motion at a tick: (memory, target in force, reference). `trajectory` (2, HISTORY): velocity, acceleration.
+
+    Periods that were skipped are samples all the same, as they are of a profile. A way that would leave the window is
+    braked to standstill before its edge; it stays there until a set point leads back.
+    """
+    target_rps, acceleration_rps2 = set_point.target_rps, set_point.acceleration_rps2
+    if has_lapsed(set_point, motion, tick):
+        target_rps, acceleration_rps2 = set_point.after_rps, set_point.after_acceleration_rps2
+    sample = tick - motion.start_tick
+    last = sample + preview_ticks(config)
+    head, resting, state = motion.head, motion.resting, motion.generator
+    blocked = motion.blocked if target_rps * motion.blocked > 0.0 else 0
+    if blocked != 0:
+        target_rps, acceleration_rps2 = 0.0, set_point.after_acceleration_rps2
+    if head < 0:  # the samples until it can act are known already: standstill
+        head = last - 1
+    while head < last:
+        samples = max(1, last - head - HISTORY)  # what nobody can read any more is gone through in one
+        time_s = samples * period_s
+        following = set_point_step(state, target_rps, acceleration_rps2, set_point.jerk_rps3, time_s)
+        side = leads_out(set_point, state, following, position_rev, velocity_rps, time_s)
+        if side != 0:
+            following = set_point_step(
+                state, 0.0, set_point.after_acceleration_rps2, set_point.jerk_rps3, time_s
+            )  # fmt: skip
+            if target_rps * side > 0.0:
+                blocked, target_rps, acceleration_rps2 = side, 0.0, set_point.after_acceleration_rps2
+        state = following
+        head += samples
+        trajectory[0, head & _KEPT] = state.velocity_rps
+        trajectory[1, head & _KEPT] = state.acceleration_rps2
+        rests = target_rps == 0.0 and state.velocity_rps == 0.0 and state.acceleration_rps2 == 0.0
+        resting = resting + samples if rests else 0
+    reference = Reference(
+        read_trajectory(trajectory[0], float(sample)),
+        read_trajectory(trajectory[1], float(sample)),
+        read_trajectory(trajectory[0], sample + config.ahead_ticks),
+        read_trajectory(trajectory[1], sample + config.ahead_ticks),
+        read_trajectory(trajectory[0], sample - config.behind_ticks),
+    )
+    moved = LiveMotion(motion.number, motion.start_tick, motion.taken_tick, head, resting, blocked, state)
+    return moved, target_rps, reference
+
+
+@njit
+def has_ended(config: FeedforwardConfig, motion: LiveMotion, tail_ticks: int) -> bool:
+    """Everything that can be read of it stands at zero, and has done so for `tail_ticks`."""
+    return motion.resting > preview_ticks(config) + math.ceil(config.behind_ticks) + tail_ticks
