@@ -16,14 +16,14 @@ L goes to the integral the estimate is the model on a bounded reference, and the
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ..model.parameters import ModelFile
 
-Complexes = npt.NDArray[np.complex128]
+Complexes = npt.NDArray[np.complexfloating[Any, Any]]
 
 ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elasticity
 SWEEP_LOW_HZ = 1e-2
