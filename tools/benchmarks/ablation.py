@@ -42,10 +42,16 @@ def variants() -> dict[str, ControllerVariant]:
     """Everything that is compared."""
 
     def variant(
-        toggle: str, gain: float | None = None, filter_s: float | None = None, **parts: bool
+        toggle: str,
+        gain: float | None = None,
+        filter_s: float | None = None,
+        learns_in: str = "friction",
+        **parts: bool,
     ) -> ControllerVariant:
         feedforward = FeedforwardSection(**parts).model_dump()
-        law = {"gain_nm_per_rev": gain, "error_filter_s": filter_s}
+        law: dict[str, object] = {"gain_nm_per_rev": gain, "error_filter_s": filter_s, "learns_in": learns_in}
+        if learns_in == "integral":
+            law["at_rest"] = {"release_friction": True}
         return ControllerVariant.model_validate({"toggle": toggle, "feedforward": feedforward, **law})
 
     every = {"inertia": True, "preview": True, "delay_aware": True}
@@ -62,9 +68,10 @@ def variants() -> dict[str, ControllerVariant]:
         "FFFO+inertia+preview": variant("ff", inertia=True, preview=True),
         "FFFO+filter": variant("ff", None, FILTER_S),
         "FFFO+inertia+preview+delay-aware": variant("ff", **every),
-        "FFFO+ (all)": variant("ff", None, FILTER_S, **every),
-        "all, L = 0": variant("ff", 0.0, FILTER_S, **every),
-        "all, L = 10": variant("ff", 10.0, FILTER_S, **every),
+        "FFFO+ (all)": variant("ff", None, FILTER_S, "integral", **every),
+        "all, L in the estimate": variant("ff", None, FILTER_S, **every),
+        "all, L = 0": variant("ff", 0.0, FILTER_S, "integral", **every),
+        "all, L = 10": variant("ff", 10.0, FILTER_S, "integral", **every),
         "all, friction on feedback": variant("fb", None, FILTER_S, **every),
         "all, no friction": variant("off", None, FILTER_S, **every),
     }

@@ -22,6 +22,7 @@ from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.stability import LinearAxis, Margins, loop_margins
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.evaluation.campaign import Candidate, Case, warm_up
+from fffo_drive.evaluation.passivity import comes_to_rest
 from fffo_drive.evaluation.random_axis import RandomAxis, random_axis
 from fffo_drive.evaluation.robustness import STABLE, Probe, probe
 from fffo_drive.evaluation.workers import over_cores
@@ -48,11 +49,13 @@ class Found(NamedTuple):
 
     label: str
     probes: dict[str, Probe]
+    passive: bool  # False: no controller can bring the axis to rest
 
 
 def run_job(job: Job) -> Found:
     """All controllers on the job's plant."""
-    return Found(job.label, {c.name: probe(job.case, c) for c in job.case.candidates})
+    probes = {c.name: probe(job.case, c) for c in job.case.candidates}
+    return Found(job.label, probes, comes_to_rest(job.case.plant))
 
 
 def margins_of(plant: PlantConfig, candidate: Candidate) -> Margins:
@@ -90,10 +93,18 @@ def damped(plant: PlantConfig, factor: float) -> PlantConfig:
     return replace(plant, friction=replace(friction, surfaces=surfaces))
 
 
-def axes_table(axes: list[RandomAxis], found: list[Found], case: Case) -> list[str]:
-    """How many, and which."""
+def axes_table(drawn: list[RandomAxis], every: list[Found], case: Case) -> list[str]:
+    """How many of those that lose energy, and which."""
+    active = [axis for axis, one in zip(drawn, every, strict=True) if not one.passive]
+    axes = [axis for axis, one in zip(drawn, every, strict=True) if one.passive]
+    found = [one for one in every if one.passive]
     lines = [
-        "| controller | stable | " + " | ".join(_verdicts(found)) + " | overshoot, median | back after stop, worst |"
+        f"{len(active)} of them give energy, so that no controller can bring them to rest "
+        "(fffo_drive/evaluation/passivity.py), and are left out: "
+        + (", ".join(f"{axis.number} ({', '.join(axis.effects)})" for axis in active) or "none")
+        + ".",
+        "",
+        "| controller | stable | " + " | ".join(_verdicts(found)) + " | overshoot, median | back after stop, worst |",
     ]
     lines.append("|---|" + "---|" * (3 + len(_verdicts(found))))
     for name in CONTROLLERS:
