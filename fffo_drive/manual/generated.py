@@ -22,6 +22,7 @@ def write_generated(source: Path) -> None:
     reference = source / "reference"
     for name, text in pages().items():
         (reference / f"{name}.md").write_text(text, encoding="utf-8")
+    shutil.copytree(SOURCE_TREE / "configs", source / "configs", ignore=shutil.ignore_patterns("*.md"))
     (source / "pictures").mkdir()
     for picture in PICTURES.glob("*.png"):
         shutil.copy(picture, source / "pictures")

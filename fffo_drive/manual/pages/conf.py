@@ -19,7 +19,7 @@ extensions = ["myst_parser", "sphinx_copybutton"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 4
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["parts/*"]
+exclude_patterns = ["configs/*", "scripts/*"]
 nitpicky = True
 suppress_warnings = ["misc.highlighting_failure"]
 
