@@ -67,6 +67,14 @@ def build(out: Path, strict: bool = True) -> Path:
 
     `strict` makes each warning of Sphinx an error (sphinx-build -W). Raises ManualError, OSError.
     """
+    if (BUILT / INDEX).is_file():  # of a wheel: the pages of this very version
+        shutil.copytree(BUILT, out, dirs_exist_ok=True)
+        return out / INDEX
+    if not (SOURCE_TREE / "tools" / "tables").is_dir():
+        raise ManualError(
+            "this installation has no manual inside: its wheel was built without Sphinx. In a clone type "
+            "`tools/environment test` and then `.venv/bin/fffo-drive manual`, or build the wheel again there"
+        )
     missing = missing_tools()
     if missing:
         raise ManualError(
