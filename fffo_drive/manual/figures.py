@@ -9,18 +9,18 @@ from typing import Any
 import matplotlib
 
 matplotlib.use("svg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.patches import FancyBboxPatch  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 
-from .. import units  # noqa: E402
-from ..config.checks import bus_sum  # noqa: E402
-from ..config.plan import Plan, make_plan  # noqa: E402
-from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins  # noqa: E402
-from ..model.friction import REST, FrictionConfig, friction_step, steady_friction_nm  # noqa: E402
-from ..report.palette import FURNITURE, SERIES  # noqa: E402
+from .. import units
+from ..config.checks import bus_sum
+from ..config.plan import Plan, make_plan
+from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
+from ..model.friction import REST, FrictionConfig, friction_step, steady_friction_nm
+from ..report.palette import FURNITURE, SERIES
 
 ORANGE, GREEN, BLUE = (SERIES[name].light for name in ("orange", "green", "blue"))
 TEXT, QUIET, GRID, RAISED = (FURNITURE[name].light for name in ("text", "quiet", "grid", "raised"))
@@ -61,9 +61,24 @@ def friction(plan: Plan) -> Figure:
     left.plot(speed, steady, color=BLUE)
     left.plot(-speed, -steady, color=BLUE)
     left.axhline(0.0, color=QUIET, linewidth=0.8)
-    left.annotate("Fs: static", (0.05, config.static_nm), (1.6, config.static_nm + 0.004), arrowprops={"arrowstyle": "-", "color": QUIET})
-    left.annotate("Fc: Coulomb", (2.6, steady_friction_nm(config, 2.6)), (2.2, 0.012), arrowprops={"arrowstyle": "-", "color": QUIET})
-    left.annotate("σ: viscous slope", (6.0, steady_friction_nm(config, 6.0)), (3.6, 0.060), arrowprops={"arrowstyle": "-", "color": QUIET})
+    left.annotate(
+        "Fs: static",
+        (0.05, config.static_nm),
+        (1.6, config.static_nm + 0.004),
+        arrowprops={"arrowstyle": "-", "color": QUIET},
+    )
+    left.annotate(
+        "Fc: Coulomb",
+        (2.6, steady_friction_nm(config, 2.6)),
+        (2.2, 0.012),
+        arrowprops={"arrowstyle": "-", "color": QUIET},
+    )
+    left.annotate(
+        "σ: viscous slope",
+        (6.0, steady_friction_nm(config, 6.0)),
+        (3.6, 0.060),
+        arrowprops={"arrowstyle": "-", "color": QUIET},
+    )
     left.set(xlabel="velocity, rev/s", ylabel="steady friction, Nm", title="Sliding: the Stribeck curve")
     position, torque = _strokes(config)
     right.plot(position * 1000.0, torque, color=ORANGE)
@@ -90,15 +105,34 @@ def _strokes(config: FrictionConfig) -> tuple[Any, Any]:
 def _box(axes: Axes, place: tuple[float, float], size: tuple[float, float], text: str, colour: str = BLUE) -> None:
     x, y = place
     width, height = size
-    patch = FancyBboxPatch((x, y), width, height, boxstyle="round,pad=0.02,rounding_size=0.08", linewidth=1.4, edgecolor=colour, facecolor=RAISED)
+    patch = FancyBboxPatch(
+        (x, y),
+        width,
+        height,
+        boxstyle="round,pad=0.02,rounding_size=0.08",
+        linewidth=1.4,
+        edgecolor=colour,
+        facecolor=RAISED,
+    )
     axes.add_patch(patch)
     axes.text(x + width / 2.0, y + height / 2.0, text, ha="center", va="center", fontsize=9.5, linespacing=1.35)
 
 
-def _arrow(axes: Axes, points: Sequence[tuple[float, float]], text: str = "", colour: str = TEXT, at: tuple[float, float] | None = None) -> None:
+def _arrow(
+    axes: Axes,
+    points: Sequence[tuple[float, float]],
+    text: str = "",
+    colour: str = TEXT,
+    at: tuple[float, float] | None = None,
+) -> None:
     for start, end in zip(points[:-2], points[1:-1], strict=True):
         axes.plot((start[0], end[0]), (start[1], end[1]), color=colour, linewidth=1.3)
-    axes.annotate("", points[-1], points[-2], arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0})
+    axes.annotate(
+        "",
+        points[-1],
+        points[-2],
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0},
+    )
     if text:
         x, y = at or ((points[0][0] + points[-1][0]) / 2.0, (points[0][1] + points[-1][1]) / 2.0 + 0.12)
         axes.text(x, y, text, ha="center", va="bottom", fontsize=9, color=colour)
@@ -155,11 +189,18 @@ def condition_14(plan: Plan) -> Figure:
     figure, axes = plt.subplots(figsize=(7.2, 3.1), constrained_layout=True)
     axes.plot(gains, phase, color=BLUE)
     axes.axvspan(0.0, least, color=BAD, alpha=0.12, linewidth=0)
-    axes.text(least / 2.0, min(phase) + 1.5, "(14) is broken:\nthe estimate may\nswing", ha="center", color=BAD, fontsize=9)
+    axes.text(
+        least / 2.0, min(phase) + 1.5, "(14) is broken:\nthe estimate may\nswing", ha="center", color=BAD, fontsize=9
+    )
     chosen = controller.observer.gain_nm_per_rev
     at = loop_margins(axis, controller.proportional_a_per_rps, integral, chosen).phase_deg
     axes.plot([chosen], [at], "o", color=ORANGE)
-    axes.annotate(f"configs/axis_bench.yaml\nL = {chosen:g} Nm/rev, {at:.0f}°", (chosen, at), (chosen + 1.6, at + 5.0), arrowprops={"arrowstyle": "-", "color": QUIET})
+    axes.annotate(
+        f"configs/axis_bench.yaml\nL = {chosen:g} Nm/rev, {at:.0f}°",
+        (chosen, at),
+        (chosen + 1.6, at + 5.0),
+        arrowprops={"arrowstyle": "-", "color": QUIET},
+    )
     axes.set(xlabel="observer gain L, Nm/rev", ylabel="phase margin, degree", xlim=(0.0, 20.0))
     return figure
 
@@ -174,8 +215,20 @@ def preview(plan: Plan) -> Figure:
 
     figure, axes = plt.subplots(figsize=(7.2, 3.0), constrained_layout=True)
     axes.plot(time_s * 1e3, reference(time_s), color=TEXT, label="reference, and velocity with preview")
-    axes.plot(time_s * 1e3, reference(time_s - delay_s), color=ORANGE, linestyle="--", label=f"velocity without preview: Td = {delay_s * 1e3:g} ms late")
-    axes.plot(time_s * 1e3, reference(time_s + delay_s), color=BLUE, linestyle=":", label="what the feed-forward is computed from: Td ahead")
+    axes.plot(
+        time_s * 1e3,
+        reference(time_s - delay_s),
+        color=ORANGE,
+        linestyle="--",
+        label=f"velocity without preview: Td = {delay_s * 1e3:g} ms late",
+    )
+    axes.plot(
+        time_s * 1e3,
+        reference(time_s + delay_s),
+        color=BLUE,
+        linestyle=":",
+        label="what the feed-forward is computed from: Td ahead",
+    )
     axes.set(xlabel="time, ms", ylabel="velocity, rev/s", ylim=(-1.15, 1.85))
     axes.legend(loc="upper center", fontsize=9, ncols=1)
     return figure
@@ -192,7 +245,15 @@ def tick(plan: Plan) -> Figure:
     ):
         start = 0.0
         for index, value in enumerate(values):
-            axes.barh(row, value * 1e6, left=start * 1e6, color=colours[index % len(colours)], height=0.5, edgecolor="white", label=names[index] if row == 0 else None)
+            axes.barh(
+                row,
+                value * 1e6,
+                left=start * 1e6,
+                color=colours[index % len(colours)],
+                height=0.5,
+                edgecolor="white",
+                label=names[index] if row == 0 else None,
+            )
             start += value
     axes.axvline(chain.period_s * 1e6, color=TEXT, linestyle="--", linewidth=1.2)
     axes.text(chain.period_s * 1e6 - 4.0, 1.42, "next SYNC", ha="right", fontsize=9)
@@ -250,5 +311,7 @@ def safety() -> Figure:
     axes.text(7.6, 0.3, "set up by it, read back", ha="center", fontsize=9.5)
     axes.plot((8.9, 10.7), (0.8, 0.8), color=BAD, linewidth=1.4)
     axes.text(9.8, 0.3, "yours", ha="center", fontsize=9.5)
-    axes.text(0.1, 3.3, "each layer must stop the axis without the help of those on its left", fontsize=9.5, color=QUIET)
+    axes.text(
+        0.1, 3.3, "each layer must stop the axis without the help of those on its left", fontsize=9.5, color=QUIET
+    )
     return figure

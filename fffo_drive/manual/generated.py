@@ -41,7 +41,10 @@ def _copy_pages(origin: Path, folder: Path) -> None:
         if path.suffix != ".md":
             shutil.copy(path, folder)
             continue
-        text = LINK.sub(lambda found: found[0] if (origin / found[1].partition("#")[0]).is_file() else "]", path.read_text(encoding="utf-8"))
+        text = LINK.sub(
+            lambda found: found[0] if (origin / found[1].partition("#")[0]).is_file() else "]",
+            path.read_text(encoding="utf-8"),
+        )
         (folder / path.name).write_text(f"---\norphan: true\n---\n\n{text}", encoding="utf-8")
 
 
@@ -60,7 +63,16 @@ def mistakes(text: str) -> str:
             continue
         mistake, command, code, message = (cell.replace("\\|", "|") for cell in cells)
         shown = message.replace("<br>", "\n").replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")
-        lines += [f"## {mistake[:1].upper()}{mistake[1:]}", "", f"{command}, exit code {code}:", "", "```text", shown, "```", ""]
+        lines += [
+            f"## {mistake[:1].upper()}{mistake[1:]}",
+            "",
+            f"{command}, exit code {code}:",
+            "",
+            "```text",
+            shown,
+            "```",
+            "",
+        ]
     return "\n".join(lines)
 
 
@@ -81,7 +93,14 @@ def library(scripts: Path) -> str:
         lines += LIBRARY_TODAY
     for path in found:
         title = path.stem.replace("_", " ")
-        lines += [f"## {title[:1].upper()}{title[1:]}", "", f"```{{literalinclude}} ../scripts/{path.name}", ":language: python", "```", ""]
+        lines += [
+            f"## {title[:1].upper()}{title[1:]}",
+            "",
+            f"```{{literalinclude}} ../scripts/{path.name}",
+            ":language: python",
+            "```",
+            "",
+        ]
     return "\n".join([*lines, "The layout of the package is described in {doc}`/explanation/house`.", ""])
 
 

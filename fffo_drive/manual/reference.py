@@ -9,8 +9,8 @@ from typing import Any
 
 from ..cli import COMMANDS, build_parser, parser_of
 from ..cli.config import SCHEMAS
-from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NONE, TRIP_TEXTS
 from ..config.axis import TRIP_NAMES
+from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NONE, TRIP_TEXTS
 from ..daemon.parameters import METHODS
 from ..drive.simulated.effects.registry import effect_table
 from ..model.effects.law import Law
@@ -26,7 +26,10 @@ FILES = {  # kind -> (title, what the file is)
         "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file overrides each key.",
     ),
     "simulated": ("Simulated drive", "The drive that `sim` starts, or that an axis file names under `drive.file`."),
-    "model": ("Model", "Parameters of an axis with their uncertainties, and effects. `identify` and `diagnose` write it."),
+    "model": (
+        "Model",
+        "Parameters of an axis with their uncertainties, and effects. `identify` and `diagnose` write it.",
+    ),
     "scenario": ("Scenario", "What `evaluate` compares: controllers, seeds, deviations of the model."),
     "facts": ("Facts", "What is declared about a drive for logs that do not carry it: `identify LOG --drive FACTS`."),
 }
@@ -152,9 +155,7 @@ def _keys(schema: Mapping[str, Any], kind: str, sections: Mapping[str, Any]) -> 
     rows = []
     for name, entry in schema.get("properties", {}).items():
         default = "required" if name in needed else _value(entry.get("default", None), "default" in entry)
-        rows.append(
-            (f"`{name}`", unit_of(name), _allowed(entry, kind), default, cell(_meaning(entry, sections)))
-        )
+        rows.append((f"`{name}`", unit_of(name), _allowed(entry, kind), default, cell(_meaning(entry, sections))))
     return table(("key", "unit", "allowed", "default", "meaning"), rows)
 
 
@@ -211,7 +212,9 @@ def _range(entry: Mapping[str, Any]) -> str:
     for part in parts:
         low, above = part.get("minimum"), part.get("exclusiveMinimum")
         high, below = part.get("maximum"), part.get("exclusiveMaximum")
-        words = [f"{sign} {_number(v)}" for sign, v in ((">", above), ("≥", low), ("<", below), ("≤", high)) if v is not None]
+        words = [
+            f"{sign} {_number(v)}" for sign, v in ((">", above), ("≥", low), ("<", below), ("≤", high)) if v is not None
+        ]
         if "minItems" in part or "maxItems" in part:
             words.append(f"{part.get('minItems', 0)} to {part.get('maxItems', 'any')} entries")
         texts.append(", ".join(words))
@@ -248,7 +251,9 @@ def signals() -> str:
         "The ring, the MCAP schema, the columns of the reader and this table are made from one list, `signals.py`.",
         "",
     ]
-    return "\n".join(lines + table(("signal", "unit", "meaning"), ((f"`{s.name}`", s.unit, cell(s.meaning)) for s in SIGNALS)))
+    return "\n".join(
+        lines + table(("signal", "unit", "meaning"), ((f"`{s.name}`", s.unit, cell(s.meaning)) for s in SIGNALS))
+    )
 
 
 def effects() -> str:
@@ -266,7 +271,15 @@ def effects() -> str:
     ]
     lines += table(
         ("law", "meaning", "acts over", "compensated by the controller"),
-        ((f"[`{w.name}`](#law-{_slug(w.name)})", cell(w.meaning), w.axis.replace("_", " "), "yes" if w.compensable else "no") for w in laws),
+        (
+            (
+                f"[`{w.name}`](#law-{_slug(w.name)})",
+                cell(w.meaning),
+                w.axis.replace("_", " "),
+                "yes" if w.compensable else "no",
+            )
+            for w in laws
+        ),
     )
     lines += ["Anything outside this list is reported as `unknown:AXIS`, with a free curve over that axis.", ""]
     for law in laws:
@@ -280,10 +293,17 @@ def _slug(name: str) -> str:
 
 def _law(law: Law) -> list[str]:
     others = ", ".join(f"[`{name}`](#law-{_slug(name)})" for name in law.lookalikes if name in LAWS) or "nothing known"
-    lines = [f"(law-{_slug(law.name)})=", f"### `{law.name}`", "", f"{law.meaning[:1].upper()}{cell(law.meaning[1:])}.", ""]
+    lines = [
+        f"(law-{_slug(law.name)})=",
+        f"### `{law.name}`",
+        "",
+        f"{law.meaning[:1].upper()}{cell(law.meaning[1:])}.",
+        "",
+    ]
     lines += [f"Acts in: {cell(law.regime)}. Confused with: {others}. Decided by: {cell(law.experiment)}.", ""]
     rows = [
-        (f"`{p.name}`", p.unit, p.kind, f"{_number(p.low)} to {_number(p.high)}", cell(p.meaning)) for p in law.parameters
+        (f"`{p.name}`", p.unit, p.kind, f"{_number(p.low)} to {_number(p.high)}", cell(p.meaning))
+        for p in law.parameters
     ]
     return lines + table(("parameter", "unit", "kind", "range", "meaning"), rows)
 
@@ -295,7 +315,11 @@ def states() -> str:
 
 
 def _demoted(line: str) -> str:
-    return "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a row is refused with the state and the states that allow it." if line.startswith("Made by") else line
+    return (
+        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a row is refused with the state and the states that allow it."
+        if line.startswith("Made by")
+        else line
+    )
 
 
 def trips() -> str:
@@ -306,7 +330,9 @@ def trips() -> str:
         if trip == TRIP_NONE:
             continue
         reaction, why = DEFAULT_REACTIONS[trip]
-        rows.append((trip, f"`{names[trip]}`", cell(text), "coast" if reaction == REACTION_COAST else "quick stop", cell(why)))
+        rows.append(
+            (trip, f"`{names[trip]}`", cell(text), "coast" if reaction == REACTION_COAST else "quick stop", cell(why))
+        )
     lines = [
         "# Trips",
         "",
@@ -344,7 +370,12 @@ def api() -> str:
     ]
     for name, method in METHODS.items():
         socket = "`watch.sock` and `control.sock`" if method.watching else "`control.sock`"
-        lines += [f"### `{name}`", "", f"{cell(method.summary)[:1].upper()}{cell(method.summary)[1:]}. Socket: {socket}.", ""]
+        lines += [
+            f"### `{name}`",
+            "",
+            f"{cell(method.summary)[:1].upper()}{cell(method.summary)[1:]}. Socket: {socket}.",
+            "",
+        ]
         lines += _parameters(method.parameters.model_json_schema())
     return "\n".join(lines)
 
@@ -359,4 +390,3 @@ def _parameters(schema: Mapping[str, Any]) -> list[str]:
         allowed = f"{kind}{', ' if limits else ''}{limits}"
         rows.append((f"`{name}`", unit_of(name), allowed, default, cell(entry.get("description", ""))))
     return table(("parameter", "unit", "allowed", "default", "meaning"), rows) or ["No parameters.", ""]
-
