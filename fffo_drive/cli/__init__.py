@@ -35,6 +35,7 @@ COMMANDS = {
     "install": ("install", "put units, rules and configuration of the service in place, or take them away"),
     "drive-info": ("drive_info", "say what can be done with a drive, from its EDS"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
+    "manual": (".manual.command", "open the manual, or build its pages"),  # a floor above: it reads all other commands
 }
 
 DESCRIPTION = """\
@@ -63,6 +64,18 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """The parser of one subcommand, with its module's docstring as the description."""
+    module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
+    parser = argparse.ArgumentParser(
+        prog=f"fffo-drive {command}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    return parser
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point. Returns the exit code; every known error is one message on stderr."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -74,13 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )  # numpy is not loaded yet; work is shared out by threads here
         try:
             module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
-            subparser = argparse.ArgumentParser(
-                prog=f"fffo-drive {command}",
-                description=module.__doc__,
-                formatter_class=argparse.RawDescriptionHelpFormatter,
-            )
-            module.add_arguments(subparser)
-            return int(module.execute(subparser.parse_args(words[words.index(command) + 1 :])))
+            return int(module.execute(parser_of(command).parse_args(words[words.index(command) + 1 :])))
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return EXIT_INTERRUPTED

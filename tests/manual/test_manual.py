@@ -1,0 +1,169 @@
+"""The manual builds without a warning, leads nowhere outside, and its commands do what it says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from manual.blocks import PAGES, agrees, blocks_of
+
+from fffo_drive.cli import COMMANDS, parser_of
+from fffo_drive.cli.config import SCHEMAS
+from fffo_drive.daemon.parameters import METHODS
+from fffo_drive.manual import building
+from fffo_drive.manual.building import ManualError, build
+from fffo_drive.model.effects.registry import LAWS
+from fffo_drive.signals import SIGNALS
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted(PAGES.rglob("*.md"))
+QUICK = [p for p in SOURCES if any("run" in b.marks and "long" not in b.marks for b in blocks_of(p))]
+
+
+class Links(HTMLParser):
+    """Targets and anchors of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        if "id" in found:
+            self.anchors.add(found["id"])
+        if tag == "a" and found.get("href"):
+            self.targets.append(found["href"])
+        loaded = found.get("src") or (found.get("href") if tag == "link" else None)
+        if loaded:
+            self.loaded.append(loaded)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """In a process of its own: pytest makes the warnings of Sphinx' own modules errors."""
+    out = tmp_path_factory.mktemp("manual") / "pages"
+    command = [sys.executable, "-m", "fffo_drive", "manual", "--build", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ, PYTHONPATH=str(ROOT)))
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def pages(built):
+    return {path: Links(path.read_text(encoding="utf-8")) for path in sorted(built.rglob("*.html"))}
+
+
+@pytest.mark.slow
+def test_every_link_inside_leads_somewhere(pages):
+    broken = []
+    for page, links in pages.items():
+        for target in links.targets:
+            if re.match(r"[a-z]+:", target):
+                continue
+            name, _, anchor = unquote(target).partition("#")
+            goal = (page.parent / name).resolve() if name else page
+            if not goal.is_file() or (anchor and goal.suffix == ".html" and anchor not in pages[goal].anchors):
+                broken.append(f"{page.name}: {target}")
+    assert broken == []
+
+
+@pytest.mark.slow
+def test_pages_load_nothing_from_a_network(pages):
+    for page, links in pages.items():
+        assert [address for address in links.loaded if re.match(r"(https?:)?//", address)] == [], page.name
+
+
+@pytest.mark.slow
+def test_the_reference_has_every_command_file_signal_law_and_method(built):
+    def text(name):
+        return (built / "reference" / f"{name}.html").read_text(encoding="utf-8")
+
+    assert [name for name in COMMANDS if f"fffo-drive {name}" not in text("commands")] == []
+    assert [signal.name for signal in SIGNALS if signal.name not in text("signals")] == []
+    assert [name for name in LAWS if name != "lookup" and name not in text("effects")] == []
+    assert [name for name in METHODS if name not in text("api")] == []
+    for kind, record in SCHEMAS.items():
+        assert [key for key in record.model_json_schema()["properties"] if key not in text(f"file_{kind}")] == []
+
+
+@pytest.mark.parametrize("page", SOURCES, ids=lambda p: p.stem)
+def test_every_command_of_a_page_is_one_that_the_program_takes(page):
+    for block in blocks_of(page):
+        for command, _ in block.steps:
+            words = shlex.split(command.partition(" > ")[0].removesuffix("&"))
+            if words and words[0] == "fffo-drive":
+                parser_of(words[1]).parse_args(words[2:])
+
+
+def run_page(page: Path, directory: Path, with_long: bool) -> list[str]:
+    """Run the marked blocks of a page in order; what differs from the page."""
+    shutil.copytree(ROOT / "configs", directory / "configs")
+    program = directory / "bin" / "fffo-drive"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m fffo_drive "$@"\n')
+    program.chmod(0o755)
+    python = program.with_name("python")  # no link: that would leave the environment behind
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    environment = dict(os.environ, PATH=f"{program.parent}:{os.environ['PATH']}", PYTHONPATH=str(ROOT), COLUMNS="80")
+    wrong = []
+    for block in blocks_of(page):
+        if "run" not in block.marks or ("long" in block.marks and not with_long):
+            continue
+        if block.language == "python":
+            (directory / block.marks[1]).write_text(block.text)
+            continue
+        for command, quoted in block.steps:
+            done = subprocess.run(
+                command, shell=True, cwd=directory, env=environment, capture_output=True, text=True, timeout=170
+            )
+            if done.returncode != 0 or not agrees(quoted, done.stdout):
+                wrong.append(f"$ {command} -> {done.returncode}\n{done.stdout}{done.stderr}")
+    return wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", QUICK, ids=lambda p: p.stem)
+def test_the_quick_blocks_of_a_page_print_what_it_says(page, tmp_path):
+    assert run_page(page, tmp_path, with_long=False) == []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_the_chapter_on_the_diagnosis_prints_what_it_says(tmp_path):
+    assert run_page(PAGES / "tutorial" / "diagnose.md", tmp_path, with_long=True) == []
+
+
+def test_the_comparison_of_output_notices_another_word():
+    assert agrees("a 1.5 b\n...\nend", "a 1.6 b\nmore\nend\n")
+    assert not agrees("a 1.5 b\n...\nend", "a 1.6 c\nmore\nend\n")
+    assert not agrees("a 1.5 b", "a 1.5 b\nmore\n")
+
+
+def test_an_installation_without_pages_and_sources_says_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(building, "SOURCE_TREE", tmp_path)
+    with pytest.raises(ManualError, match="tools/environment test"):
+        build(tmp_path / "out")
+
+
+def test_a_directory_with_other_files_is_not_overwritten(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ManualError, match="holds no manual"):
+        building._replace(tmp_path, tmp_path)
+
+
+def test_the_readme_is_short_and_its_links_lead_somewhere():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.encode()) <= 5000
+    assert [t for t in re.findall(r"\]\(([^)#]+)\)", text.replace("\n   ", " ")) if not (ROOT / t).is_file()] == []
