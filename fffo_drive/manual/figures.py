@@ -267,7 +267,7 @@ def diagnosis() -> Figure:
     """The diagnosis on one page."""
     figure, axes = _canvas(11.0, 5.2)
     upper = (
-        ("runs to fit", QUIET), ("1 runs agree?\nJ, Fc, σ of each", BLUE), ("2 ladder: constants,\nweight, friction", BLUE),
+        ("runs to fit", QUIET), ("1 runs agree?\nJ, Fc, σ of each", BLUE), ("2 ladder: constants,\nweight, friction", BLUE),  # noqa: E501
         ("2 waves, then laws,\ncurves, tables", BLUE),
     )  # fmt: skip
     for index, (text, colour) in enumerate(upper):
@@ -275,7 +275,7 @@ def diagnosis() -> Figure:
         if index:
             _arrow(axes, [(-0.4 + 2.8 * index, 4.4), (0.08 + 2.8 * index, 4.4)])
     lower = (
-        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),
+        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
         ("7 model, page,\nunexplained rest", GREEN),
     )  # fmt: skip
     for index, (text, colour) in enumerate(lower):
