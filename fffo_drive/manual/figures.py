@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,7 @@ def _arrow(
     colour: str = TEXT,
     at: tuple[float, float] | None = None,
 ) -> None:
-    for start, end in zip(points[:-2], points[1:-1], strict=True):
+    for start, end in pairwise(points[:-1]):
         axes.plot((start[0], end[0]), (start[1], end[1]), color=colour, linewidth=1.3)
     axes.annotate(
         "",
@@ -240,9 +241,7 @@ def tick(plan: Plan) -> Figure:
     names = [step.name for step in chain.steps]
     colours = [BLUE, QUIET, GREEN, GREEN, ORANGE, BLUE, BAD]
     figure, axes = plt.subplots(figsize=(8.0, 2.7), constrained_layout=True)
-    for row, (label, values) in enumerate(
-        (("worst", [s.worst_s for s in chain.steps]), ("typical", [s.typical_s for s in chain.steps]))
-    ):
+    for row, values in enumerate(([s.worst_s for s in chain.steps], [s.typical_s for s in chain.steps])):
         start = 0.0
         for index, value in enumerate(values):
             axes.barh(
