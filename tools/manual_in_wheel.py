@@ -1,7 +1,7 @@
 """Put the built manual into a wheel: a hook of hatchling.
 
-It needs the extra `manual` and the program's own dependencies, in the environment that builds or in the clone's .venv. Where
-neither has them the wheel is built without pages, with a warning; `fffo-drive manual` then says what to do.
+It needs the extra `manual` and the program's own dependencies, in the environment that builds or in the clone's .venv.
+Where neither has them the wheel is built without pages, with a warning; `fffo-drive manual` then says what to do.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 NEEDED = "import sphinx, myst_parser, furo, sphinx_copybutton, matplotlib, numba, pydantic, canopen, mcap"
 WITHOUT = (
-    "this wheel has no manual inside: its tools are not installed here. In a clone type `tools/environment test` and build "
-    "the wheel again"
+    "this wheel has no manual inside: its tools are not installed here. In a clone type `tools/environment test` and "
+    "build the wheel again"
 )
 
 

@@ -2,7 +2,7 @@
 
 The sources in `pages/` are copied to a temporary directory, the reference and the figures are generated beside them, and
 Sphinx writes static pages there that need neither a server nor a network.
-"""
+"""  # noqa: E501
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,7 @@ def _arrow(
     colour: str = TEXT,
     at: tuple[float, float] | None = None,
 ) -> None:
-    for start, end in zip(points[:-2], points[1:-1], strict=True):
+    for start, end in pairwise(points[:-1]):
         axes.plot((start[0], end[0]), (start[1], end[1]), color=colour, linewidth=1.3)
     axes.annotate(
         "",
@@ -240,9 +241,7 @@ def tick(plan: Plan) -> Figure:
     names = [step.name for step in chain.steps]
     colours = [BLUE, QUIET, GREEN, GREEN, ORANGE, BLUE, BAD]
     figure, axes = plt.subplots(figsize=(8.0, 2.7), constrained_layout=True)
-    for row, (label, values) in enumerate(
-        (("worst", [s.worst_s for s in chain.steps]), ("typical", [s.typical_s for s in chain.steps]))
-    ):
+    for row, values in enumerate(([s.worst_s for s in chain.steps], [s.typical_s for s in chain.steps])):
         start = 0.0
         for index, value in enumerate(values):
             axes.barh(
@@ -267,7 +266,7 @@ def diagnosis() -> Figure:
     """The diagnosis on one page."""
     figure, axes = _canvas(11.0, 5.2)
     upper = (
-        ("runs to fit", QUIET), ("1 runs agree?\nJ, Fc, σ of each", BLUE), ("2 ladder: constants,\nweight, friction", BLUE),
+        ("runs to fit", QUIET), ("1 runs agree?\nJ, Fc, σ of each", BLUE), ("2 ladder: constants,\nweight, friction", BLUE),  # noqa: E501
         ("2 waves, then laws,\ncurves, tables", BLUE),
     )  # fmt: skip
     for index, (text, colour) in enumerate(upper):
@@ -275,7 +274,7 @@ def diagnosis() -> Figure:
         if index:
             _arrow(axes, [(-0.4 + 2.8 * index, 4.4), (0.08 + 2.8 * index, 4.4)])
     lower = (
-        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),
+        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
         ("7 model, page,\nunexplained rest", GREEN),
     )  # fmt: skip
     for index, (text, colour) in enumerate(lower):

@@ -23,7 +23,7 @@ FILES = {  # kind -> (title, what the file is)
     "axis": ("Axis file", "One axis: drive, model, law, limits, profile. `run`, `serve` and `commission` take it."),
     "drive_profile": (
         "Drive profile",
-        "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file overrides each key.",
+        "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file overrides each key.",  # noqa: E501
     ),
     "simulated": ("Simulated drive", "The drive that `sim` starts, or that an axis file names under `drive.file`."),
     "model": (
@@ -37,7 +37,7 @@ UNITS = (  # ending of a key -> unit; the longest ending that fits counts
     ("_nm_per_a", "Nm/A"), ("_nm_per_rps2", "Nm/rps²"), ("_nm_per_rps", "Nm/rps"), ("_nm_per_rev", "Nm/rev"),
     ("_nm_per_s", "Nm/s"), ("_a_per_rps", "A/rps"), ("_a_per_rev", "A/rev"), ("_a_per_s", "A/s"), ("_per_rev", "1/rev"),
     ("_units_per_rps", "1/rps"), ("_units_per_a", "1/A"), ("_kg_m2", "kg m²"), ("_rps2", "rev/s²"), ("_rps", "rev/s"),
-    ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"), ("_permille", "1/1000"),
+    ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"), ("_permille", "1/1000"),  # noqa: E501
     ("_ticks", "ticks"), ("_ratio", "1"), ("_bits", "bits"), ("_ohm", "Ω"), ("_ns", "ns"), ("_v", "V"), ("_h", "h"),
     ("_a", "A"), ("_s", "s"), ("_k", "K"), ("_c", "°C"),
 )  # fmt: skip
@@ -247,7 +247,7 @@ def signals() -> str:
     lines = [
         "# Signals",
         "",
-        "One row is recorded for each tick. These are its columns, in the order of the row. Each name ends in its unit.",
+        "One row is recorded for each tick. These are its columns, in the order of the row. Each name ends in its unit.",  # noqa: E501
         "The ring, the MCAP schema, the columns of the reader and this table are made from one list, `signals.py`.",
         "",
     ]
@@ -262,8 +262,8 @@ def effects() -> str:
     lines = [
         "# Effects",
         "",
-        "An *effect* is what may be added to the model of an axis; a *law* is the formula of one effect. The first list is",
-        "what `diagnose` can name and a controller can compensate. The second is what the simulated drive can be given: it",
+        "An *effect* is what may be added to the model of an axis; a *law* is the formula of one effect. The first list is",  # noqa: E501
+        "what `diagnose` can name and a controller can compensate. The second is what the simulated drive can be given: it",  # noqa: E501
         "has its own physics and shares no code with the model.",
         "",
         "## Laws of the model",
@@ -316,7 +316,7 @@ def states() -> str:
 
 def _demoted(line: str) -> str:
     return (
-        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a row is refused with the state and the states that allow it."
+        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a row is refused with the state and the states that allow it."  # noqa: E501
         if line.startswith("Made by")
         else line
     )
@@ -336,8 +336,8 @@ def trips() -> str:
     lines = [
         "# Trips",
         "",
-        "A trip is a latched fault of the envelope, the last stage before the bus. From the tick of the trip on no torque is",
-        "commanded. The reaction is what the loop asks of the drive; `envelope.reactions` in the axis file overrides it by",
+        "A trip is a latched fault of the envelope, the last stage before the bus. From the tick of the trip on no torque is",  # noqa: E501
+        "commanded. The reaction is what the loop asks of the drive; `envelope.reactions` in the axis file overrides it by",  # noqa: E501
         "the trip's name. The number stands in the signal `trip` of a recording.",
         "",
     ]
@@ -355,8 +355,8 @@ def api() -> str:
     lines = [
         "# Control API",
         "",
-        "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the service: `control.sock` for everything,",
-        "`watch.sock` for the methods that only read. `fffo-drive ctl` is made from the same table, and `fffo-drive ctl schema`",
+        "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the service: `control.sock` for everything,",  # noqa: E501
+        "`watch.sock` for the methods that only read. `fffo-drive ctl` is made from the same table, and `fffo-drive ctl schema`",  # noqa: E501
         "prints the JSON schemas of a running service.",
         "",
         "## Answers and errors",

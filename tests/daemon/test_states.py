@@ -1,4 +1,4 @@
-"""The state machine's table: what the written table shows is what the code interprets, and no way leads around a reset."""
+"""The state machine's table: what is written is what the code interprets, and no way leads around a reset."""
 
 from __future__ import annotations
 
