@@ -42,7 +42,7 @@ copybutton_remove_prompts = True
 
 
 def _mathml(tex: str, block: bool) -> str:
-    return str(latex2mathml.tex2mathml(tex, as_block=block))
+    return str(latex2mathml.tex2mathml(tex, as_block=block))  # type: ignore[no-untyped-call]
 
 
 def _visit_math(writer: Any, node: nodes.math) -> None:
