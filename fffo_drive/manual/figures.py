@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
+from matplotlib.patches import Circle, FancyBboxPatch
 
 from .. import units
 from ..config.checks import bus_sum
@@ -26,7 +26,7 @@ from ..report.palette import FURNITURE, SERIES
 ORANGE, GREEN, BLUE = (SERIES[name].light for name in ("orange", "green", "blue"))
 TEXT, QUIET, GRID, RAISED = (FURNITURE[name].light for name in ("text", "quiet", "grid", "raised"))
 BAD = FURNITURE["bad"].light
-STYLE = {
+STYLE: Any = {
     "font.size": 10, "axes.edgecolor": QUIET, "axes.labelcolor": TEXT, "axes.grid": True, "grid.color": GRID,
     "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "fffo_drive", "svg.fonttype": "path",
     "text.color": TEXT, "xtick.color": QUIET, "ytick.color": QUIET, "legend.frameon": False, "lines.linewidth": 1.8,
@@ -154,7 +154,7 @@ def observer() -> Figure:
     _box(axes, (2.6, 2.6), (2.5, 1.2), "2SEP friction\n+ observation L e", ORANGE)
     _box(axes, (8.0, 0.5), (1.7, 0.9), "axis\nJ, friction, Td", QUIET)
     for x, y in ((1.5, 0.95), (6.5, 0.95)):
-        axes.add_patch(plt.Circle((x, y), 0.2, facecolor="white", edgecolor=TEXT, linewidth=1.3))
+        axes.add_patch(Circle((x, y), 0.2, facecolor="white", edgecolor=TEXT, linewidth=1.3))
         axes.text(x, y, "+", ha="center", va="center")
     _arrow(axes, [(0.1, 0.95), (1.3, 0.95)], "reference", at=(0.62, 1.05))
     _arrow(axes, [(1.7, 0.95), (2.58, 0.95)], "e", at=(2.1, 1.0))

@@ -198,8 +198,8 @@ def _type(entry: Mapping[str, Any], kind: str) -> str:
         inside = _type(entry["items"], kind) if isinstance(entry.get("items"), dict) and entry["items"] else "value"
         return f"list of {inside}"
     if entry.get("type") == "object":
-        inside = entry.get("additionalProperties")
-        return f"mapping to {_type(inside, kind)}" if isinstance(inside, dict) and inside else "mapping"
+        held: Any = entry.get("additionalProperties")
+        return f"mapping to {_type(held, kind)}" if isinstance(held, dict) and held else "mapping"
     return {"string": "text", "integer": "integer", "number": "number", "boolean": "true or false"}.get(
         str(entry.get("type")), "value"
     )

@@ -19,7 +19,7 @@ extensions = ["myst_parser", "sphinx_copybutton"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 4
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["configs/*", "scripts/*"]
+exclude_patterns: list[str] = ["configs/*", "scripts/*"]
 nitpicky = True
 suppress_warnings = ["misc.highlighting_failure"]
 
@@ -31,7 +31,7 @@ html_show_sourcelink = False
 html_copy_source = False
 html_show_search_summary = False  # it would read pages with fetch(), which browsers refuse to file://
 html_show_sphinx = False
-html_theme_options = {"top_of_page_buttons": []}
+html_theme_options: dict[str, Any] = {"top_of_page_buttons": []}
 pygments_style = "friendly"
 pygments_dark_style = "monokai"
 html_math_renderer = "mathml"
@@ -42,7 +42,7 @@ copybutton_remove_prompts = True
 
 
 def _mathml(tex: str, block: bool) -> str:
-    return str(latex2mathml.tex2mathml(tex, as_block=block))
+    return str(latex2mathml.tex2mathml(tex, as_block=block))  # type: ignore[no-untyped-call]
 
 
 def _visit_math(writer: Any, node: nodes.math) -> None:
