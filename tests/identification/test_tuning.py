@@ -94,7 +94,7 @@ def test_gains_at_rest_keep_a_margin_on_the_contacts_spring(delay_s, contact_nm_
     margins = loop_margins(stuck, share * proportional, share * integral, 0.0)
     assert found.margins_rest == margins
     assert margins.phase_deg >= REST_MARGIN_DEG or any("at rest" in text for text in found.warnings)
-    if share < 1.0:  # the next larger one has not got it
+    if share < REST_SHARES[0]:  # the next larger one has not got it
         more = float(REST_SHARES[np.searchsorted(-REST_SHARES, -share) - 1])
         assert loop_margins(stuck, more * proportional, more * integral, 0.0).phase_deg < REST_MARGIN_DEG
 

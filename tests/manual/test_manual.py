@@ -130,7 +130,9 @@ def run_page(page: Path, directory: Path, with_long: bool) -> list[str]:
             done = subprocess.run(
                 command, shell=True, cwd=directory, env=environment, capture_output=True, text=True, timeout=170
             )
-            if done.returncode != 0 or not agrees(quoted, done.stdout):
+            # a terminal shows both; what is said on the way comes before the result
+            said = agrees(quoted, done.stdout) or agrees(quoted, done.stderr + done.stdout)
+            if done.returncode != 0 or not said:
                 wrong.append(f"$ {command} -> {done.returncode}\n{done.stdout}{done.stderr}")
     return wrong
 
