@@ -31,7 +31,8 @@ from fffo_drive.units import inertia_nm_s2_per_rev
 HERE = Path(__file__).resolve().parent
 SCENARIO = HERE.parents[1] / "configs" / "scenarios" / "paper.yaml"
 CONTROLLERS = ("pi", "pi+fffo", "pi+fffo+")
-FRESH = 400  # on axes 0 to 199 the mend of L (frozen at rest) was chosen, on 200 to 399 the filter of the error
+# chosen on axes 0 to 199: L frozen at rest; on 200 to 399: the filter of the error; on 400 to 599: half at rest
+FRESH = 400
 EXTRA_DELAYS_S = (0.0, 0.001, 0.002, 0.003, 0.004, 0.005, 0.006, 0.008, 0.01, 0.012)
 GAIN_FACTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
 DAMPING_FACTORS = (0.15, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 15.0)
