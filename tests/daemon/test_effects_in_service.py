@@ -23,7 +23,7 @@ PLANT = PlantConfig(
     effects=(EffectConfig("cogging", {"amplitude_nm": AMPLITUDE_NM, "order": ORDER, "phase_rev": 0.0}),)
 )
 SINE = {"kind": "sine", "duration_s": 29, "amplitude": 1.5, "frequency_hz": 2}
-ELASTIC = {"share": 0.2, "frequency_hz": 40.0, "damping": 0.03}
+ELASTIC = {"share": 0.05, "frequency_hz": 40.0, "damping": 0.03}
 LAG = {"name": "elasticity", "parameters": {name: {"value": value} for name, value in ELASTIC.items()}}
 
 
