@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shlex
 import sys
@@ -121,7 +122,7 @@ def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
             "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
             "learns_in": "integral",
         },
-        "at_rest": {"gain_share": _rounded_down(found.gains.rest_share), "release_friction": True},
+        "at_rest": {"gain_share": _rounded(found.gains.rest_share), "release_friction": True},
     }
 
 
@@ -156,13 +157,9 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float:
-    """Four digits, rounded up in the last: the observer's gain must not fall below (14) by rounding."""
-    return float(f"{value * (1.0 + 5e-5):.4g}")
-
-
-def _rounded_down(value: float) -> float:
-    """Three digits, never more than it was."""
-    return float(f"{value * (1.0 - 5e-4):.3g}") if value < 1.0 else value
+    """Four digits, never more than it was: margins fall with each gain."""
+    exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
+    return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
 
 
 def _refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
@@ -170,13 +167,17 @@ def _refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFi
     margins = found.margins_observer
     if margins.phase_deg >= wish.phase_margin_deg - ROUNDING and margins.gain >= wish.gain_margin - ROUNDING:
         return
-    asked = f"phase margin {margins.phase_deg:.1f} deg and gain margin {margins.gain:.2f}"
-    text = f"these gains have a {asked}; wanted: {wish.phase_margin_deg:g} deg and {wish.gain_margin:g}. "
+    text = (
+        f"the loop would have a phase margin of {margins.phase_deg:.1f} deg and a gain margin of {margins.gain:.2f}; "
+        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are asked for. "
+    )
     free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
-        raise DocumentError(f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}{crossover_hz:.3g} Hz keeps them")
-    raise DocumentError(f"{model.name}: {text}No crossover keeps them: lower --damping-ratio's demand or the margins")
+        raise DocumentError(
+            f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}A crossover of {crossover_hz:.3g} Hz has them"
+        )
+    raise DocumentError(f"{model.name}: {text}No crossover has them: ask for smaller margins")
 
 
 def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:

@@ -29,7 +29,9 @@ class ObserverSection(Record):
     gain_nm_per_rev: Annotated[float, Field(ge=0, le=1e4, description="L of lambda(e) = L e")] = 5.0
     learns_in: Annotated[
         Literal["friction", "integral"],
-        Field(description="where L e goes: the friction estimate, as in the paper, or the integral, where it stays"),
+        Field(
+            description="where L e goes: the friction estimate (the paper), or the integral, where it does not decay"
+        ),
     ] = "friction"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
@@ -67,9 +69,9 @@ class EffectsSection(Record):
 class RestSection(Record):
     """While the reference stands at zero."""
 
-    gain_share: Annotated[float, Field(gt=0, le=1, description="of Kp and Ki: the contact is a spring there")] = 1.0
+    gain_share: Annotated[float, Field(gt=0, le=1, description="share of Kp and Ki that acts at rest")] = 1.0
     release_friction: Annotated[
-        bool, Field(description="let the friction estimate go: the contact unloads and the axis does not creep")
+        bool, Field(description="let the friction estimate decay at rest, so that it does not push the axis")
     ] = False
     time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
 

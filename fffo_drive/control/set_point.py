@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..jit import njit
+from ..packing import flat_names, reader
 from .feedforward import FeedforwardConfig, Reference
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
@@ -42,8 +43,9 @@ class SetPoint(NamedTuple):
     lag_s: float  # from the position that the feedback shows to the newest sample of the trajectory
 
 
-SET_POINT_NAMES = SetPoint._fields
+SET_POINT_NAMES = flat_names(SetPoint)
 SET_POINT_SIZE = len(SET_POINT_NAMES)
+unpack_set_point = njit(reader(SetPoint, "unpack_set_point"))
 
 
 class GeneratorState(NamedTuple):
@@ -189,14 +191,6 @@ def read_trajectory(samples: Any, position: float) -> float:
 def preview_ticks(config: FeedforwardConfig) -> int:
     """How many periods the generator is ahead of the tick: so much later a set point acts."""
     return max(0, math.ceil(config.ahead_ticks))
-
-
-@njit
-def unpack_set_point(block: Any) -> SetPoint:
-    """The record from a flat array of SET_POINT_SIZE numbers."""
-    return SetPoint(
-        block[0], block[1], block[2], int(block[3]), block[4], block[5], block[6], block[7], block[8]
-    )  # fmt: skip
 
 
 @njit

@@ -277,8 +277,8 @@ def _warnings(found: Design, wish: Wish) -> list[str]:
     texts = []
     if found.condition_14_nm_per_rev < -1e-9:
         texts.append(
-            f"the margins leave {-found.condition_14_nm_per_rev:.3g} Nm/rev less of L than condition (14) asks of an "
-            "estimate that learns: L goes to the integral (learns_in: integral), where (14) does not apply"
+            f"L is {-found.condition_14_nm_per_rev:.3g} Nm/rev below what condition (14) asks for, because the margins "
+            "come first: it goes to the integral (learns_in: integral), where (14) does not apply"
         )
     for name, margins in (("PI alone", found.margins_pi), ("with observer", found.margins_observer)):
         if margins.phase_deg < wish.phase_margin_deg:
@@ -288,7 +288,7 @@ def _warnings(found: Design, wish: Wish) -> list[str]:
     if found.margins_rest.phase_deg < REST_MARGIN_DEG:
         texts.append(
             f"at rest: phase margin {found.margins_rest.phase_deg:.1f} deg on the contact's spring is below "
-            f"{REST_MARGIN_DEG:g} with the least gains that are tried: less delay is what helps"
+            f"{REST_MARGIN_DEG:g} even with the smallest gains that are tried: only less delay helps"
         )
     if found.without_overshoot.ratio < FRICTION_SPAN:
         texts.append(

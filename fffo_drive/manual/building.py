@@ -1,8 +1,8 @@
 """Build the manual with Sphinx, and find pages that were built.
 
-The sources in `pages/` are copied to a temporary directory, the reference and the figures are generated beside them, and
-Sphinx writes static pages there that need neither a server nor a network.
-"""  # noqa: E501
+The sources in `pages/` are copied to a temporary directory, the reference and the figures are generated beside them,
+and Sphinx writes static pages there that need neither a server nor a network.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def build(out: Path, strict: bool = True) -> Path:
     missing = missing_tools()
     if missing:
         raise ManualError(
-            f"the manual is built with Sphinx, and {', '.join(missing)} is not installed: "
+            f"the manual is built with Sphinx; not installed: {', '.join(missing)}: "
             "in a clone type `tools/environment test`, elsewhere `pip install 'fffo-drive[manual]'`"
         )
     from sphinx.cmd.build import main as sphinx_build

@@ -53,7 +53,10 @@ def mistakes(text: str) -> str:
     lines = [
         "# What a mistake looks like",
         "",
-        "Each line was run; a test keeps this page current. `axis.yaml` is an axis in process, `bus.yaml` one on CANopen.",  # noqa: E501
+        (
+            "Each line was run; a test keeps this page current. `axis.yaml` is an axis in process, "
+            "`bus.yaml` one on CANopen."
+        ),
         "Search this page for a word of the message that you see.",
         "",
     ]

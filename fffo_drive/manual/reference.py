@@ -23,7 +23,10 @@ FILES = {  # kind -> (title, what the file is)
     "axis": ("Axis file", "One axis: drive, model, law, limits, profile. `run`, `serve` and `commission` take it."),
     "drive_profile": (
         "Drive profile",
-        "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file overrides each key.",  # noqa: E501
+        (
+            "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file "
+            "overrides each key."
+        ),
     ),
     "simulated": ("Simulated drive", "The drive that `sim` starts, or that an axis file names under `drive.file`."),
     "model": (
@@ -247,7 +250,10 @@ def signals() -> str:
     lines = [
         "# Signals",
         "",
-        "One row is recorded for each tick. These are its columns, in the order of the row. Each name ends in its unit.",  # noqa: E501
+        (
+            "One row is recorded for each tick. These are its columns, in the order of the row. Each name "
+            "ends in its unit."
+        ),
         "The ring, the MCAP schema, the columns of the reader and this table are made from one list, `signals.py`.",
         "",
     ]
@@ -262,8 +268,14 @@ def effects() -> str:
     lines = [
         "# Effects",
         "",
-        "An *effect* is what may be added to the model of an axis; a *law* is the formula of one effect. The first list is",  # noqa: E501
-        "what `diagnose` can name and a controller can compensate. The second is what the simulated drive can be given: it",  # noqa: E501
+        (
+            "An *effect* is what may be added to the model of an axis; a *law* is the formula of one "
+            "effect. The first list is"
+        ),
+        (
+            "what `diagnose` can name and a controller can compensate. The second is what the simulated "
+            "drive can be given: it"
+        ),
         "has its own physics and shares no code with the model.",
         "",
         "## Laws of the model",
@@ -316,7 +328,8 @@ def states() -> str:
 
 def _demoted(line: str) -> str:
     return (
-        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a row is refused with the state and the states that allow it."  # noqa: E501
+        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a "
+        "row is refused with the state and the states that allow it."
         if line.startswith("Made by")
         else line
     )
@@ -336,8 +349,14 @@ def trips() -> str:
     lines = [
         "# Trips",
         "",
-        "A trip is a latched fault of the envelope, the last stage before the bus. From the tick of the trip on no torque is",  # noqa: E501
-        "commanded. The reaction is what the loop asks of the drive; `envelope.reactions` in the axis file overrides it by",  # noqa: E501
+        (
+            "A trip is a latched fault of the envelope, the last stage before the bus. From the tick of the "
+            "trip on no torque is"
+        ),
+        (
+            "commanded. The reaction is what the loop asks of the drive; `envelope.reactions` in the axis "
+            "file overrides it by"
+        ),
         "the trip's name. The number stands in the signal `trip` of a recording.",
         "",
     ]
@@ -355,8 +374,14 @@ def api() -> str:
     lines = [
         "# Control API",
         "",
-        "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the service: `control.sock` for everything,",  # noqa: E501
-        "`watch.sock` for the methods that only read. `fffo-drive ctl` is made from the same table, and `fffo-drive ctl schema`",  # noqa: E501
+        (
+            "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the service: "
+            "`control.sock` for everything,"
+        ),
+        (
+            "`watch.sock` for the methods that only read. `fffo-drive ctl` is made from the same table, and "
+            "`fffo-drive ctl schema`"
+        ),
         "prints the JSON schemas of a running service.",
         "",
         "## Answers and errors",

@@ -107,8 +107,8 @@ def _condition_14(design: Design) -> str:
     if excess >= -1e-9:
         return f"Condition (14) holds with {significant(excess)} Nm/rev to spare."
     return (
-        f"The margins leave {significant(-excess)} Nm/rev less of L than condition (14) asks for; L goes to the "
-        "integral, where (14) does not apply."
+        f"L is {significant(-excess)} Nm/rev below what condition (14) asks for, because the margins come first. It "
+        "goes to the integral, where (14) does not apply."
     )
 
 

@@ -152,48 +152,40 @@ def publish_set_point(blocks: Blocks, set_point: SetPoint) -> int:
 
 @njit
 def take_parameters(blocks: Blocks, number_in_use: int, scratch: Floats, in_use: Floats) -> int:
-    """Copy newly published parameters to `in_use`. Returns the number in use: still the old one if the copy was torn.
-
-    One try: while the copy is made the writer may publish once more (the other slot) but not twice; then the copy is
-    dropped, counted, and tried again at the next tick.
-    """
-    number = load_acquire(blocks.control, PARAMETER_NUMBER)
-    if number == number_in_use:
-        return number_in_use
-    _copy(blocks.parameters[number & 1], scratch)
-    if load_acquire(blocks.control, PARAMETER_NUMBER) != number:
-        blocks.status[STALE_BLOCKS] += 1
-        return number_in_use
-    _copy(scratch, in_use)
-    return number
+    """Copy newly published parameters to `in_use`. Returns the number in use: the old one if the copy was torn."""
+    return _take(blocks, PARAMETER_NUMBER, blocks.parameters, number_in_use, scratch, in_use)
 
 
 @njit
 def take_effects(blocks: Blocks, number_in_use: int) -> int:
-    """Newly published effects to `blocks.effects_loop[1]`, as `take_parameters` does. Returns the number in use."""
-    number = load_acquire(blocks.control, EFFECTS_NUMBER)
-    if number == number_in_use:
-        return number_in_use
-    _copy(blocks.effects[number & 1], blocks.effects_loop[0])
-    if load_acquire(blocks.control, EFFECTS_NUMBER) != number:
-        blocks.status[STALE_BLOCKS] += 1
-        return number_in_use
-    _copy(blocks.effects_loop[0], blocks.effects_loop[1])
-    return number
+    """Newly published effects to `blocks.effects_loop[1]`. Returns the number in use."""
+    loop = blocks.effects_loop
+    return _take(blocks, EFFECTS_NUMBER, blocks.effects, number_in_use, loop[0], loop[1])
 
 
 @njit
 def take_set_point(blocks: Blocks, number_in_use: int) -> int:
-    """A newly published set point to `blocks.set_point_loop[1]`, as `take_parameters` does. Returns its number."""
-    number = load_acquire(blocks.control, SET_POINT_NUMBER)
+    """A newly published set point to `blocks.set_point_loop[1]`. Returns the number in use."""
+    loop = blocks.set_point_loop
+    return _take(blocks, SET_POINT_NUMBER, blocks.set_points, number_in_use, loop[0], loop[1])
+
+
+@njit
+def _take(blocks: Blocks, word: int, slots: Floats, number_in_use: int, scratch: Floats, in_use: Floats) -> int:
+    """Copy the slot whose number stands in a control word, if it is a new one. Returns the number in use.
+
+    One try: while the copy is made the writer may publish once more (the other slot) but not twice; then the copy is
+    dropped, counted, and tried again at the next tick.
+    """
+    number = load_acquire(blocks.control, word)
     if number == number_in_use:
         return number_in_use
-    _copy(blocks.set_points[number & 1], blocks.set_point_loop[0])
-    if load_acquire(blocks.control, SET_POINT_NUMBER) != number:
+    _copy(slots[number & 1], scratch)
+    if load_acquire(blocks.control, word) != number:
         blocks.status[STALE_BLOCKS] += 1
         return number_in_use
-    _copy(blocks.set_point_loop[0], blocks.set_point_loop[1])
-    return number
+    _copy(scratch, in_use)
+    return int(number)
 
 
 @njit

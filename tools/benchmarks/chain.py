@@ -178,11 +178,6 @@ def run_job(job: Job) -> Outcome:
     )  # fmt: skip
 
 
-def share_text(part: int, whole: int) -> str:
-    """12 of 40"""
-    return f"{part} of {whole}"
-
-
 def table(found: list[Outcome]) -> list[str]:
     """Verdicts, creep, and every axis that is not well."""
     passive = [one for one in found if one.passive]
@@ -200,7 +195,7 @@ def table(found: list[Outcome]) -> list[str]:
         creeps = np.array([one.creep_counts if which == "verdict" else one.nominal_creep_counts for one in passive])
         known = creeps[np.isfinite(creeps)]
         cells = [str(counted[verdict]) for verdict in verdicts]
-        beyond = share_text(int(np.sum(known > MOST_CREEP_COUNTS)), known.size)
+        beyond = f"{int(np.sum(known > MOST_CREEP_COUNTS))} of {known.size}"
         median, late = np.quantile(known, [0.5, 0.95])
         lines.append(f"| {name} | " + " | ".join(cells) + f" | {beyond} | {median:.1f}, {late:.1f} |")
     lines += ["", "Passive axes on which the tuned loop is not stable, or was refused:", ""]
@@ -239,8 +234,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# chain",
         "",
-        (__doc__ or "").partition("\n\n")[0].partition(": ")[0] + ": excite (70 s of the paper's chirps of current), "
-        "identify, tune, run, with nothing told but a torque constant that is 5 % wrong.",
+        "The chain as it is used, on random axes: excite (70 s of the paper's chirps of current), identify, tune, run,",
+        "with nothing told but a torque constant that is 5 % wrong.",
         "",
         *table(found),
         f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}; "
