@@ -25,7 +25,9 @@ from fffo_drive.signals import SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(PAGES.rglob("*.md"))
-QUICK = [p for p in SOURCES if any("run" in b.marks and "long" not in b.marks for b in blocks_of(p))]
+LONG = ("diagnose", "identify_and_tune")  # chapters of twenty seconds and more
+RUN = [p for p in SOURCES if any("run" in b.marks and "long" not in b.marks for b in blocks_of(p))]
+QUICK = [p for p in RUN if p.stem not in LONG]
 
 
 class Links(HTMLParser):
@@ -145,8 +147,9 @@ def test_the_quick_blocks_of_a_page_print_what_it_says(page, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_the_chapter_on_the_diagnosis_prints_what_it_says(tmp_path):
-    assert run_page(PAGES / "tutorial" / "diagnose.md", tmp_path, with_long=True) == []
+@pytest.mark.parametrize("chapter", LONG)
+def test_a_long_chapter_prints_what_it_says(chapter, tmp_path):
+    assert run_page(PAGES / "tutorial" / f"{chapter}.md", tmp_path, with_long=True) == []
 
 
 def test_the_comparison_of_output_notices_another_word():
