@@ -41,7 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="model file (YAML)")
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for what is written")
     parser.add_argument("--axis", metavar="FILE", help="axis file whose gains and model are replaced in a copy")
-    parser.add_argument("--bandwidth-hz", type=float, help="wanted crossover (default: as fast as the margins allow)")
+    parser.add_argument(
+        "--bandwidth-hz",
+        type=float,
+        help="wanted crossover (default: where integral action is largest within the margins)",
+    )
     parser.add_argument(
         "--damping-ratio", type=float, default=Wish().damping_ratio, help="of the closed-loop poles (%(default)s)"
     )

@@ -16,6 +16,7 @@ from fffo_drive.identification.tuning import (
     design,
     judge,
     margin_range,
+    observer_gain,
     real_pole_bound,
     real_pole_range,
     root_locus,
@@ -82,6 +83,23 @@ def test_a_design_keeps_its_margins_and_says_where_14_gives_way(delay_s, inertia
     gave_way = found.condition_14_nm_per_rev < -1e-9
     assert gave_way == any("(14)" in text for text in found.warnings)
     assert math.isfinite(found.overshoot_percent)
+
+
+@pytest.mark.parametrize("delay_s", [0.0015, 0.005])
+@pytest.mark.parametrize("damping", [0.003, 0.03])
+def test_integral_action_is_as_large_as_the_margins_allow(delay_s, damping):
+    axis = LinearAxis(9.4e-4, damping, delay_s, 0.148)
+    wish = Wish()
+    proportional, integral, observer = design(axis, 2.33, wish).gains.in_motion
+    more = loop_margins(axis, proportional, integral, 1.01 * observer)
+    assert more.phase_deg < wish.phase_margin_deg or more.gain < wish.gain_margin
+    chosen_nm_per_rev = integral * 0.148 + observer
+    for factor in (0.6, 0.8, 0.9, 1.1, 1.25, 1.6):  # another Kp with the same damping ratio, and all the L it can have
+        other = (axis.damping_nm_per_rps + factor * proportional * 0.148) / (4.0 * axis.inertia_nm_s2_per_rev)
+        slower = other * other * axis.inertia_nm_s2_per_rev / 0.148
+        at_most = observer_gain(axis, factor * proportional, slower, wish)
+        if at_most > 0.0:
+            assert slower * 0.148 + at_most < 1.03 * chosen_nm_per_rev
 
 
 @pytest.mark.parametrize("delay_s", [0.002, 0.003, 0.0045, 0.008])

@@ -101,7 +101,20 @@ NOT_COMPENSATED = {
     "unknown:frequency": "no function of what is known ahead; over every other axis a curve is compensated where it "
     "was seen",
 }
-FRICTIONS: dict[str, PlantConfig] = {"single surface": paper_plant(), "five surfaces": PlantConfig()}
+
+
+class Kind(NamedTuple):
+    """A plant, and the form of the friction that every model of it has beside its parameters."""
+
+    plant: PlantConfig
+    form: tuple[EffectStart, ...] = ()
+
+
+KINDS = {
+    "single surface": Kind(paper_plant()),
+    "five surfaces": Kind(PlantConfig()),
+    "five surfaces, a second one in the model": Kind(PlantConfig(), (EffectStart("second_surface", {}),)),
+}
 
 
 class Outcome(NamedTuple):
@@ -157,6 +170,7 @@ def axis_file(seed: int, duration_s: float) -> AxisFile:
         "name": "adoption", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
         "controller": {
             "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 12,
+            "observer": {"learns_in": "integral"},
             "feedforward": {"inertia": True, "preview": True, "delay_aware": True}, "error_filter_s": 0.0002,
         },
         "envelope": {
@@ -220,14 +234,17 @@ def start_of(declared: ModelFile) -> np.ndarray[Any, np.dtype[np.float64]]:
     ])  # fmt: skip
 
 
-def fitted(plant: PlantConfig, declared: ModelFile, start: EffectStart | None) -> tuple[ModelFile, ModelFile]:
+def fitted(kind: Kind, declared: ModelFile, start: EffectStart | None) -> tuple[ModelFile, ModelFile]:
     """Models from records of a plant: without the effect, and with it."""
-    problem: Problem = make_problem(records_of(plant), BANDWIDTH_HZ)
+    problem: Problem = make_problem(records_of(kind.plant), BANDWIDTH_HZ)
     base = fit_effects(problem, start_of(declared), [], with_jacobian=False)
-    if start is None:
-        return model_of(base, declared), model_of(base, declared)
-    found = fit_effects(problem, base.base, [start], iterations=20, with_jacobian=False)
-    return model_of(base, declared), model_of(found, declared)
+
+    def model(starts: Sequence[EffectStart]) -> ModelFile:
+        found = fit_effects(problem, base.base, starts, iterations=20, with_jacobian=False) if starts else base
+        return model_of(found, declared)
+
+    without = model(kind.form)
+    return without, without if start is None else model((start, *kind.form))
 
 
 def with_effect(plant: PlantConfig, trial: Trial) -> PlantConfig:
@@ -236,10 +253,10 @@ def with_effect(plant: PlantConfig, trial: Trial) -> PlantConfig:
     return replace(plant, effects=(EffectConfig(name, dict(values)),)).validate()
 
 
-def try_effect(trial: Trial, plant: PlantConfig, clean: Clean, seeds: Sequence[int], duration_s: float) -> Outcome:
+def try_effect(trial: Trial, kind: Kind, clean: Clean, seeds: Sequence[int], duration_s: float) -> Outcome:
     """One effect: record, fit, adopt, run."""
-    loaded = with_effect(plant, trial)
-    refitted, adopted = fitted(loaded, read_model(TABLE_1), trial.start)
+    loaded = with_effect(kind.plant, trial)
+    refitted, adopted = fitted(kind._replace(plant=loaded), read_model(TABLE_1), trial.start)
     runs = [[driven(loaded, model, seed, duration_s) for seed in seeds] for model in (clean.model, refitted, adopted)]
     problems = {text for run in runs[2] for text in run.problems}
     if not compensated_terms(axis_file(1, duration_s), adopted):
@@ -257,10 +274,10 @@ class Clean(NamedTuple):
     ise: np.ndarray[Any, Any]  # with that model, (seeds,)
 
 
-def clean_axis(plant: PlantConfig, seeds: Sequence[int], duration_s: float) -> Clean:
+def clean_axis(kind: Kind, seeds: Sequence[int], duration_s: float) -> Clean:
     """Fit a model to the axis without an effect, and run it."""
-    model, _ = fitted(plant, read_model(TABLE_1), None)
-    return Clean(model, np.array([driven(plant, model, seed, duration_s).ise for seed in seeds]))
+    model, _ = fitted(kind, read_model(TABLE_1), None)
+    return Clean(model, np.array([driven(kind.plant, model, seed, duration_s).ise for seed in seeds]))
 
 
 class Kept:
@@ -344,13 +361,13 @@ def run() -> int:
     names = chosen.only or (SAMPLE if chosen.sample else [trial.plant[0] for trial in TRIALS])
     seeds = range(1, passes_of(chosen) + 1)
     duration_s = min(chosen.duration_s, 20.0) if chosen.sample else chosen.duration_s
-    kinds = {"single surface": FRICTIONS["single surface"]} if chosen.sample else FRICTIONS
+    kinds = {"single surface": KINDS["single surface"]} if chosen.sample else KINDS
     report = Report(NAME, PURPOSE)
     trials = [trial for trial in TRIALS if trial.plant[0] in names]
     for trial in TRIALS:
         with_effect(PlantConfig(), trial)  # refused now, and not after an hour
     with shown(NAME) as progress:
-        for number, (kind, plant) in enumerate(kinds.items()):
+        for number, (kind, axis) in enumerate(kinds.items()):
             kept = Kept(chosen.rows, f"{kind}, {len(seeds)} seeds, {duration_s:g} s", chosen.again)
             missing = [trial.plant[0] for trial in trials if trial.plant[0] not in kept] if chosen.kept else []
             if missing:
@@ -358,10 +375,10 @@ def run() -> int:
             present = [trial for trial in trials if trial.plant[0] not in missing]
             if not present:
                 continue
-            clean = kept.clean(functools.partial(clean_axis, plant, seeds, duration_s))
+            clean = kept.clean(functools.partial(clean_axis, axis, seeds, duration_s))
             outcomes = []
             for k, trial in enumerate(present):
-                measure = functools.partial(try_effect, trial, plant, clean, seeds, duration_s)
+                measure = functools.partial(try_effect, trial, axis, clean, seeds, duration_s)
                 outcomes.append(kept.outcome(trial.plant[0], measure))
                 o = outcomes[-1]
                 facts = {
