@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fffo_drive.drive.simulated import state as at
-from fffo_drive.drive.simulated.friction import Scales, single_step, surfaces_step
-from fffo_drive.drive.simulated.pack import new_state, plant_parameters
+from fffo_drive.drive.simulated.friction import Scales, friction_after
+from fffo_drive.drive.simulated.pack import FRICTION_KINDS, new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ThermalConfig, noiseless
 from fffo_drive.drive.simulated.plant import plant_advance
 from fffo_drive.drive.simulated.resolver import plant_latch
@@ -98,12 +98,9 @@ def exchange(config: PlantConfig, commands_a: np.ndarray, seed: int | None = Non
 
 
 @njit
-def _friction_along(table, state, velocity_rps, step_s, five, torque_nm):
+def _friction_along(table, state, velocity_rps, step_s, kind, torque_nm):
     for k in range(velocity_rps.shape[0]):
-        if five:
-            torque_nm[k] = surfaces_step(table, state, velocity_rps[k], step_s, Scales(1.0, 1.0, 1.0))
-        else:
-            torque_nm[k] = single_step(table, state, velocity_rps[k], step_s, Scales(1.0, 1.0, 1.0))
+        torque_nm[k] = friction_after(kind, table, state, velocity_rps[k], step_s, Scales(1.0, 1.0, 1.0))
 
 
 def friction_along(
@@ -115,7 +112,7 @@ def friction_along(
     contacts = new_state(config).friction if state is None else state
     table = plant_parameters(config).friction
     velocity_rps = np.asarray(velocity_rps, float)
-    _friction_along(table, contacts, velocity_rps, step_s, friction.kind == "five_surfaces", torque_nm)
+    _friction_along(table, contacts, velocity_rps, step_s, FRICTION_KINDS[friction.kind], torque_nm)
     return torque_nm
 
 

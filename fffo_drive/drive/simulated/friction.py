@@ -1,4 +1,4 @@
-"""The plant's own friction, in two kinds. Neither shares a line with `fffo_drive.model`.
+"""The plant's own friction, in four kinds. None shares a line with `fffo_drive.model`.
 
 *Five surfaces.* The torque is the sum over the frictional surfaces f1 to f5 of the paper's Fig. 2b: four
 bearings and the teeth of the gear. Each surface is an elasto-plastic element (Dupont et al., 2002) that is
@@ -9,6 +9,13 @@ hysteresis of presliding.
 
 *Single surface.* The two-state model with elasto-plasticity (2SEP) as paper/NOTES.md derives it, by its exact
 step.
+
+*LuGre.* Bristles that bend from the first torque on and slip at the Stribeck level (Canudas de Wit, Olsson, Astrom and
+Lischinsky, "A new model for control of systems with friction", IEEE TAC 40, 1995), with a damping of the bristles that
+fades with speed, so that the contact never gives energy (Olsson, 1996).
+
+*Maxwell slip.* Parallel springs that stick and slip one after the other, so that a reversal inside a reversal closes
+its own loop (generalised Maxwell slip, Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005).
 
 All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step is exact for a speed that is
 constant over it, so no stiffness is too stiff for it. Friction is positive against positive speed.
@@ -27,6 +34,8 @@ Table = np.ndarray[Any, np.dtype[np.float64]]
 
 FIVE_SURFACES = 0
 SINGLE_2SEP = 1
+LUGRE = 2
+MAXWELL_SLIP = 3
 
 # columns of the parameter table; one row a surface
 COULOMB_NM = 0
@@ -34,15 +43,18 @@ RISE_NM = 1  # stiction minus Coulomb level
 VISCOUS_NM_PER_RPS = 2
 PER_STRIBECK_RPS = 3  # 1/Vs
 STRIBECK_EXPONENT = 4
-STIFFNESS = 5  # surfaces: Nm/rev of the elastic contact; single: K in 1/rev
+STIFFNESS = 5  # Nm/rev of the elastic contact; single: K in 1/rev
 ELASTIC_SHARE = 6  # surfaces: share of the level below which the contact is elastic
+DAMPING = 6  # LuGre: Nm/rps of the bristles
 MEMORY = 7  # surfaces: 1/rev, one over the sliding distance that renews the level; single: B in Nm/rev
+ATTRACTION = 7  # Maxwell slip: Nm/s with which a slipping element follows the level
 TABLE_COLUMNS = 8
 
 # columns of the state, surfaces: torque of the contact, and how much of the stiction rise is there (1 at
 # rest)
 CONTACT_NM = 0
 STICTION = 1
+SLIPS = 1  # Maxwell slip: direction (+-1) in which the element slips; 0: it sticks
 # columns of the state, single surface
 FRICTION_NM = 0
 OMEGA_NM = 1
@@ -163,3 +175,73 @@ def single_step(
     state[0, FRICTION_NM] = friction_nm
     state[0, TRAVEL_REV] = before_rev + travel_rev
     return float(friction_nm)
+
+
+@njit
+def _level_nm(table: Table, row: int, speed_rps: float, scales: Scales) -> float:
+    """Stribeck level without viscous friction."""
+    steady = stribeck_share(speed_rps * table[row, PER_STRIBECK_RPS], table[row, STRIBECK_EXPONENT])
+    return float(scales.level * (table[row, COULOMB_NM] + scales.stiction * table[row, RISE_NM] * steady))
+
+
+@njit
+def lugre_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+    """Friction torque (Nm) of LuGre bristles after one step at constant speed, exact.
+
+    With c = s0 z: dc/dt = s0 v (1 - c sgn(v) / g(v)), torque = c + s1(v) dz/dt + s2 v, s1(v) = s1 exp(-(v/Vs)^2).
+    """
+    bristles_nm = state[0, CONTACT_NM]
+    if velocity_rps == 0.0:
+        return float(bristles_nm)
+    direction = 1.0 if velocity_rps > 0.0 else -1.0
+    speed_rps = abs(velocity_rps)
+    end_nm = direction * _level_nm(table, 0, speed_rps, scales)
+    stiffness = table[0, STIFFNESS]
+    moved_nm = (end_nm - bristles_nm) * (1.0 - math.exp(-stiffness * speed_rps * step_s / abs(end_nm)))
+    state[0, CONTACT_NM] = bristles_nm + moved_nm
+    fading = stribeck_share(speed_rps * table[0, PER_STRIBECK_RPS], 2.0)
+    bending_rps = moved_nm / (stiffness * step_s)
+    viscous = scales.viscous * table[0, VISCOUS_NM_PER_RPS]
+    return float(bristles_nm + moved_nm + table[0, DAMPING] * fading * bending_rps + viscous * velocity_rps)
+
+
+@njit
+def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+    """Friction torque (Nm) of parallel Maxwell slip elements after one step at constant speed, exact in each phase.
+
+    An element that sticks is a spring, until it reaches its share of the level; one that slips follows that share,
+    dF/dt = C (1 - F/S), and sticks again when the motion reverses.
+    """
+    direction = 1.0 if velocity_rps > 0.0 else -1.0
+    speed_rps = abs(velocity_rps)
+    total_nm = 0.0
+    for k in range(table.shape[0]):
+        torque_nm = state[k, CONTACT_NM]
+        if speed_rps > 0.0:
+            load_nm = direction * torque_nm
+            level_nm = _level_nm(table, k, speed_rps, scales)
+            slips = direction * state[k, SLIPS] > 0.0
+            if slips:
+                load_nm = level_nm + (load_nm - level_nm) * math.exp(-table[k, ATTRACTION] * step_s / level_nm)
+            else:
+                load_nm += table[k, STIFFNESS] * speed_rps * step_s
+                if load_nm >= level_nm:
+                    load_nm = level_nm
+                    slips = True
+            state[k, SLIPS] = direction if slips else 0.0
+            torque_nm = direction * load_nm
+            state[k, CONTACT_NM] = torque_nm
+        total_nm += torque_nm + scales.viscous * table[k, VISCOUS_NM_PER_RPS] * velocity_rps
+    return float(total_nm)
+
+
+@njit
+def friction_after(kind: int, table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+    """Friction torque (Nm) of a kind after one step at a constant speed; `state` moves on."""
+    if kind == FIVE_SURFACES:
+        return surfaces_step(table, state, velocity_rps, step_s, scales)
+    if kind == SINGLE_2SEP:
+        return single_step(table, state, velocity_rps, step_s, scales)
+    if kind == LUGRE:
+        return lugre_step(table, state, velocity_rps, step_s, scales)
+    return maxwell_slip_step(table, state, velocity_rps, step_s, scales)

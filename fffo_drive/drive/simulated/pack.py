@@ -15,7 +15,11 @@ from .effects.registry import EFFECTS
 from .noise import RANDOM_WORDS, seed_words
 from .parameters import PlantConfig, delay_budget
 from .state import STEP_S, Floats, Integers, PlantParameters, PlantState
-from .surfaces import FrictionConfig
+from .surfaces import KINDS, FrictionConfig, Lugre, MaxwellSlip, SingleSurface
+
+FRICTION_KINDS = dict(
+    zip(KINDS, (friction.FIVE_SURFACES, friction.SINGLE_2SEP, friction.LUGRE, friction.MAXWELL_SLIP), strict=True)
+)
 
 
 def plant_parameters(config: PlantConfig) -> PlantParameters:
@@ -40,8 +44,7 @@ def new_state(config: PlantConfig, seed: int | None = None) -> PlantState:
     values[at.ANGLE_REV] = values[at.TRACKED_REV] = config.initial_angle_rev
     words = np.zeros(at.N_WORDS, np.int64)
     words[:RANDOM_WORDS] = seed_words(config.seed if seed is None else seed)
-    rows = 1 if config.friction.kind == "single_2sep" else len(config.friction.surfaces)
-    contacts = np.zeros((rows, friction.STATE_COLUMNS))
+    contacts = np.zeros((len(_friction_table(config.friction)), friction.STATE_COLUMNS))
     if config.friction.kind == "five_surfaces":
         contacts[:, friction.STICTION] = 1.0
     return PlantState(
@@ -55,24 +58,21 @@ def new_state(config: PlantConfig, seed: int | None = None) -> PlantState:
 
 
 def _friction_kind(config: FrictionConfig) -> int:
-    return friction.SINGLE_2SEP if config.kind == "single_2sep" else friction.FIVE_SURFACES
+    return FRICTION_KINDS[config.kind]
 
 
 def _friction_table(config: FrictionConfig) -> Floats:
     """Rows of parameters at the motor shaft: torque over ratio, stiffness and viscosity over its square."""
     if config.kind == "single_2sep":
-        one = config.single
-        row = (
-            one.coulomb_nm,
-            one.stiction_nm - one.coulomb_nm,
-            one.viscous_nm_per_rps,
-            1.0 / one.stribeck_rps,
-            one.stribeck_exponent,
-            one.stiffness_per_rev,
-            0.0,
-            one.attraction_nm_per_rev,
+        return _rows(
+            config.single, [(1.0, config.single.stiffness_per_rev)], memory=config.single.attraction_nm_per_rev
         )
-        return np.array([row])
+    if config.kind == "lugre":
+        one = config.lugre
+        return _rows(one, [(1.0, one.stiffness_nm_per_rev)], damping=one.damping_nm_per_rps)
+    if config.kind == "maxwell_slip":
+        parts = [(element.share, element.stiffness_nm_per_rev) for element in config.maxwell_slip.elements]
+        return _rows(config.maxwell_slip, parts, memory=config.maxwell_slip.attraction_nm_per_s)
     rows = [
         (
             s.coulomb_nm / s.ratio,
@@ -87,6 +87,30 @@ def _friction_table(config: FrictionConfig) -> Floats:
         for s in config.surfaces
     ]
     return np.array(rows).reshape(len(rows), friction.TABLE_COLUMNS)
+
+
+def _rows(
+    one: SingleSurface | Lugre | MaxwellSlip,
+    parts: list[tuple[float, float]],
+    damping: float = 0.0,
+    memory: float = 0.0,
+) -> Floats:
+    """Rows of contacts in parallel, each with its share of the level and its stiffness, (parts, TABLE_COLUMNS)."""
+    return np.array(
+        [
+            (
+                share * one.coulomb_nm,
+                share * (one.stiction_nm - one.coulomb_nm),
+                share * one.viscous_nm_per_rps,
+                1.0 / one.stribeck_rps,
+                one.stribeck_exponent,
+                stiffness,
+                damping,
+                share * memory,
+            )
+            for share, stiffness in parts
+        ]
+    )
 
 
 def _transport(config: PlantConfig) -> tuple[int, float]:

@@ -13,7 +13,7 @@ from ...jit import njit
 from . import state as at
 from .current_loop import current_step, transport_step
 from .effects.stages import Effects, effects_on_demand, effects_on_sensor, effects_on_shaft, effects_on_torque
-from .friction import FIVE_SURFACES, Scales, single_step, surfaces_step
+from .friction import Scales, friction_after
 from .noise import random_normal
 from .resolver import resolver_step
 from .state import STEP_S, SUBSTEPS_PER_S, Floats, Integers, PlantParameters, PlantState
@@ -56,7 +56,7 @@ def plant_advance(parameters: PlantParameters, state: PlantState, command_a: flo
     """Advance by a number of sub-steps of 1/22 kHz (11 a tick of 2 kHz) with one held command (A)."""
     c, x, words = parameters.numbers, state.values, state.words
     table, contacts, line = parameters.friction, state.friction, state.delay_line
-    five_surfaces = parameters.integers[at.FRICTION_KIND] == FIVE_SURFACES
+    friction_kind = parameters.integers[at.FRICTION_KIND]
     transport = parameters.integers[at.TRANSPORT_STEPS]
     effects = Effects(
         parameters.integers[at.FIRST_OF_STAGE :],
@@ -79,10 +79,7 @@ def plant_advance(parameters: PlantParameters, state: PlantState, command_a: flo
         if with_effects:
             torque_nm, scales = effects_on_torque(effects, current_a, torque_nm, scales)
         velocity_rps = float(x[at.VELOCITY_RPS])
-        if five_surfaces:
-            friction_nm = surfaces_step(table, contacts, velocity_rps, STEP_S, scales)
-        else:
-            friction_nm = single_step(table, contacts, velocity_rps, STEP_S, scales)
+        friction_nm = friction_after(friction_kind, table, contacts, velocity_rps, STEP_S, scales)
         added_nm = 0.0
         if with_effects:
             added_nm, added_friction_nm = effects_on_shaft(effects, friction_nm)

@@ -1,4 +1,4 @@
-"""The friction of a simulated drive as a person configures it: five surfaces, or the paper's single one."""
+"""The friction of a simulated drive as a person configures it: five surfaces, the paper's single one, or a peer's."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 
 from .ranges import key, required_key
 
-KINDS = ("five_surfaces", "single_2sep")
+KINDS = ("five_surfaces", "single_2sep", "lugre", "maxwell_slip")
 MAX_SURFACES = 8
+SHARES_ROUNDING = 1e-6  # of shares that add up to one
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,58 @@ class SingleSurface:
 
 
 @dataclass(frozen=True)
+class Lugre:
+    """Bristles (LuGre), at the motor shaft."""
+
+    coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level")
+    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed")
+    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient s2")
+    stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity")
+    stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the Stribeck curve")
+    stiffness_nm_per_rev: float = key(20.0, "Nm/rev", 1e-3, 1e9, "stiffness s0 of the bristles")
+    damping_nm_per_rps: float = key(0.005, "Nm/rps", 0.0, 1e5, "damping s1 of the bristles; it fades with speed")
+
+
+@dataclass(frozen=True)
+class SlipElement:
+    """A spring of the Maxwell slip model that slips at its share of the level."""
+
+    share: float = required_key("-", 1e-6, 1.0, "of the level at which it slips")
+    stiffness_nm_per_rev: float = required_key("Nm/rev", 1e-3, 1e9, "stiffness while it sticks")
+
+
+# as stiff at a reversal as Table I (Fc K + B = 22 Nm/rev), slipping over travels of 0.5 to 16 mrev
+SLIP_ELEMENTS: tuple[SlipElement, ...] = (
+    SlipElement(0.15, 12.0),
+    SlipElement(0.20, 6.0),
+    SlipElement(0.25, 3.0),
+    SlipElement(0.25, 1.0),
+    SlipElement(0.15, 0.25),
+)
+
+
+@dataclass(frozen=True)
+class MaxwellSlip:
+    """Parallel elements that stick and slip (generalised Maxwell slip), at the motor shaft."""
+
+    coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level of all elements")
+    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed")
+    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient")
+    stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity")
+    stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the Stribeck curve")
+    attraction_nm_per_s: float = key(2.0, "Nm/s", 1e-3, 1e9, "how fast slipping elements follow the level")
+    elements: tuple[SlipElement, ...] = SLIP_ELEMENTS
+
+
+@dataclass(frozen=True)
 class FrictionConfig:
-    """Friction of the plant: `surfaces` for kind five_surfaces (none at all: no friction), else `single`."""
+    """Friction of the plant: `surfaces` for kind five_surfaces (none: no friction), else the record of the kind."""
 
     kind: str = "five_surfaces"
     surfaces: tuple[Surface, ...] = FIVE_SURFACES
     single: SingleSurface = field(default_factory=SingleSurface)
+    lugre: Lugre = field(default_factory=Lugre)
+    maxwell_slip: MaxwellSlip = field(default_factory=MaxwellSlip)
 
     def errors(self, path: str) -> list[tuple[str, str]]:
         """What ranges alone do not tell: pairs of dotted key and text."""
@@ -68,6 +115,12 @@ class FrictionConfig:
             found.append((f"{path}kind", f"{self.kind!r} is not one of {', '.join(KINDS)}"))
         if len(self.surfaces) > MAX_SURFACES:
             found.append((f"{path}surfaces", f"{len(self.surfaces)} surfaces; 0 to {MAX_SURFACES} are possible"))
+        elements = self.maxwell_slip.elements
+        if not 1 <= len(elements) <= MAX_SURFACES:
+            found.append((f"{path}maxwell_slip.elements", f"{len(elements)}; 1 to {MAX_SURFACES} are possible"))
+        whole = sum(element.share for element in elements)
+        if abs(whole - 1.0) > SHARES_ROUNDING:
+            found.append((f"{path}maxwell_slip.elements", f"their shares add up to {whole:g}, not to 1"))
         found += [
             (f"{path}surfaces[{k}].stiction_nm", f"{s.stiction_nm:g} is below coulomb_nm {s.coulomb_nm:g} Nm")
             for k, s in enumerate(self.surfaces)
@@ -76,24 +129,29 @@ class FrictionConfig:
         return found
 
     @property
+    def _whole(self) -> SingleSurface | Lugre | MaxwellSlip | None:
+        """The record of a kind that has its levels as one; None for surfaces."""
+        if self.kind == "single_2sep":
+            return self.single
+        if self.kind == "lugre":
+            return self.lugre
+        return self.maxwell_slip if self.kind == "maxwell_slip" else None
+
+    @property
     def coulomb_nm(self) -> float:
         """Coulomb level of the whole, at the motor shaft."""
-        if self.kind == "single_2sep":
-            return self.single.coulomb_nm
-        return sum(s.coulomb_nm / s.ratio for s in self.surfaces)
+        return self._whole.coulomb_nm if self._whole else sum(s.coulomb_nm / s.ratio for s in self.surfaces)
 
     @property
     def stiction_nm(self) -> float:
         """Level at the lowest speed of the whole, at the motor shaft."""
-        if self.kind == "single_2sep":
-            return self.single.stiction_nm
-        return sum(s.stiction_nm / s.ratio for s in self.surfaces)
+        return self._whole.stiction_nm if self._whole else sum(s.stiction_nm / s.ratio for s in self.surfaces)
 
     @property
     def viscous_nm_per_rps(self) -> float:
         """Viscous coefficient of the whole, at the motor shaft."""
-        if self.kind == "single_2sep":
-            return self.single.viscous_nm_per_rps
+        if self._whole:
+            return self._whole.viscous_nm_per_rps
         return sum(s.viscous_nm_per_rps / (s.ratio * s.ratio) for s in self.surfaces)
 
     def scaled(
@@ -109,14 +167,31 @@ class FrictionConfig:
         def stiction(coulomb_nm: float, stiction_nm: float) -> float:
             return level * (coulomb_nm + rise * (stiction_nm - coulomb_nm))
 
-        one = self.single
+        def levels(one: SingleSurface | Lugre | MaxwellSlip) -> dict[str, float]:
+            return {
+                "coulomb_nm": level * one.coulomb_nm,
+                "stiction_nm": stiction(one.coulomb_nm, one.stiction_nm),
+                "stribeck_rps": stribeck_velocity * one.stribeck_rps,
+            }
+
         single = replace(
-            one,
-            coulomb_nm=level * one.coulomb_nm,
-            stiction_nm=stiction(one.coulomb_nm, one.stiction_nm),
-            stribeck_rps=stribeck_velocity * one.stribeck_rps,
-            stiffness_per_rev=stiffness * one.stiffness_per_rev,
-            attraction_nm_per_rev=one.attraction_nm_per_rev / memory,
+            self.single,
+            **levels(self.single),
+            stiffness_per_rev=stiffness * self.single.stiffness_per_rev,
+            attraction_nm_per_rev=self.single.attraction_nm_per_rev / memory,
+        )
+        lugre = replace(
+            self.lugre, **levels(self.lugre), stiffness_nm_per_rev=stiffness * self.lugre.stiffness_nm_per_rev
+        )
+        elements = tuple(
+            replace(element, stiffness_nm_per_rev=stiffness * element.stiffness_nm_per_rev)
+            for element in self.maxwell_slip.elements
+        )
+        slip = replace(
+            self.maxwell_slip,
+            **levels(self.maxwell_slip),
+            elements=elements,
+            attraction_nm_per_s=self.maxwell_slip.attraction_nm_per_s / memory,
         )
         surfaces = tuple(
             replace(
@@ -129,4 +204,4 @@ class FrictionConfig:
             )
             for s in self.surfaces
         )
-        return replace(self, single=single, surfaces=surfaces)
+        return replace(self, single=single, surfaces=surfaces, lugre=lugre, maxwell_slip=slip)
