@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from ..model.parameters import ModelFile
 
+Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complexfloating[Any, Any]]
 
 ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elasticity
@@ -86,14 +87,22 @@ def loop_margins(
     error_filter_s: float = 0.0,
 ) -> Margins:  # fmt: skip
     """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter."""
-    omega = 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, SWEEP_HIGH_HZ, SWEEP_POINTS)
+    omega = sweep_rad_per_s()
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
     rational = controller / (1.0 + error_filter_s * s) / impedance_nm_per_rps(axis, s)
     magnitude = np.abs(rational)
-    phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * axis.delay_s)
+    return margins_of(omega, magnitude, np.degrees(np.unwrap(np.angle(rational)) - omega * axis.delay_s))
 
+
+def sweep_rad_per_s() -> Floats:
+    """Angular frequencies (n,) at which open loops are looked at."""
+    return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, SWEEP_HIGH_HZ, SWEEP_POINTS)
+
+
+def margins_of(omega: Floats, magnitude: Floats, phase_deg: Floats) -> Margins:
+    """Margins of an open loop over angular frequencies, arrays (n,); the phase is continuous."""
     below = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
     phase_margin_deg = min((180.0 + float(phase_deg[i]) for i in below), default=math.inf)
     # the gain margin counts downward crossings of -180 degrees, where more gain encircles -1

@@ -1,0 +1,56 @@
+"""What every peer has: PI on the same error, inertia and preview from the same reference, the same limit.
+
+A law is a step that returns the command; its memory is a flat vector that begins as zeros, first the PI's slots.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...control.feedforward import FeedforwardConfig, Reference
+from ...control.pi import PiConfig, pi_step
+from ...jit import njit
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+
+INTEGRAL_A = 0
+ERROR_RPS = 1  # filtered
+LIMITED = 2  # 1 when the last command was
+OWN = 3  # where the memory of a law begins
+MEMORY_SLOTS = 96
+
+
+class PeerConfig(NamedTuple):
+    """The part of a law that all have in common."""
+
+    pi: PiConfig
+    feedforward: FeedforwardConfig
+    torque_constant_nm_per_a: float
+    current_limit_a: float
+    period_s: float
+    error_share: float  # of a new error that is taken in a period
+
+
+@njit
+def filtered_error(config: PeerConfig, memory: Floats, reference: Reference, velocity_rps: float) -> float:
+    """The error that drives the law, in rps; the reference is as old as the feedback."""
+    error_rps = reference.expected - velocity_rps
+    memory[ERROR_RPS] += config.error_share * (error_rps - memory[ERROR_RPS])
+    return float(memory[ERROR_RPS])
+
+
+@njit
+def command_for(config: PeerConfig, memory: Floats, reference: Reference, error_rps: float, torque_nm: float) -> float:
+    """PI, inertia torque and the law's own torque as a current (A), limited."""
+    inertia_nm = config.feedforward.inertia_nm_s2_per_rev * reference.ahead_derivative
+    forward_a = (torque_nm + inertia_nm) / config.torque_constant_nm_per_a
+    limit_a = config.current_limit_a
+    proportional_a, memory[INTEGRAL_A] = pi_step(
+        config.pi, memory[INTEGRAL_A], error_rps, forward_a, limit_a, memory[LIMITED] != 0.0, config.period_s
+    )
+    wanted_a = proportional_a + memory[INTEGRAL_A] + forward_a
+    command_a = min(max(wanted_a, -limit_a), limit_a)
+    memory[LIMITED] = 1.0 if command_a != wanted_a else 0.0
+    return float(command_a)

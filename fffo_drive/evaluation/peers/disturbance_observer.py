@@ -1,0 +1,60 @@
+"""P with a disturbance observer (Ohnishi, Shibata and Murakami, IEEE/ASME T. Mechatronics 1, 1996), or the linear
+extended state observer of Gao ("Scaling and bandwidth-parameterization based controller tuning", ACC 2003).
+
+    d = Q(s) (Kt i(t - Td) - J s w),    Q = wo / (s + wo), or its square for the extended state observer
+
+The command is delayed as the axis delays it, so that the observer does not take the delay for a disturbance. Nothing is
+known of friction: d is whatever torque is missing, and is given with the command.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ...control.feedforward import Reference, read_samples
+from ...jit import njit
+from ...packing import reader
+from .constants import MEMORY_SLOTS, OWN, Floats, PeerConfig, command_for, filtered_error
+
+TORQUE_NM = OWN  # through the first low-pass: torque on time, and torque of the inertia
+VELOCITY_RPS = OWN + 1  # through it
+SECOND_NM = OWN + 2  # estimate through the second low-pass
+HISTORY = OWN + 3  # commands, the last one first
+LONGEST_DELAY_TICKS = MEMORY_SLOTS - HISTORY - 2
+
+
+class ObserverLoop(NamedTuple):
+    """The law."""
+
+    peer: PeerConfig
+    inertia_nm_s2_per_rev: float  # of the observer
+    bandwidth_rad_per_s: float
+    order: int  # 1: disturbance observer, 2: extended state observer
+    delay_ticks: float  # of the axis, hold included
+
+
+unpack_observer = njit(reader(ObserverLoop, "unpack_observer"))
+
+
+@njit
+def observer_loop_step(parameters: Floats, memory: Floats, reference: Reference, velocity_rps: float) -> float:
+    """The command (A) of one period."""
+    config = unpack_observer(parameters)
+    peer = config.peer
+    error_rps = filtered_error(peer, memory, reference, velocity_rps)
+    kept = math.exp(-config.bandwidth_rad_per_s * peer.period_s)
+    history = memory[HISTORY:]
+    given_nm = peer.torque_constant_nm_per_a * read_samples(history, history.size, config.delay_ticks - 1.0)
+    memory[TORQUE_NM] = given_nm + (memory[TORQUE_NM] - given_nm) * kept
+    memory[VELOCITY_RPS] = velocity_rps + (memory[VELOCITY_RPS] - velocity_rps) * kept
+    # Q J s w = J wo (w - its low-pass)
+    fast_rps = velocity_rps - memory[VELOCITY_RPS]
+    first_nm = memory[TORQUE_NM] - config.inertia_nm_s2_per_rev * config.bandwidth_rad_per_s * fast_rps
+    memory[SECOND_NM] = first_nm + (memory[SECOND_NM] - first_nm) * kept
+    missing_nm = memory[SECOND_NM] if config.order == 2 else first_nm
+    command_a = command_for(peer, memory, reference, error_rps, missing_nm)
+    for place in range(MEMORY_SLOTS - 1, HISTORY, -1):
+        memory[place] = memory[place - 1]
+    memory[HISTORY] = command_a
+    return command_a

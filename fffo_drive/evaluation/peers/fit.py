@@ -1,0 +1,83 @@
+"""Friction models of all laws fitted to the same record: the plant's own friction along the motion of a run.
+
+Least squares over the logarithms of the parameters, from Table I. What a model cannot say stays in its rms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ...jit import njit
+from ...model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
+from .constants import MEMORY_SLOTS, Floats
+from .lugre import LugreModel, lugre_torque
+from .maxwell_slip import SlipModel, slip_torque
+
+Model = TypeVar("Model", bound=tuple[Any, ...])
+
+REACH = 2.0  # of the logarithm of a parameter, either way: 7 times
+TABLE_1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, OMEGA_CLIPPED)
+LUGRE_START = LugreModel(0.025, 0.067, 0.733, 1.07, 0.003, 20.0, 0.002)
+SLIP_START = SlipModel(0.025, 0.067, 0.733, 1.07, 0.003, 12.0, 0.4, 2.0)
+
+
+class Fitted(NamedTuple):
+    """A model, and the share of the friction (rms) that it leaves."""
+
+    model: Any
+    left: float
+
+
+@njit
+def _along_2sep(model: FrictionConfig, velocity_rps: Floats, period_s: float, torque_nm: Floats) -> None:
+    state = REST
+    for k in range(velocity_rps.shape[0]):
+        state = friction_step(model, state, velocity_rps[k], 0.0, period_s)
+        torque_nm[k] = state.torque_nm
+
+
+@njit
+def _along_lugre(model: LugreModel, velocity_rps: Floats, period_s: float, torque_nm: Floats) -> None:
+    bristles_nm = 0.0
+    for k in range(velocity_rps.shape[0]):
+        torque_nm[k], bristles_nm = lugre_torque(model, bristles_nm, velocity_rps[k], 0.0, period_s)
+
+
+@njit
+def _along_slip(model: SlipModel, velocity_rps: Floats, period_s: float, torque_nm: Floats, memory: Floats) -> None:
+    for k in range(velocity_rps.shape[0]):
+        torque_nm[k] = slip_torque(model, memory, velocity_rps[k], period_s)
+
+
+def friction_along(model: Any, velocity_rps: Floats, period_s: float) -> Floats:
+    """Friction torque (n,) of a model, Nm, along a velocity (n,) from rest."""
+    torque_nm = np.zeros(velocity_rps.size)
+    if isinstance(model, FrictionConfig):
+        _along_2sep(model, velocity_rps, period_s, torque_nm)
+    elif isinstance(model, LugreModel):
+        _along_lugre(model, velocity_rps, period_s, torque_nm)
+    else:
+        _along_slip(model, velocity_rps, period_s, torque_nm, np.zeros(MEMORY_SLOTS))
+    return torque_nm
+
+
+def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period_s: float) -> Fitted:
+    """The parameters of a model (all positive) along a motion; arrays (n,)."""
+    fixed = [name for name in start._fields if name == "omega_form"]  # type: ignore[attr-defined]
+    names = [name for name in start._fields if name not in fixed]  # type: ignore[attr-defined]
+    replaced: Callable[..., Model] = start._replace  # type: ignore[attr-defined]
+
+    def model(logarithms: Floats) -> Model:
+        return replaced(**dict(zip(names, (float(x) for x in np.exp(logarithms)), strict=True)))
+
+    def left(logarithms: Floats) -> Floats:
+        return friction_along(model(logarithms), velocity_rps, period_s) - friction_nm
+
+    first = np.log([getattr(start, name) for name in names])
+    found = least_squares(left, first, bounds=(first - REACH, first + REACH), x_scale=0.3, max_nfev=60)
+    rms = float(np.sqrt(np.mean(found.fun**2) / np.mean(friction_nm**2)))
+    return Fitted(model(found.x), rms)

@@ -1,0 +1,118 @@
+"""Any law on the simulated drive in process: the loop's own tick without service traffic and without an envelope.
+
+Wake, SYNC, feedback, reference, law, command, as runtime/loop.py has them; this project's controller runs here bit for
+bit as it does there. The profile begins in the tick in which the drive says that it is enabled.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...control.controller import (
+    ControllerConfig,
+    controller_at_rest,
+    controller_step,
+    pack_controller,
+    unpack_controller,
+)
+from ...control.feedforward import FeedforwardConfig, read_reference
+from ...control.reference import Profile
+from ...drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
+from ...drive.port import port_command, port_receive, port_sleep_until, port_sync
+from ...drive.simulated.in_process import SimulatedDrive
+from ...drive.simulated.parameters import DeviceConfig, PlantConfig
+from ...jit import njit
+from ...packing import pack
+from ...units import NS_PER_S
+from ..trace import Trace
+from .constants import MEMORY_SLOTS, Floats
+from .disturbance_observer import ObserverLoop, observer_loop_step
+from .lugre import LugreConfig, lugre_step
+from .maxwell_slip import SlipConfig, slip_step
+
+OWN_LAW, LUGRE, MAXWELL_SLIP, OBSERVER = range(4)
+MEASURED_RPS, TRUE_RPS, FRICTION_NM, COMMAND_A = range(4)
+
+Config = ControllerConfig | LugreConfig | SlipConfig | ObserverLoop
+
+
+class PeerLaw(NamedTuple):
+    """A law under test."""
+
+    name: str
+    config: Config
+    toggle: int = 0  # friction_observer.TOGGLE_*, of this project's law
+
+    @property
+    def feedforward(self) -> FeedforwardConfig:
+        """How the reference is read."""
+        return self.config.feedforward if isinstance(self.config, ControllerConfig) else self.config.peer.feedforward
+
+    @property
+    def kind(self) -> int:
+        """Which step."""
+        kinds = {ControllerConfig: OWN_LAW, LugreConfig: LUGRE, SlipConfig: MAXWELL_SLIP, ObserverLoop: OBSERVER}
+        return kinds[type(self.config)]
+
+
+@njit
+def _run(
+    port: Any, period_ns: int, cutoff_ns: int, kind: int, toggle: int, parameters: Floats,
+    feedforward: FeedforwardConfig, values: Floats, derivatives: Floats, memory: Floats, found: Floats,
+) -> None:  # fmt: skip
+    state = controller_at_rest()
+    feedback = port.feedback[0]
+    controlword = 0
+    length = values.shape[0]
+    tick, sample = 0, 0
+    while sample < length:
+        deadline_ns = (tick + 1) * period_ns
+        port_sleep_until(port, deadline_ns)
+        port_sync(port, tick)
+        port_receive(port, tick, deadline_ns + cutoff_ns)
+        controlword = controlword_towards(feedback["statusword"], GOAL_ENABLED, False, controlword)
+        if not is_operation_enabled(feedback["statusword"]):
+            port_command(port, tick, controlword, 0.0)
+        else:
+            velocity_rps = feedback["velocity_rps"]
+            reference = read_reference(feedforward, values, derivatives, length, sample)
+            if kind == OWN_LAW:
+                config = unpack_controller(parameters)
+                terms, state = controller_step(config, state, toggle, reference, velocity_rps, 0.0)
+                command_a = terms.command_a
+            elif kind == LUGRE:
+                command_a = lugre_step(parameters, memory, reference, velocity_rps)
+            elif kind == MAXWELL_SLIP:
+                command_a = slip_step(parameters, memory, reference, velocity_rps)
+            else:
+                command_a = observer_loop_step(parameters, memory, reference, velocity_rps)
+            found[MEASURED_RPS, sample] = velocity_rps
+            found[TRUE_RPS, sample] = feedback["true_velocity_rps"]
+            found[FRICTION_NM, sample] = feedback["true_friction_nm"]
+            found[COMMAND_A, sample] = port_command(port, tick, controlword, command_a)
+            sample += 1
+        tick += 1
+
+
+class Ran(NamedTuple):
+    """A run."""
+
+    trace: Trace
+    friction_nm: Floats  # the plant's own, (n,)
+
+
+def run_law(plant: PlantConfig, device: DeviceConfig, law: PeerLaw, profile: Profile) -> Ran:
+    """The profile under a law, from power-on: the same axis, noise and reference for every law."""
+    drive = SimulatedDrive(plant, device)
+    drive.connect()
+    parameters = pack_controller(law.config) if isinstance(law.config, ControllerConfig) else pack(law.config)
+    found = np.zeros((4, profile.values.size))
+    period_ns = round(profile.period_s * NS_PER_S)
+    _run(
+        drive.port, period_ns, period_ns // 2, law.kind, law.toggle, parameters, law.feedforward, profile.values,
+        profile.derivatives, np.zeros(MEMORY_SLOTS), found,
+    )  # fmt: skip
+    trace = Trace(profile.period_s, profile.values, found[MEASURED_RPS], found[TRUE_RPS], found[COMMAND_A])
+    return Ran(trace, found[FRICTION_NM])
