@@ -20,6 +20,7 @@ DASHES = {"ISE": "-", "MAE": "--", "MAX": ":", "STD": "-."}
 NEAR = 1.2  # the grey band: within a fifth of the paper
 FACTOR_TICKS = (0.25, 0.5, 1.0, 2.0)
 COLUMNS = 4
+LONGEST = 5  # characters of a value below its tick
 # field of the benchmark's point: title, factor to the unit shown
 TITLES = {
     "torque_constant_nm_per_a": ("torque constant, Nm/A", 1.0),
@@ -92,7 +93,8 @@ def _detail(axes: Axes, name: str, title: tuple[str, float], data: dict[str, Any
 def _said(value: Any, scale: float) -> str:
     if isinstance(value, bool | str):
         return WORDS.get(value, str(value))
-    return f"{scale * value:.3g}"
+    text = f"{scale * value:.3g}"
+    return text if len(text) <= LONGEST else f"{scale * value:.2g}"
 
 
 def obstacles(data: dict[str, Any]) -> Figure:
@@ -103,7 +105,8 @@ def obstacles(data: dict[str, Any]) -> Figure:
     for axes, label in zip(panels, ("PI MAX", "PI+FBFO ISE"), strict=True):
         x, y = column["PI ISE"], column[label]
         axes.plot(ratios[:, x], ratios[:, y], ".", color=QUIET, markersize=4, alpha=0.6, label="points searched")
-        best, paper = data["best"]["ratios"], data["paper"]
+        others, best, paper = np.array([one["ratios"] for one in data["others"]]), data["best"]["ratios"], data["paper"]
+        axes.plot(others[:, x], others[:, y], "o", mfc="none", color=COLOURS["PI"], label="it, on each other record")
         axes.plot(best[x], best[y], "o", color=COLOURS["PI"], label="nearest point")
         axes.plot(paper[x], paper[y], "*", color=COLOURS["PI+FBFO"], markersize=12, label="paper")
         axes.set(xlabel="PI ISE, % of PI+FFFO", ylabel=f"{label}, % of PI+FFFO")

@@ -32,11 +32,12 @@ half = case_of(scenario_of(base, PROJECT._replace(torque_constant_nm_per_a=0.074
 rng = np.random.default_rng(1)
 point, outside = PROJECT, []
 for _ in range(300):
-    point = step_from(point, 0.4, "torque_constant_nm_per_a", rng)
+    point = step_from(point, 0.4, ("torque_constant_nm_per_a",), rng)
     outside += [name for name, (low, high) in (LOGARITHMIC | LINEAR).items()
                 if name != "torque_constant_nm_per_a" and not low <= getattr(point, name) <= high]
 series = details_of(SEEN)
-doubled = Found(SEEN, (1, 2), np.array([PAPER, 2.0 * PAPER]))
+own = np.ones((2, 4))
+doubled = Found(SEEN, np.array([PAPER, 2.0 * PAPER]), own)
 print(json.dumps({
     "same plant": ours.plant == files.plant,
     "same laws": ours.candidates == files.candidates,
@@ -51,7 +52,7 @@ print(json.dumps({
                 for name, points in series.items()},
     "with the best": [SEEN in points for points in series.values()],
     "factor": doubled.factor,
-    "tripped": Found(SEEN, (1,), np.full((1, 8), math.nan)).factor,
+    "tripped": Found(SEEN, np.full((1, 8), math.nan), own).factor,
 }))
 """
 
