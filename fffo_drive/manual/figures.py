@@ -22,6 +22,7 @@ from ..config.plan import Plan, make_plan
 from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
 from ..model.friction import REST, FrictionConfig, friction_step, steady_friction_nm
 from ..report.palette import FURNITURE, SERIES
+from .table_two import details, obstacles, read_data
 
 ORANGE, GREEN, BLUE = (SERIES[name].light for name in ("orange", "green", "blue"))
 TEXT, QUIET, GRID, RAISED = (FURNITURE[name].light for name in ("text", "quiet", "grid", "raised"))
@@ -34,12 +35,14 @@ STYLE: Any = {
 STEP_S = 1e-4
 
 
-def draw_all(directory: Path, configs: Path) -> None:
-    """Write each figure as NAME.svg. `configs` holds the example axes that some are drawn from."""
+def draw_all(directory: Path, configs: Path, results: Path) -> None:
+    """Write each figure as NAME.svg. Some are drawn from the axes in `configs`, some from measured `results`."""
     bench = make_plan(str(configs / "axis_bench.yaml"))
+    table_two = read_data(results / "table_two.json")
     drawn: dict[str, Callable[[], Figure]] = {
         "friction": lambda: friction(bench), "observer": observer, "condition_14": lambda: condition_14(bench),
         "preview": lambda: preview(bench), "tick": lambda: tick(bench), "diagnosis": diagnosis, "safety": safety,
+        "table_two_details": lambda: details(table_two), "table_two_obstacles": lambda: obstacles(table_two),
     }  # fmt: skip
     directory.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):

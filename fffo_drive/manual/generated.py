@@ -18,7 +18,7 @@ LINK = re.compile(r"\]\((?!https?://|#)([^)]+)\)")
 
 def write_generated(source: Path) -> None:
     """Write all generated pages and pictures below the copied sources."""
-    draw_all(source / "figures", SOURCE_TREE / "configs")
+    draw_all(source / "figures", SOURCE_TREE / "configs", RESULTS)
     reference = source / "reference"
     for name, text in pages().items():
         (reference / f"{name}.md").write_text(text, encoding="utf-8")

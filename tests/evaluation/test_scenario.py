@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from fffo_drive.cli import main
+from fffo_drive.config.axis import build_profile, read_axis
 from fffo_drive.config.scenario import (
     FRICTION_KEYS,
+    axis_of,
     candidates_of,
     case_of,
     cases_of,
@@ -97,6 +99,18 @@ def test_seeds_vary_the_phases_of_the_reference(tmp_path):
     assert not np.array_equal(reference_of(scenario, 1).values, reference_of(scenario, 2).values)
     fixed = read_scenario(written(tmp_path, SHORT + "vary_phases: false\n"))
     assert np.array_equal(reference_of(fixed, 1).values, reference_of(fixed, 2).values)
+
+
+def test_the_bench_runs_the_first_record_of_the_papers_scenario_with_its_laws():
+    scenario = read_scenario(SCENARIOS / "paper.yaml")
+    bench = read_axis(SCENARIOS.parent / "axis_bench.yaml")
+    reference, profile = reference_of(scenario, 1), build_profile(bench.profile, bench.loop.period_s)
+    assert np.array_equal(reference.values, profile.values)
+    law, papers = bench.controller, axis_of(scenario, "pi+fffo").controller
+    assert (law.proportional_a_per_rps, law.integral_a_per_rev) == (
+        papers.proportional_a_per_rps, papers.integral_a_per_rev
+    )  # fmt: skip
+    assert (law.observer, law.feedforward) == (papers.observer, papers.feedforward)
 
 
 @pytest.mark.parametrize(
