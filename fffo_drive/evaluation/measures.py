@@ -8,10 +8,11 @@ import numpy as np
 
 from .effort import ControlEffort, control_effort
 from .metrics import ErrorMetrics, Floats, error_metrics
-from .reversal import ReversalLag, find_reversals, near_reversals, reversal_lag
+from .reversal import Crossing, ReversalLag, crossing_error, find_reversals, near_reversals, reversal_lag
 from .trace import Trace
 
 REVERSAL_WINDOW_S = 0.025  # around a reversal: the time constant of a 24 Hz loop, four times
+START_S = 2.0  # of a record: the axis comes from rest, and the law knows nothing yet
 NOTHING = ErrorMetrics(float("nan"), float("nan"), float("nan"), float("nan"))
 
 
@@ -29,6 +30,8 @@ class VelocityMeasures(NamedTuple):
     bands: tuple[ErrorMetrics, ...]  # one between each two edges; NaN where the reference never was
     reversals: ErrorMetrics  # within REVERSAL_WINDOW_S of a reversal of the reference
     lag: ReversalLag
+    crossing: Crossing
+    settled: ErrorMetrics  # without the first START_S
     histogram: np.ndarray[Any, np.dtype[np.int64]]  # samples in each bin
 
 
@@ -55,6 +58,8 @@ def measure(trace: Trace, yardstick: Yardstick) -> Measures:
             tuple(_metrics_of(error_rps[band == number], trace.period_s) for number in range(bands)),
             _metrics_of(error_rps[near], trace.period_s),
             reversal_lag(reference, find_reversals(velocity_rps, trace.period_s)),
+            crossing_error(trace.reference_rps, error_rps, trace.period_s),
+            _metrics_of(error_rps[round(START_S / trace.period_s) :], trace.period_s),
             _counts(error_rps, yardstick.histogram_edges_rps),
         )
 

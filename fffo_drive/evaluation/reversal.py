@@ -17,6 +17,7 @@ from .metrics import Floats
 Mask = npt.NDArray[np.bool_]
 
 THRESHOLD_RPS = 0.05  # some four standard deviations of a 15-bit resolver's velocity
+FAST_RPS2 = 10.0  # from this slope of the reference on a reversal is judged by its lag, below by the error at it
 FARTHEST_S = 0.1  # a reversal that comes later than this was missed
 SAME_SAMPLE = 1e-6  # a moment that is nearer than this share of a sample to one is at it, whatever its last digits
 
@@ -36,6 +37,31 @@ class ReversalLag(NamedTuple):
     mean_ms: float  # positive: late
     mean_absolute_ms: float
     p95_absolute_ms: float
+
+
+class Crossing(NamedTuple):
+    """The error at the moments in which the reference crosses zero. NaN where there is no such reversal."""
+
+    fast: int  # reversals from FAST_RPS2 on
+    fast_lag_ms: float  # mean of |error| over the slope: how late, to first order
+    slow: int
+    slow_error_mrps: float  # mean of |error|, 1e-3 rev/s
+
+
+def crossing_error(reference_rps: Floats, error_rps: Floats, period_s: float) -> Crossing:
+    """The error (n,) at the reversals of the reference (n,), by its slope there.
+
+    A lag is an error over a slope: where the reference creeps through zero it says more about the slope than about the
+    axis, so slow reversals are told by the error itself.
+    """
+    places = find_reversals(reference_rps, period_s).time_s / period_s
+    samples = np.arange(reference_rps.size)
+    error = np.abs(np.interp(places, samples, error_rps))
+    slope = np.abs(np.interp(places, samples, np.gradient(reference_rps, period_s)))
+    fast = slope >= FAST_RPS2
+    lag_ms = float(np.mean(1e3 * error[fast] / slope[fast])) if fast.any() else float("nan")
+    slow_mrps = float(np.mean(1e3 * error[~fast])) if (~fast).any() else float("nan")
+    return Crossing(int(fast.sum()), lag_ms, int((~fast).sum()), slow_mrps)
 
 
 def find_reversals(velocity_rps: Floats, period_s: float, threshold_rps: float = THRESHOLD_RPS) -> Reversals:

@@ -44,8 +44,12 @@ def _of_velocity(kind: str, measures: VelocityMeasures) -> Iterator[tuple[str, f
             yield f"{kind}.band{number}.{key}", value
     for key, value in measures.reversals._asdict().items():
         yield f"{kind}.reversals.{key}", value
+    for key, value in measures.settled._asdict().items():
+        yield f"{kind}.settled.{key}", value
     for key, value in measures.lag._asdict().items():
         yield f"{kind}.lag.{key}", float(value)
+    for key, value in measures.crossing._asdict().items():
+        yield f"{kind}.crossing.{key}", float(value)
 
 
 def summarise(evaluations: Iterable[Evaluation], percent_of: str | None = None) -> Summary:

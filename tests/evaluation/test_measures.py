@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fffo_drive.evaluation.campaign import cut
 from fffo_drive.evaluation.effort import control_effort
 from fffo_drive.evaluation.measures import Yardstick, measure
-from fffo_drive.evaluation.reversal import Reversals, find_reversals, near_reversals, reversal_lag
+from fffo_drive.evaluation.reversal import Reversals, crossing_error, find_reversals, near_reversals, reversal_lag
 from fffo_drive.evaluation.trace import Trace, trace_of
 from fffo_drive.signals import ROW
 
@@ -138,3 +138,20 @@ def test_a_run_that_stopped_early_has_no_cutout_of_what_it_did_not_reach():
     trace = Trace(PERIOD_S, sine()[:1000], sine(0.002)[:1000], None, np.zeros(1000))
     pieces = cut(trace, ((0.1, 0.2), (0.45, 0.55), (0.5, 0.6), (0.9, 1.0)))
     assert [(piece.start_s, piece.velocity_rps.size) for piece in pieces] == [(0.1, 200), (0.45, 100)]
+
+
+@pytest.mark.parametrize(("amplitude_rps", "fast"), [(5.0, True), (0.5, False)])
+def test_the_error_at_a_crossing_is_the_lag_times_the_slope(amplitude_rps, fast):
+    period_s, hz, late_s = 5e-4, 1.0, 1e-3
+    time_s = np.arange(8000) * period_s
+    reference_rps = amplitude_rps * np.sin(2.0 * np.pi * hz * time_s)
+    error_rps = reference_rps - amplitude_rps * np.sin(2.0 * np.pi * hz * (time_s - late_s))
+    found = crossing_error(reference_rps, error_rps, period_s)
+    slope_rps2 = 2.0 * np.pi * hz * amplitude_rps
+    if fast:  # 31 rps2
+        assert found.fast > 5 and found.slow == 0
+        assert found.fast_lag_ms == pytest.approx(1e3 * late_s, rel=2e-3)
+    else:  # 3 rps2
+        assert found.slow > 5 and found.fast == 0
+        assert found.slow_error_mrps == pytest.approx(1e3 * slope_rps2 * late_s, rel=2e-3)
+        assert np.isnan(found.fast_lag_ms)

@@ -26,13 +26,15 @@ SCENARIOS = HERE.parents[1] / "configs" / "scenarios"
 PAPER = {name.lower(): name for name in PAPER_TABLE_2}
 METRICS = ("ise", "mae", "max", "std")
 BASE, PLUS = "pi+fffo", "pi+fffo+"
-# figure, most that is allowed: per cent of PI+FFFO, and for the lag milliseconds
+# figure, most that is allowed: per cent of PI+FFFO; for the lag milliseconds, at a crossing the whole interval counts
 TARGETS = {
     "true.ise": 5.0,
     "true.mae": 20.0,
     "measured.ise": 20.0,
     "measured.mae": 50.0,
     "true.lag.mean_absolute_ms": 0.5,
+    "true.crossing.fast_lag_ms": 0.5,
+    "true.crossing.slow_error_mrps": 5.0,
     "effort.high_rms_a": 100.0,
     "effort.noise_rms_a": 100.0,
 }
@@ -102,13 +104,16 @@ def targets(summary: Summary) -> list[str]:
         if comparison is None:
             lines.append(f"| {name} | – | {most:g} | – | no: some runs have none |")
             continue
-        if name.endswith("_ms"):
+        unit = name.rpartition("_")[2]
+        reached = comparison.percent[PLUS].value <= most
+        if unit in ("ms", "mrps"):
             own, other = comparison.absolute[PLUS], comparison.absolute[BASE]
-            cells = f"{text(own, 2)} ms | {most:g} ms | {text(other, 2)} ms"
+            cells = f"{text(own, 2)} {unit} | {most:g} {unit} | {text(other, 2)} {unit}"
+            reached = (own.high if "crossing" in name else own.value) <= most
         else:
             own = comparison.percent[PLUS]
             cells = f"{text(own, 2)} % | {most:g} % | {comparison.absolute[BASE].value:.4g}"
-        lines.append(f"| {name} | {cells} | {'yes' if own.value <= most else 'NO'} |")
+        lines.append(f"| {name} | {cells} | {'yes' if reached else 'NO'} |")
     return [*lines, ""]
 
 
