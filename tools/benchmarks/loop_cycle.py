@@ -25,9 +25,10 @@ from numba import typeof
 
 from fffo_drive.can import frame
 from fffo_drive.cli.drives import Plan, make_plan, plan_session
-from fffo_drive.control import envelope, friction_observer, reference
+from fffo_drive.control import envelope, friction_observer, reference, velocity_estimator
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
+from fffo_drive.control.velocity_estimator import Measured, VelocityEstimatorState, VelocityEstimatorTerms
 from fffo_drive.drive import cia402
 from fffo_drive.drive.canopen import object_map, port_memory, service_queue
 from fffo_drive.drive.port import FEEDBACK, port_now_ns
@@ -55,6 +56,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction, ("OMEGA_", "STRIBECK_FLOOR", "PRESLIDING_OVER")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
+    (velocity_estimator, ("COMMANDS", "BRIDGED_TICKS")),
     (tick, ("FLAG_",)),
 )
 
@@ -144,6 +146,7 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
         made.record(record)
     for kind in (
         ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, Law,
+        VelocityEstimatorState, VelocityEstimatorTerms, Measured,
     ):  # fmt: skip
         made.record(zeros(kind))
     made.unpacking("unpack_controller", zeros(ControllerConfig), CONTROLLER_NAMES)
