@@ -68,8 +68,16 @@ static void answer(struct cycle_port *port, int64_t tick)
         send((int)port->peer_tx_fd, port->status, FRAME_SIZE, MSG_DONTWAIT);
 }
 
+/* Where nothing paces the loop its time is the deadline, so that passes are alike; the clock is read all the same. */
+static int64_t loop_now_ns(const struct cycle_port *port)
+{
+    int64_t now_ns = monotonic_ns();
+    return port->paced ? now_ns : port->words[CLOCK_NS];
+}
+
 static void begin_cycle(struct cycle_port *port, int64_t deadline_ns)
 {
+    port->words[CLOCK_NS] = deadline_ns;
     int64_t now_ns = close_part(port);
     if (port->words[MARK_NS] > 0)
         port->words[CYCLE] += 1;
@@ -293,7 +301,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
 
     for (;;) {
         begin_cycle(cycle, larger_word(deadline_ns, last_sync_ns + config->minimum_gap_ns));
-        int64_t woke_ns = monotonic_ns();
+        int64_t woke_ns = loop_now_ns(cycle);
         int64_t missed = woke_ns > deadline_ns ? (woke_ns - deadline_ns) / config->period_ns : 0;
         status[SKIPPED_TICKS] += missed;
         struct timing timing = {tick + missed, deadline_ns + missed * config->period_ns, woke_ns, -1};
@@ -303,7 +311,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         close_part(cycle);
         answer(cycle, timing.tick);
         cycle->words[MARK_NS] = monotonic_ns();
-        int64_t sync_ns = monotonic_ns();
+        int64_t sync_ns = loop_now_ns(cycle);
         if (bus_receive(port, timing.tick, sync_ns + config->cutoff_ns))
             timing.turnaround_ns = feedback->received_ns - sync_ns;
         else
@@ -371,7 +379,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         row->limited_a = command_a;
         row->current_command_a = bus_command(port, controlword, command_a);
         blocks->commands[timing.tick & (COMMANDS - 1)] = row->current_command_a;
-        row->busy_ns = monotonic_ns() - timing.woke_ns;
+        row->busy_ns = loop_now_ns(cycle) - timing.woke_ns;
         row->controlword = controlword;
         row->limits = limits;
         row->trip = trip;
