@@ -20,6 +20,7 @@ L goes to the integral the estimate is the model on a bounded reference, and the
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.parameters import ModelFile
-from .velocity_estimator import VelocityEstimatorConfig, estimator_response
+from .velocity_estimator import Response, VelocityEstimatorConfig, estimator_response
 
 Complexes = npt.NDArray[np.complexfloating[Any, Any]]
 
@@ -93,10 +94,7 @@ def loop_margins(
     error_filter_s: float = 0.0,
 ) -> Margins:  # fmt: skip
     """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter."""
-    highest_hz = SWEEP_HIGH_HZ
-    if axis.estimator is not None:
-        highest_hz = 0.5 / axis.estimator.period_s  # a sampled filter has no response beyond
-    omega = 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
+    omega = _sweep(axis.estimator)
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
@@ -104,7 +102,7 @@ def loop_margins(
     rational = controller / impedance_nm_per_rps(axis, s)
     if axis.estimator is None:
         return _margins(omega, rational, axis.delay_s)
-    known = estimator_response(axis.estimator, omega)
+    known = _response(axis.estimator)
     by_position = known.of_position_per_s / s * np.exp(-s * axis.delay_s) * rational
     by_command = known.of_command_rps_per_a * controller / kt
     at_velocity = _margins(omega, by_position + by_command, 0.0)
@@ -114,6 +112,17 @@ def loop_margins(
         min(at_velocity.gain, at_current.gain),
         at_velocity.crossover_hz,
     )
+
+
+def _sweep(estimator: VelocityEstimatorConfig | None) -> npt.NDArray[np.float64]:
+    """Frequencies (SWEEP_POINTS,) in rad/s; a sampled filter has no response beyond half its rate."""
+    highest_hz = SWEEP_HIGH_HZ if estimator is None else 0.5 / estimator.period_s
+    return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
+
+
+@functools.lru_cache(maxsize=8)  # a design asks for one filter some hundred times
+def _response(estimator: VelocityEstimatorConfig) -> Response:
+    return estimator_response(estimator, _sweep(estimator))
 
 
 def _margins(omega: npt.NDArray[np.float64], rational: Complexes, delay_s: float) -> Margins:
