@@ -189,9 +189,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"Made by tools/benchmarks/velocity.py: {options.seeds} seeds of {options.duration_s:g} s each, friction 10 % "
         "wrong with random signs,",
         "five surfaces, 3 ms end to end. True ISE in per cent of PI+FFFO and of PI+FFFO+ on the drive's velocity, 95 %",
-        "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin smaller than that",
-        "of PI+FFFO+ on the drive's velocity, in motion and at rest; the margins are the smaller ones of the two cuts",
-        "(fffo_drive/control/stability.py).",
+        "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin",
+        "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; the margins are the smaller",
+        "ones of the two cuts (fffo_drive/control/stability.py). 200 Hz is the default.",
         "",
     ]
     for sensor in TRACKING_HZ:
