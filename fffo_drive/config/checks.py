@@ -60,7 +60,10 @@ def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
 
 
 def velocity_problems(axis: AxisFile, model: ModelFile) -> list[str]:
-    """What an estimated velocity lacks: a known lag to give back, time in a period, a position that is fine enough."""
+    """What an estimated velocity lacks: a known lag to give back, time in a period, a position that is fine enough.
+
+    The position itself is never missing: it comes with the velocity, in one PDO (drive.canopen.object_map).
+    """
     section = axis.controller.velocity
     if not section.estimated:
         return []
@@ -95,14 +98,20 @@ def fallback_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> li
     if not axis.controller.velocity.estimated:
         return []
     controller = axis.controller.model_copy(update={"velocity": VelocitySection()})
-    margins = law_margins(axis.model_copy(update={"controller": controller}), model, observer_on)
-    if margins.phase_deg >= FALLBACK_PHASE_DEG and margins.gain >= FALLBACK_GAIN:
-        return []
-    return [
-        f"controller.velocity.source: where the estimate is lost the error takes the drive's velocity, and with it the "
-        f"margins are {margins.phase_deg:.1f} deg and {margins.gain:.2f}: below {FALLBACK_PHASE_DEG:g} deg or "
-        f"{FALLBACK_GAIN:g}. Lower proportional_a_per_rps"
-    ]
+    fallback = axis.model_copy(update={"controller": controller})
+    moving, resting = law_margins(fallback, model, observer_on), rest_margins(fallback, model)
+    problems = []
+    for place, margins, least_deg, least_gain in (
+        ("", moving, FALLBACK_PHASE_DEG, FALLBACK_GAIN),
+        (" at rest", resting, 0.0, 1.0),
+    ):
+        if margins.phase_deg < least_deg or margins.gain < least_gain:
+            problems.append(
+                "controller.velocity.source: where the estimate is lost the error takes the drive's velocity, and "
+                f"with it the margins{place} are {margins.phase_deg:.1f} deg and {margins.gain:.2f}: below "
+                f"{least_deg:g} deg or {least_gain:g}. Lower proportional_a_per_rps"
+            )
+    return problems
 
 
 def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[str]:

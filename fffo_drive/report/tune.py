@@ -138,6 +138,12 @@ def _text(text: str) -> Cell:
     return Cell(text=text)
 
 
+TWO_CUTS = (
+    " The velocity is estimated: the smaller margins of the loop cut at the velocity, which the figures show, and cut "
+    "at the current."
+)
+
+
 def _margins(source: TuneSource, tuning: Tuning) -> Table:
     axis, gains, wish = tuning.axis, tuning.gains, tuning.wish
     design = tuning.design
@@ -157,7 +163,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
         name="margins", title="Margins", corner="loop", rows=rows,
         columns=[Column(label="phase", unit="deg"), Column(label="gain"), Column(label="crossover", unit="Hz")],
         note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Wished: at least "
-             f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.",
+             f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.{'' if axis.estimator is None else TWO_CUTS}",
     )  # fmt: skip
 
 
