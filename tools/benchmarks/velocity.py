@@ -31,6 +31,7 @@ SCENARIO = ROOT / "configs" / "scenarios" / "paper_wrong_friction.yaml"
 TRACKING_HZ = {"fast sensor": 400.0, "slow sensor": 179.0}  # the second one lags by 1.6 ms
 SLOPES = {"flat": 0.0, "f^-0.5": -0.5}
 BANDWIDTHS_HZ = (100.0, 200.0, 390.0)
+WRONG_INERTIA = (0.7, 1.4)  # of the model
 BASE, PLUS = "PI+FFFO, drive", "PI+FFFO+, drive"
 FILTER_S = 0.0002  # of the error, as in the scenarios
 LARGEST_SCALE, SCALE_STEPS = 4.0, 40
@@ -130,7 +131,7 @@ def run_case(case: Case) -> dict[str, Found]:
 
 def evaluate(scenario: Scenario, controllers: dict[str, ControllerVariant], text: str) -> dict[str, list[Found]]:
     """All controllers on all seeds."""
-    scenario = scenario._replace(file=scenario.file.model_copy(update={"controllers": controllers, "percent_of": BASE}))
+    scenario = scenario._replace(file=scenario.file.model_copy(update={"controllers": controllers, "percent_of": None}))
     cases = list(cases_of(scenario))
     warm_up(cases[0])
     with progress_bar(text) as progress:
@@ -177,6 +178,28 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
     return [*lines, "", f"The estimate was followed in at least {min(shares):.2%} of the ticks of a run.", ""]
 
 
+def wrong_inertia(sensor: str, duration_s: float, seeds: int) -> list[str]:
+    """Markdown of one sensor: a model with another inertia, which feed-forward and estimate believe alike."""
+    right = with_sensor(TRACKING_HZ[sensor], SLOPES["flat"], duration_s, seeds)
+    controllers = {name: one for name, one in variants(right).items() if name == PLUS or "no filter" in name}
+    lines = [
+        f"## {sensor}, flat: inertia of the model wrong",
+        "",
+        f"| controller | {' | '.join(f'x {factor:g}: true ISE of {PLUS}' for factor in WRONG_INERTIA)} |",
+        "|---|" + "---|" * len(WRONG_INERTIA),
+    ]
+    found = []
+    for factor in WRONG_INERTIA:
+        mismatch = right.file.mismatch.model_copy(update={"factors": {"inertia_kg_m2": factor}})
+        scenario = right._replace(file=right.file.model_copy(update={"mismatch": mismatch}))
+        runs = evaluate(scenario, controllers, f"{sensor}, J x {factor:g}")
+        found.append(
+            compare_metric({name: np.array([run.true_ise for run in own]) for name, own in runs.items()}, PLUS)
+        )
+    lines += [f"| {name} | " + " | ".join(percent(one, name) for one in found) + " |" for name in controllers]
+    return [*lines, ""]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run everything and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -196,6 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     for sensor in TRACKING_HZ:
         lines += table(sensor, options.duration_s, options.seeds)
+    for sensor in TRACKING_HZ:
+        lines += wrong_inertia(sensor, options.duration_s, options.seeds)
     lines.append(f"Made on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.")
     (RESULTS / "velocity.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))
