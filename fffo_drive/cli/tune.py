@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 
 from .. import formats
-from ..config.axis import read_axis
+from ..config.axis import loop_axis, read_axis
 from ..control.stability import LinearAxis, linear_axis, stuck_axis
 from ..documents import DocumentError, parse, read_text
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
@@ -66,7 +66,7 @@ def execute(options: argparse.Namespace) -> int:
     model = read_model(options.model)
     axis_file = read_axis(options.axis) if options.axis else None
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
-    axis = linear_axis(model, period_s)
+    axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
     _refuse_unstable(found, axis, wish, model)

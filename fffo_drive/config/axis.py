@@ -23,6 +23,8 @@ from ..control.reference import (
     piecewise_linear,
     sine,
 )
+from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
+from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
 from ..documents import Record, check, parse, read_text, refuse
 from ..identification.excitation import (
     deciding_motion,
@@ -56,6 +58,7 @@ from .sections import (
     RecordingSection,
     RestSection,
     SineProfile,
+    VelocitySection,
     length_problems,
 )
 
@@ -130,13 +133,36 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
     return ControllerConfig(
         PiConfig(section.proportional_a_per_rps, section.integral_a_per_rev),
         observer,
-        feedforward_config(section.feedforward, model, axis.loop.period_s),
+        feedforward_config(section.feedforward, model, axis.loop.period_s, section.velocity),
         model.torque_constant_nm_per_a,
         section.current_limit_a,
         axis.loop.period_s,
         error_share(section.error_filter_s, axis.loop.period_s),
         rest_config(section.at_rest, axis.loop.period_s),
+        velocity_config(axis, model),
     )
+
+
+def velocity_config(axis: AxisFile, model: ModelFile) -> VelocityEstimatorConfig:
+    """The velocity that the error takes. What the axis at its limits cannot do is no motion: jump, disagreement."""
+    section, limits = axis.controller.velocity, axis.envelope
+    if not section.estimated:
+        return DRIVE_VELOCITY
+    config = model.axis_config()
+    return estimator_config(
+        section.bandwidth_hz,
+        config.inertia_nm_s2_per_rev,
+        config.torque_constant_nm_per_a,
+        config.delay_s - model.sensor_delay_s.value,
+        axis.loop.period_s,
+        limits.speed_limit_rps,
+        limits.following_error_rps,
+    )
+
+
+def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
+    """The sliding axis as the loop of this file meets it: with the delay of the velocity that its error takes."""
+    return linear_axis(model, axis.loop.period_s, velocity_config(axis, model))
 
 
 def rest_config(section: RestSection, period_s: float) -> RestConfig:
@@ -150,14 +176,17 @@ def error_share(time_constant_s: float, period_s: float) -> float:
     return -math.expm1(-period_s / time_constant_s) if time_constant_s > 0.0 else 1.0
 
 
-def feedforward_config(section: FeedforwardSection, model: ModelFile, period_s: float) -> FeedforwardConfig:
+def feedforward_config(
+    section: FeedforwardSection, model: ModelFile, period_s: float, velocity: VelocitySection | None = None
+) -> FeedforwardConfig:
     """Shifts of the reference. A command is held for a period: on average it acts half of one later than its delay.
 
     Read ahead, the shaft follows on time and the feedback shows it a sensor's delay later; not read ahead, torque and
-    feedback are the whole delay behind.
+    feedback are the whole delay behind. `velocity`: what the error takes; None: the drive's own.
     """
     axis = model.axis_config()
-    whole_s, sensor_s = axis.delay_s + 0.5 * period_s, model.sensor_delay_s.value
+    estimated = velocity is not None and velocity.estimated
+    whole_s, sensor_s = loop_delay_s(model, period_s, estimated), feedback_lag_s(model, estimated)
     behind_s = sensor_s if section.preview else whole_s
     return FeedforwardConfig(
         axis.inertia_nm_s2_per_rev if section.inertia else 0.0,

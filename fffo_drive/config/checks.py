@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..can.load import Chain, Load
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import Margins, condition_14_nm_per_rev, linear_axis, loop_margins, stuck_axis
+from ..control.stability import Margins, condition_14_nm_per_rev, loop_delay_s, loop_margins, stuck_axis
+from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
 from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
 from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
-from .axis import AxisFile
+from .axis import AxisFile, loop_axis
 from .drive_section import CanopenDriveSection
+from .resolution import resolution_of
+from .sections import VelocitySection
 
 HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
+# of the loop's rate: where 2 pi bandwidth / rate is above 1.3 the estimate takes the position's noise as it comes
+FASTEST_ESTIMATE_SHARE = 0.2
+COARSE_CURRENT_SHARE = 0.05  # of the continuous current: noise that one count of the position makes in the command
+FALLBACK_PHASE_DEG, FALLBACK_GAIN = 15.0, 1.3  # with the drive's velocity, until the estimate has settled again
 
 
 def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
@@ -25,7 +33,7 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
     section = axis.controller
     gain = section.observer.gain_nm_per_rev if observer_on else 0.0
     return loop_margins(
-        linear_axis(model, axis.loop.period_s),
+        loop_axis(axis, model),
         section.proportional_a_per_rps,
         section.integral_a_per_rev,
         gain,
@@ -33,11 +41,17 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
     )
 
 
+def _delay_ms(axis: AxisFile, model: ModelFile) -> float:
+    """Without the hold, as a model has it; shorter where the velocity is estimated."""
+    period_s = axis.loop.period_s
+    return round(1e3 * (loop_delay_s(model, period_s, axis.controller.velocity.estimated) - 0.5 * period_s), 6)
+
+
 def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
     """Margins at rest, where the contact sticks and the gains are those at rest."""
     section = axis.controller
     return loop_margins(
-        stuck_axis(linear_axis(model, axis.loop.period_s), model),
+        stuck_axis(loop_axis(axis, model), model),
         section.at_rest.gain_share * section.proportional_a_per_rps,
         section.at_rest.gain_share * section.integral_a_per_rev,
         0.0,
@@ -45,10 +59,67 @@ def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
     )
 
 
+def velocity_problems(axis: AxisFile, model: ModelFile) -> list[str]:
+    """What an estimated velocity lacks: a known lag to give back, time in a period, a position that is fine enough.
+
+    The position itself is never missing: it comes with the velocity, in one PDO (drive.canopen.object_map).
+    """
+    section = axis.controller.velocity
+    if not section.estimated:
+        return []
+    sensor_s, delay_s = model.sensor_delay_s.value, model.delay_s.value
+    if not 0.0 < sensor_s <= delay_s:
+        return [
+            f"controller.velocity.source: estimated gives back the model's sensor_delay_s, which is {sensor_s:g} s of "
+            f"delay_s {delay_s:g} s: `fffo-drive identify` measures it; without a lag `drive` is as good"
+        ]
+    highest_hz = FASTEST_ESTIMATE_SHARE * axis.loop.rate_hz
+    if section.bandwidth_hz > highest_hz:
+        return [
+            f"controller.velocity.bandwidth_hz: {section.bandwidth_hz:g} is more than {highest_hz:g} Hz, "
+            f"{FASTEST_ESTIMATE_SHARE:g} of loop.rate_hz: lower it or raise the rate"
+        ]
+    one = resolution_of(axis, model)
+    if one is None:
+        return []
+    noise_rps = velocity_noise_rps(section.bandwidth_hz, one.position_rev / math.sqrt(12.0), axis.loop.period_s)
+    noise_a = axis.controller.proportional_a_per_rps * noise_rps
+    if noise_a > COARSE_CURRENT_SHARE * axis.envelope.continuous_current_a:
+        return [
+            f"controller.velocity.bandwidth_hz: one count of 0x6064 is {one.position_rev:.3g} rev, which makes "
+            f"{noise_rps:.3g} rps of noise and {noise_a:.3g} A in the command: lower it, or estimate from a finer "
+            "position feedback (drive.counts_per_rev)"
+        ]
+    return []
+
+
+def fallback_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[str]:
+    """Until an estimate has settled the error takes the drive's velocity: these gains must be stable there too."""
+    if not axis.controller.velocity.estimated:
+        return []
+    controller = axis.controller.model_copy(update={"velocity": VelocitySection()})
+    fallback = axis.model_copy(update={"controller": controller})
+    moving, resting = law_margins(fallback, model, observer_on), rest_margins(fallback, model)
+    problems = []
+    for place, margins, least_deg, least_gain in (
+        ("", moving, FALLBACK_PHASE_DEG, FALLBACK_GAIN),
+        (" at rest", resting, 0.0, 1.0),
+    ):
+        if margins.phase_deg < least_deg or margins.gain < least_gain:
+            problems.append(
+                "controller.velocity.source: where the estimate is lost the error takes the drive's velocity, and "
+                f"with it the margins{place} are {margins.phase_deg:.1f} deg and {margins.gain:.2f}: below "
+                f"{least_deg:g} deg or {least_gain:g}. Lower proportional_a_per_rps"
+            )
+    return problems
+
+
 def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[str]:
     """What speaks against this law: condition (14) (with the observer on), phase and gain margin with the delay."""
     section = axis.controller
-    problems = []
+    problems = velocity_problems(axis, model)
+    if problems:
+        return problems
     if observer_on and section.observer.learns_in == "friction":
         excess = condition_14_nm_per_rev(
             section.integral_a_per_rev,
@@ -65,7 +136,7 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     margins = law_margins(axis, model, observer_on)
     if margins.phase_deg < section.phase_margin_deg:
         problems.append(
-            f"controller: phase margin {margins.phase_deg:.1f} deg with {model.delay_s.value * 1e3:g} ms delay is "
+            f"controller: phase margin {margins.phase_deg:.1f} deg with {_delay_ms(axis, model):g} ms delay is "
             f"below phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, "
             "integral_a_per_rev or proportional_a_per_rps"
         )
@@ -74,6 +145,7 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
             f"controller: gain margin {margins.gain:.2f} is below gain_margin {section.gain_margin:g}: lower "
             "proportional_a_per_rps"
         )
+    problems += fallback_problems(axis, model, observer_on)
     at_rest = rest_margins(axis, model)
     if at_rest.phase_deg < 0.0 or at_rest.gain < 1.0:
         problems.append(

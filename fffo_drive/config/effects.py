@@ -15,7 +15,7 @@ from ..control.compensation import (
     pack_compensation,
 )
 from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import condition_14_nm_per_rev, linear_axis, loop_margins
+from ..control.stability import condition_14_nm_per_rev, loop_margins
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
 from ..model.effects.registry import is_compensable, law_of
@@ -155,6 +155,8 @@ class SlopeMargin(NamedTuple):
 
 def slope_margin(axis: AxisFile, model: ModelFile, profile: Profile, observer_on: bool) -> SlopeMargin:
     """The proof with all compensated effects. Without the observer the integral part itself must stay positive."""
+    from .axis import loop_axis  # it imports this module
+
     config = model.axis_config()
     needed_nm = config.friction.static_nm
     if profile.mode == MODE_VELOCITY:
@@ -170,7 +172,7 @@ def slope_margin(axis: AxisFile, model: ModelFile, profile: Profile, observer_on
         section.integral_a_per_rev, config.torque_constant_nm_per_a, gain - slope, attraction
     )
     margins = loop_margins(
-        linear_axis(model, axis.loop.period_s),
+        loop_axis(axis, model),
         section.proportional_a_per_rps,
         section.integral_a_per_rev,
         gain + slope,

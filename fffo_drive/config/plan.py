@@ -17,7 +17,7 @@ from ..runtime.runs import run_metadata
 from ..runtime.session import SessionConfig
 from ..units import NS_PER_S
 from .axis import TOGGLES, AxisFile, beside, build_profile, deciding_section, model_of, read_axis, session_config
-from .checks import bus_problems, law_problems, motion_problems, profile_problems, require
+from .checks import bus_problems, law_problems, motion_problems, profile_problems, require, velocity_problems
 from .commissioning import Permission, require_identity
 from .drive_profile import profile_path
 from .drive_section import CanopenDriveSection
@@ -80,7 +80,8 @@ def checked_plan(
         problems = []
     problems += bus_problems(axis, model)
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)
-    problems += proof_problems(axis, model, toggles, profile)
+    proof = proof_problems(axis, model, toggles, profile)
+    problems += proof + [text for text in velocity_problems(axis, model) if text not in proof]
     require(path, problems)
     return Plan(path, axis, model, profile)
 

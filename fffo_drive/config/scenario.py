@@ -28,7 +28,7 @@ from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, m
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
-from .sections import FeedforwardSection, PaperProfile, ProfileSection, RestSection, length_problems
+from .sections import FeedforwardSection, PaperProfile, ProfileSection, RestSection, VelocitySection, length_problems
 from .simulated import read_simulated
 
 FRICTION_KEYS = (
@@ -62,6 +62,7 @@ class ControllerVariant(Record):
     at_rest: RestSection | None = None
     clamp_ratio: Annotated[float | None, Field(ge=1, le=10)] = None
     feedback_band_rps: Annotated[float | None, Field(ge=0, le=10)] = None
+    velocity: VelocitySection | None = None
 
 
 class MismatchSection(Record):
@@ -170,7 +171,7 @@ def axis_of(scenario: Scenario, name: str) -> AxisFile:
     section = scenario.axis.controller
     observer = _given(variant, "toggle", "gain_nm_per_rev", "learns_in", "clamp_ratio", "feedback_band_rps")
     changed = {
-        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest"),
+        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest", "velocity"),
         "observer": section.observer.model_copy(update=observer),
         "feedforward": variant.feedforward,
     }

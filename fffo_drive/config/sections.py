@@ -76,6 +76,32 @@ class RestSection(Record):
     time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
 
 
+class VelocitySection(Record):
+    """The velocity that the error takes."""
+
+    source: Annotated[
+        Literal["drive", "estimated"],
+        Field(
+            description="drive: as it measures it; estimated: from position and torque, without the lag of the drive's "
+            "tracking loop. The row and the envelope keep the drive's"
+        ),
+    ] = "drive"
+    bandwidth_hz: Annotated[
+        float,
+        Field(
+            gt=1,
+            le=400,
+            description="of the estimate: (q / (J^2 r T))^(1/6) / (2 pi), q the disturbance's density (Nm^2/s), r the "
+            "variance of the position; higher: more noise, lower: smaller margins",
+        ),
+    ] = 200.0
+
+    @property
+    def estimated(self) -> bool:
+        """The error takes the estimate."""
+        return self.source == "estimated"
+
+
 class ControllerSection(Record):
     """PI with friction observer."""
 
@@ -94,6 +120,7 @@ class ControllerSection(Record):
     accept_unproven: Annotated[
         bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
     ] = False
+    velocity: VelocitySection = VelocitySection()
 
 
 class EnvelopeSection(Record):

@@ -23,6 +23,7 @@ from .friction_observer import (
     observer_velocity_rps,
 )
 from .pi import PiConfig, pi_step
+from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 
 
 class RestConfig(NamedTuple):
@@ -47,6 +48,7 @@ class ControllerConfig(NamedTuple):
     period_s: float
     error_share: float = 1.0  # of a new error that is taken in a period; 1: the error is not filtered
     rest: RestConfig = AS_IN_MOTION
+    velocity: VelocityEstimatorConfig = DRIVE_VELOCITY
 
 
 class ControllerState(NamedTuple):
@@ -116,9 +118,12 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 @njit
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
-    effects_nm: float,
+    effects_nm: float, followed_rps: float,
 ) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
     """One period of the law; `effects_nm` is the torque for the model's effects.
+
+    `velocity_rps` is the drive's own, which a friction model on feedback is driven by; the error takes `followed_rps`,
+    which is the same or an estimate (control.velocity_estimator).
 
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
@@ -127,7 +132,7 @@ def controller_step(
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
-    error_rps = reference.expected - velocity_rps
+    error_rps = reference.expected - followed_rps
     driving_rps = filtered_error_rps(config, state.filtered_error_rps, error_rps)
 
     at_rest = reference.value == 0.0 and reference.ahead == 0.0

@@ -9,12 +9,18 @@ with k = 0 in sliding. At rest the contact sticks: k is its stiffness, and what 
 which is the safe side. Above the resonance the delay turns the damping of Kp into its opposite: an axis whose margin
 there is negative shakes at rest, whatever its margins in motion are. A part of the inertia may hang on a spring.
 
+With an estimated velocity the delay is shorter by the lag of the drive's own. But the estimate also knows the command,
+beside the axis: with a plant P, and the estimate H p + U i of position and command, the loop is cut at the velocity,
+C (H P + U), and at the current, C H P / (1 + C U). The first is the loop with the shorter delay; the second is what an
+axis of another gain meets, and it is the smaller margin. Both have to hold.
+
 (14) reads Ki Kt + L >= 2 B. It belongs to the loop whose friction estimate takes lambda(e), and is not a margin: where
 L goes to the integral the estimate is the model on a bounded reference, and there is nothing for (14) to bound.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -22,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.parameters import ModelFile
+from .velocity_estimator import Response, VelocityEstimatorConfig, estimator_response
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complexfloating[Any, Any]]
@@ -52,6 +59,7 @@ class LinearAxis(NamedTuple):
     torque_constant_nm_per_a: float
     contact_nm_per_rev: float = 0.0  # a contact that sticks: a spring on the inertia; 0: it slides
     elastic: ElasticLoad = RIGID
+    estimator: VelocityEstimatorConfig | None = None  # of the velocity that the error takes; None: the drive's own
 
 
 class Margins(NamedTuple):
@@ -87,22 +95,42 @@ def loop_margins(
     error_filter_s: float = 0.0,
 ) -> Margins:  # fmt: skip
     """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter."""
-    omega = sweep_rad_per_s()
+    omega = sweep_rad_per_s(axis.estimator)
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    rational = controller / (1.0 + error_filter_s * s) / impedance_nm_per_rps(axis, s)
+    controller = controller / (1.0 + error_filter_s * s)
+    rational = controller / impedance_nm_per_rps(axis, s)
+    if axis.estimator is None:
+        return margins_of(omega, rational, axis.delay_s)
+    known = _response(axis.estimator)
+    by_position = known.of_position_per_s / s * np.exp(-s * axis.delay_s) * rational
+    by_command = known.of_command_rps_per_a * controller / kt
+    at_velocity = margins_of(omega, by_position + by_command, 0.0)
+    at_current = margins_of(omega, by_position / (1.0 + by_command), 0.0)
+    return Margins(
+        min(at_velocity.phase_deg, at_current.phase_deg),
+        min(at_velocity.gain, at_current.gain),
+        at_velocity.crossover_hz,
+    )
+
+
+def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
+    """Frequencies (SWEEP_POINTS,) in rad/s; a sampled filter has no response beyond half its rate."""
+    highest_hz = SWEEP_HIGH_HZ if estimator is None else 0.5 / estimator.period_s
+    return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
+
+
+@functools.lru_cache(maxsize=8)  # a design asks for one filter some hundred times
+def _response(estimator: VelocityEstimatorConfig) -> Response:
+    return estimator_response(estimator, sweep_rad_per_s(estimator))
+
+
+def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
+    """Margins of an open loop over angular frequencies, arrays (n,), with a delay on top of it."""
     magnitude = np.abs(rational)
-    return margins_of(omega, magnitude, np.degrees(np.unwrap(np.angle(rational)) - omega * axis.delay_s))
+    phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * delay_s)
 
-
-def sweep_rad_per_s() -> Floats:
-    """Angular frequencies (n,) at which open loops are looked at."""
-    return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, SWEEP_HIGH_HZ, SWEEP_POINTS)
-
-
-def margins_of(omega: Floats, magnitude: Floats, phase_deg: Floats) -> Margins:
-    """Margins of an open loop over angular frequencies, arrays (n,); the phase is continuous."""
     below = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
     phase_margin_deg = min((180.0 + float(phase_deg[i]) for i in below), default=math.inf)
     # the gain margin counts downward crossings of -180 degrees, where more gain encircles -1
@@ -112,20 +140,34 @@ def margins_of(omega: Floats, magnitude: Floats, phase_deg: Floats) -> Margins:
     return Margins(phase_margin_deg, gain_margin, crossover_hz)
 
 
-def linear_axis(model: ModelFile, period_s: float) -> LinearAxis:
+def feedback_lag_s(model: ModelFile, estimated: bool) -> float:
+    """How far the velocity that the error takes lags behind the position: an estimate does not."""
+    return 0.0 if estimated else model.sensor_delay_s.value
+
+
+def loop_delay_s(model: ModelFile, period_s: float, estimated: bool = False) -> float:
+    """The whole delay: command to torque, lag of the velocity that the error takes, and half a period of hold."""
+    to_position_s = model.delay_s.value - model.sensor_delay_s.value
+    return to_position_s + feedback_lag_s(model, estimated) + 0.5 * period_s
+
+
+def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorConfig | None = None) -> LinearAxis:
     """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load where one was found.
 
-    The delay is the whole one: command to velocity, and half a period of hold.
+    `estimator`: of the velocity that the error takes; None, or one that is not used: the drive's own.
     """
+    if estimator is not None and not estimator.used:
+        estimator = None
     config = model.axis_config()
     elastic = [effect for effect in model.effects if effect.name == "elasticity"]
     found = ElasticLoad(*(elastic[0].parameters[name].value for name in ELASTIC_PARAMETERS)) if elastic else RIGID
     return LinearAxis(
         config.inertia_nm_s2_per_rev,
         config.friction.viscous_nm_per_rps,
-        config.delay_s + 0.5 * period_s,
+        loop_delay_s(model, period_s, estimator is not None),
         config.torque_constant_nm_per_a,
         elastic=found if found.share > 0.0 else RIGID,
+        estimator=estimator,
     )
 
 

@@ -44,6 +44,16 @@ from ..control.envelope import (
 )
 from ..control.feedforward import Reference
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
+from ..control.velocity_estimator import (
+    COMMANDS as COMMANDS_KEPT,
+)
+from ..control.velocity_estimator import (
+    Measured,
+    VelocityEstimatorState,
+    estimator_at_rest,
+    keep_command,
+    velocity_estimator_step,
+)
 from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
 from ..runtime.loop import goal_in_force
@@ -65,7 +75,7 @@ Integers = np.ndarray[Any, np.dtype[np.int64]]
 # what is reproduced, by the names of the row
 TERMS = (
     "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "effects_nm",
-    "observation_nm_per_s", "requested_a",
+    "observation_nm_per_s", "requested_a", "estimated_rps", "disturbance_nm",
 )  # fmt: skip
 COMMANDS = ("limited_a", "i2t_a2s")
 WORDS = ("limits", "trip", "controlword")
@@ -95,6 +105,7 @@ class Memory(NamedTuple):
     resetting: int
     row_number: int
     tick: int
+    estimator: VelocityEstimatorState
 
 
 class Replayed(NamedTuple):
@@ -108,7 +119,7 @@ class Replayed(NamedTuple):
 
 def memory_at_start() -> Memory:
     """Before the first row."""
-    return Memory(False, controller_at_rest(), envelope_at_rest(), 0, 0, 0, 0, 0, -1, -1)
+    return Memory(False, controller_at_rest(), envelope_at_rest(), 0, 0, 0, 0, 0, -1, -1, estimator_at_rest())
 
 
 def room_for(rows: int) -> Replayed:
@@ -126,6 +137,15 @@ def _reference_of(row: Any) -> Reference:
     return Reference(
         row["reference_rps"], row["reference_rps2"], row["reference_ahead_rps"], row["reference_ahead_rps2"],
         row["expected_rps"],
+    )  # fmt: skip
+
+
+@njit
+def _measured_in(row: Any) -> Measured:
+    """What the estimator of the velocity saw in the tick of this row."""
+    return Measured(
+        _int64(row["tick"]), row["deadline_ns"] + row["lateness_ns"], row["velocity_age"] == 0, row["position_rev"],
+        row["velocity_rps"],
     )  # fmt: skip
 
 
@@ -160,7 +180,7 @@ def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> 
 
 @njit
 def replay_into(
-    in_force: InForce, effects_memory: Floats, memory: Memory, rows: Any, parameters_at: Integers,
+    in_force: InForce, effects_memory: Floats, commands_a: Floats, memory: Memory, rows: Any, parameters_at: Integers,
     effects_at: Integers, out: Replayed,
 ) -> Memory:  # fmt: skip
     """Run law and envelope over rows (n,) of signals.ROW into `out`. Returns the memory behind the last one.
@@ -169,7 +189,7 @@ def replay_into(
     """
     config = unpack_controller(in_force.parameters[memory.parameters])
     known, controller, envelope = memory.known, memory.controller, memory.envelope
-    parameters, effects = memory.parameters, memory.effects
+    parameters, effects, estimator = memory.parameters, memory.effects, memory.estimator
     trip, controlword, resetting_before = memory.trip, memory.controlword, memory.resetting
     row_number, tick = memory.row_number, memory.tick
     for k in range(rows.size):
@@ -180,6 +200,7 @@ def replay_into(
         follows = _int64(row["row_number"]) == (row_number + 1) & 0xFFFFFFFF
         if _int64(row["flags"]) & FLAG_LOOP_BEGAN:
             known, controller, envelope = True, controller_at_rest(), envelope_at_rest()
+            estimator = estimator_at_rest()
             compensation_rest(effects_memory)
             trip, controlword, resetting_before, tick = TRIP_NONE, 0, 0, -1
         known = known and named and (follows or tick < 0)
@@ -201,9 +222,11 @@ def replay_into(
                     in_force.effects[effects_at[k]], effects_memory, _int64(row["effects"]), reference,
                     row["position_rev"],
                 )  # fmt: skip
+                estimate, estimator = velocity_estimator_step(config.velocity, estimator, commands_a, _measured_in(row))
                 terms, controller = controller_step(
-                    config, controller, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm
-                )
+                    config, controller, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm,
+                    estimate.followed_rps,
+                )  # fmt: skip
                 requested_a, limited = terms.command_a, terms.limited
                 out.terms[k, 0] = terms.error_rps
                 out.terms[k, 1] = terms.filtered_error_rps
@@ -214,8 +237,10 @@ def replay_into(
                 out.terms[k, 6] = terms.effects_nm
                 out.terms[k, 7] = terms.observation_nm_per_s
                 out.terms[k, 8] = terms.requested_a
+                out.terms[k, 9] = estimate.estimated_rps
+                out.terms[k, 10] = estimate.disturbance_nm
             else:
-                controller = controller_at_rest()
+                controller, estimator = controller_at_rest(), estimator_at_rest()
                 compensation_rest(effects_memory)
                 if row["mode"] == MODE_CURRENT:
                     requested_a = row["requested_a"]
@@ -238,9 +263,10 @@ def replay_into(
             out.known[k] = 1
         elif named and not wanted:
             # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says
-            known, controller = True, controller_at_rest()
+            known, controller, estimator = True, controller_at_rest(), estimator_at_rest()
             compensation_rest(effects_memory)
             envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False, 0.0)
+        keep_command(commands_a, _int64(row["tick"]), row["current_command_a"])
         # another law may have found a fault where the axis went on: what follows is what the axis did
         trip, controlword, resetting_before = _int64(row["trip"]), _int64(row["controlword"]), resetting
         row_number, tick = _int64(row["row_number"]), _int64(row["tick"])
@@ -249,8 +275,9 @@ def replay_into(
                 config = unpack_controller(in_force.parameters[parameters_at[k]])
             parameters, effects = parameters_at[k], effects_at[k]
     return Memory(
-        known, controller, envelope, parameters, effects, trip, controlword, resetting_before, row_number, tick
-    )
+        known, controller, envelope, parameters, effects, trip, controlword, resetting_before, row_number, tick,
+        estimator,
+    )  # fmt: skip
 
 
 def law_in_force(parameters: list[Floats], effects: list[Floats], envelope: EnvelopeConfig) -> InForce:
@@ -266,12 +293,13 @@ class Replay:
     def __init__(self) -> None:
         self._memory = memory_at_start()
         self._effects_memory = new_memory()
+        self._commands_a = np.zeros(COMMANDS_KEPT)
 
     def run(self, in_force: InForce, rows: Rows, parameters_at: Integers, effects_at: Integers) -> Replayed:
         """The next rows; places in `in_force` stay what they are from call to call."""
         out = room_for(rows.size)
         if rows.size:
             self._memory = replay_into(
-                in_force, self._effects_memory, self._memory, rows, parameters_at, effects_at, out
+                in_force, self._effects_memory, self._commands_a, self._memory, rows, parameters_at, effects_at, out
             )
         return out

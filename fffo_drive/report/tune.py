@@ -138,6 +138,12 @@ def _text(text: str) -> Cell:
     return Cell(text=text)
 
 
+TWO_CUTS = (
+    " The velocity is estimated: the smaller margins of the loop cut at the velocity, which the figures show, and cut "
+    "at the current."
+)
+
+
 def _margins(source: TuneSource, tuning: Tuning) -> Table:
     axis, gains, wish = tuning.axis, tuning.gains, tuning.wish
     design = tuning.design
@@ -157,7 +163,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
         name="margins", title="Margins", corner="loop", rows=rows,
         columns=[Column(label="phase", unit="deg"), Column(label="gain"), Column(label="crossover", unit="Hz")],
         note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Wished: at least "
-             f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.",
+             f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.{'' if axis.estimator is None else TWO_CUTS}",
     )  # fmt: skip
 
 
@@ -237,6 +243,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
         _quantity("Td, command to measured velocity", "s", model.delay_s),
         Row(label="hold of the command", unit="s",
             cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),
+        *_lag_given_back(model, axis),
         Row(label="whole delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
         Row(label="Kt", unit="Nm/A",
             cells=[number(model.torque_constant_nm_per_a, 4), Cell(text="–"), _text("declared")]),
@@ -246,6 +253,14 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
         columns=[Column(label="value"), Column(label="sd"), Column(label="source", words=True)],
         note="From the model file; below each value its 95 % interval where it was fitted.",
     )  # fmt: skip
+
+
+def _lag_given_back(model: ModelFile, axis: LinearAxis) -> list[Row]:
+    """What an estimated velocity takes from the delay."""
+    if axis.estimator is None:
+        return []
+    lag = _text("its lag is not in the loop: the velocity is estimated")
+    return [Row(label="drive's velocity", unit="s", cells=[number(-model.sensor_delay_s.value), Cell(text="–"), lag])]
 
 
 def _letter(model: ModelFile) -> str:

@@ -14,6 +14,7 @@ from ..control.compensation import ALL_EFFECTS, TABLE_SIZE, new_memory
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.reference import Profile
 from ..control.set_point import HISTORY, SET_POINT_SIZE, SetPoint
+from ..control.velocity_estimator import COMMANDS
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 
@@ -77,6 +78,7 @@ class Blocks(NamedTuple):
     set_points: Floats  # (2, SET_POINT_SIZE)
     set_point_loop: Floats  # the same size, the loop's own: copy under way, and set point in use
     trajectory: Floats  # (2, set_point.HISTORY), the loop's own: what the set points came to
+    commands: Floats  # (velocity_estimator.COMMANDS,), the loop's own: the last commands in A
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -93,6 +95,7 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros((2, SET_POINT_SIZE)),
         np.zeros((2, SET_POINT_SIZE)),
         np.zeros((2, HISTORY)),
+        np.zeros(COMMANDS),
     )
     blocks.control[EFFECTS] = ALL_EFFECTS
     blocks.parameters[:] = pack_controller(controller)

@@ -23,6 +23,7 @@ from ..control.envelope import (
 )
 from ..control.reference import MODE_IDLE
 from ..control.set_point import no_motion
+from ..control.velocity_estimator import estimator_at_rest, keep_command
 from ..drive.cia402 import (
     GOAL_DISABLED,
     GOAL_ENABLED,
@@ -43,6 +44,7 @@ from .tick import (
     apply_law,
     baseline_of,
     compensate,
+    estimate_velocity,
     exchange,
     flags_of,
     follow_profile,
@@ -87,6 +89,7 @@ def run_loop(
     status[b.PARAMETERS_IN_USE] = parameter_number
     controller_config = unpack_controller(scratch[1])
     controller = controller_at_rest()
+    estimator = estimator_at_rest()
     effects_number = take_effects(blocks, -1)
     status[b.EFFECTS_IN_USE] = effects_number
     compensation_rest(blocks.effects_memory)
@@ -173,9 +176,13 @@ def run_loop(
         if live_sample >= 0:
             reference = live_reference
         effects_nm = compensate(blocks, cursor.mode, reference, feedback["position_rev"], active, in_service)
-        law, controller = apply_law(
-            controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active, effects_nm
+        estimate, estimator = estimate_velocity(
+            controller_config, estimator, blocks, cursor.mode, timing, feedback, active
         )
+        law, controller = apply_law(
+            controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active,
+            effects_nm, estimate.followed_rps,
+        )  # fmt: skip
 
         # the envelope
         seen = look(feedback, config, timing, baseline, law, wanted, enabled, timing.tick - tick)
@@ -191,11 +198,12 @@ def run_loop(
         if trip != TRIP_NONE:
             command_a = 0.0
 
-        row = write_row(ring, head, timing, config, law, seen, feedback)
+        row = write_row(ring, head, timing, config, law, estimate, seen, feedback)
         goal_now = goal_in_force(envelope_config, trip, goal, seen)
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword)
         row["limited_a"] = command_a
         row["current_command_a"] = port_command(port, timing.tick, controlword, command_a)
+        keep_command(blocks.commands, timing.tick, row["current_command_a"])
         row["busy_ns"] = port_now_ns(port) - timing.woke_ns
         row["controlword"] = controlword
         row["limits"] = limits
@@ -211,7 +219,7 @@ def run_loop(
         row["set_point_number"] = live.number
         row["set_point_sample"] = live_sample
         row["set_point_rps"] = set_point_rps
-        row["flags"] = flags_of(seen, ticks_run == 0)
+        row["flags"] = flags_of(seen, ticks_run == 0, estimate.estimated)
         row["goal"] = goal
         row["resetting"] = reset_ticks
         head += 1

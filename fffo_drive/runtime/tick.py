@@ -19,6 +19,13 @@ from ..control.set_point import (
     unpack_set_point,
     with_set_point,
 )
+from ..control.velocity_estimator import (
+    Measured,
+    VelocityEstimatorState,
+    VelocityEstimatorTerms,
+    estimator_at_rest,
+    velocity_estimator_step,
+)
 from ..drive.cia402 import (
     NOT_READY_MASK,
     STATUS_FAULT,
@@ -43,6 +50,7 @@ FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface go
 FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
 FLAG_LOCAL_CONTROL = 64  # statusword bit 9 is 0 where the drive serves it: it ignores the controlword
 FLAG_IGNORES_TARGET = 128  # statusword bit 12 is 0 where the drive serves it, though the axis is commanded
+FLAG_ESTIMATED_VELOCITY = 256  # the error took the estimated velocity, not the drive's
 
 
 class LoopConfig(NamedTuple):
@@ -209,16 +217,34 @@ def compensate(
 
 
 @njit
+def estimate_velocity(
+    config: ControllerConfig, state: VelocityEstimatorState, blocks: Blocks, mode: int, timing: Timing, feedback: Any,
+    active: bool,
+) -> tuple[VelocityEstimatorTerms, VelocityEstimatorState]:  # fmt: skip
+    """The velocity that the error takes; the filter rests while the velocity law does not act."""
+    if not active or mode == MODE_CURRENT:
+        return VelocityEstimatorTerms(0.0, 0.0, feedback["velocity_rps"], False), estimator_at_rest()
+    measured = Measured(
+        timing.tick,
+        timing.woke_ns,
+        feedback["velocity_tick"] == timing.tick,
+        feedback["position_rev"],
+        feedback["velocity_rps"],
+    )
+    return velocity_estimator_step(config.velocity, state, blocks.commands, measured)
+
+
+@njit
 def apply_law(
     config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
-    toggle: int, active: bool, effects_nm: float,
+    toggle: int, active: bool, effects_nm: float, followed_rps: float,
 ) -> tuple[Law, ControllerState]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
         return Law(MODE_IDLE, steady_reference(0.0), _terms_of_current(0.0)), controller_at_rest()
     if mode == MODE_CURRENT:
         return Law(MODE_CURRENT, steady_reference(0.0), _terms_of_current(reference.value)), controller_at_rest()
-    terms, state = controller_step(config, state, toggle, reference, velocity_rps, effects_nm)
+    terms, state = controller_step(config, state, toggle, reference, velocity_rps, effects_nm, followed_rps)
     return Law(MODE_VELOCITY, reference, terms), state
 
 
@@ -249,6 +275,8 @@ def look(
     skipped_ticks: int,
 ) -> EnvelopeInputs:  # fmt: skip
     """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
+    # the following error is that of the drive's own velocity: the envelope depends on no estimate
+    error_rps = law.reference.expected - feedback["velocity_rps"] if law.mode == MODE_VELOCITY else 0.0
     heartbeat_age_ns = -1
     if feedback["heartbeat_ns"] >= 0:
         heartbeat_age_ns = timing.woke_ns - feedback["heartbeat_ns"]
@@ -256,7 +284,7 @@ def look(
         law.terms.command_a,
         feedback["velocity_rps"],
         feedback["position_rev"],
-        law.terms.error_rps,
+        error_rps,
         timing.tick - feedback["velocity_tick"],
         timing.tick - feedback["status_tick"],
         feedback["statusword"],
@@ -278,9 +306,10 @@ def look(
 
 
 @njit
-def flags_of(seen: EnvelopeInputs, loop_began: bool) -> int:
+def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool) -> int:
     """Bits for the row."""
     flags = FLAG_LOOP_BEGAN if loop_began else 0
+    flags |= FLAG_ESTIMATED_VELOCITY if estimated else 0
     flags |= FLAG_EMERGENCY if seen.emergencies > 0 else 0
     flags |= FLAG_REBOOT if seen.reboots > 0 else 0
     flags |= FLAG_NOT_OPERATIONAL if seen.not_operational else 0
@@ -292,8 +321,9 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool) -> int:
 
 @njit
 def write_row(
-    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, seen: EnvelopeInputs, feedback: Any
-) -> Any:
+    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, estimate: VelocityEstimatorTerms,
+    seen: EnvelopeInputs, feedback: Any,
+) -> Any:  # fmt: skip
     """Fill a row with what is known before the command is sent; the loop adds the rest and publishes it."""
     row = ring.rows[head & (ring.rows.size - 1)]
     lateness_ns = timing.woke_ns - timing.deadline_ns
@@ -326,6 +356,8 @@ def write_row(
     row["statusword"] = seen.statusword
     row["current_a"] = feedback["current_a"]
     row["true_velocity_rps"] = feedback["true_velocity_rps"]
+    row["estimated_rps"] = estimate.estimated_rps
+    row["disturbance_nm"] = estimate.disturbance_nm
     row["true_friction_nm"] = feedback["true_friction_nm"]
     return row
 

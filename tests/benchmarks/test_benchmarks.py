@@ -44,7 +44,10 @@ def sample(name: str, *options: str) -> dict:
 @pytest.mark.timeout(600)
 def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
     facts = sample("loop_cycle")
-    for bus in ("socket pair", "loopback bus") if facts else ():
+    if facts:
+        assert facts["socket pair: estimated ticks"] == 0
+        assert facts["socket pair, estimated velocity: estimated ticks"] > 900  # of 1000
+    for bus in ("socket pair", "loopback bus", "socket pair, estimated velocity") if facts else ():
         assert facts[f"{bus}: differing fields"] == []
         assert facts[f"{bus}: largest command"] > 0.1  # it did control
     if facts:

@@ -36,14 +36,17 @@ CONFIG = ControllerConfig(
 )
 
 
+def step(config, state, toggle, reference, velocity_rps, effects_nm):
+    """The law with an error of the drive's own velocity."""
+    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps)
+
+
 def run(config, toggles, references, velocities, state=None):
     """Commands and states over sequences."""
     state = state or controller_at_rest()
     terms_list = []
     for toggle, reference, velocity in zip(toggles, references, velocities, strict=True):
-        terms, state = controller_step(
-            config, state, int(toggle), steady_reference(float(reference)), float(velocity), 0.0
-        )
+        terms, state = step(config, state, int(toggle), steady_reference(float(reference)), float(velocity), 0.0)
         terms_list.append(terms)
     return terms_list, state
 
@@ -72,7 +75,7 @@ def test_no_overshoot_of_the_command_after_a_long_saturation():
     peak = 0.0
     config = CONFIG._replace(current_limit_a=1.0)
     for _ in range(4000):
-        terms, state = controller_step(config, state, TOGGLE_OFF, steady_reference(10.0), velocity, 0.0)
+        terms, state = step(config, state, TOGGLE_OFF, steady_reference(10.0), velocity, 0.0)
         velocity += PERIOD_S / inertia * KT * terms.command_a
         peak = max(peak, velocity)
     assert peak < 10.0 * 1.35  # the zero's overshoot; with wind-up it is beyond 2
@@ -99,14 +102,14 @@ def test_a_persistent_error_is_learned_as_friction_up_to_the_clamp():
 
 def test_observation_is_frozen_while_the_command_is_limited():
     creep = steady_reference(CREEP_RPS)
-    terms, state = controller_step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
+    terms, state = step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
     assert terms.observation_nm_per_s == pytest.approx(2.5)
-    terms, _ = controller_step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
+    terms, _ = step(CONFIG, with_limited(state, True), TOGGLE_FEEDFORWARD, creep, -0.5, 0.0)
     assert terms.observation_nm_per_s == 0.0
     saturated = CONFIG._replace(current_limit_a=0.1)
-    first, state = controller_step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
+    first, state = step(saturated, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
     assert first.limited
-    second, _ = controller_step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
+    second, _ = step(saturated, state, TOGGLE_FEEDFORWARD, steady_reference(5.0), 0.0, 0.0)
     assert second.observation_nm_per_s == 0.0
 
 
@@ -130,18 +133,16 @@ def test_switching_while_running_makes_no_bump(before, after, reference_rps):
     velocities = np.full(n, reference_rps * 0.98)
     references = np.full(n, reference_rps)
     _, state = run(CONFIG, [before] * n, references, velocities)
-    unswitched, _ = controller_step(CONFIG, state, before, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
-    switched, after_state = controller_step(
-        CONFIG, state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0
-    )
+    unswitched, _ = step(CONFIG, state, before, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
+    switched, after_state = step(CONFIG, state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
     assert abs(switched.command_a - unswitched.command_a) < 0.02
-    second, _ = controller_step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
+    second, _ = step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
     assert abs(second.command_a - switched.command_a) < 0.02
 
 
 def test_off_hands_the_estimate_to_the_integrator():
     _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 2000, [1.0] * 2000, [1.0] * 2000)
-    terms, after = controller_step(CONFIG, state, TOGGLE_OFF, steady_reference(1.0), 1.0, 0.0)
+    terms, after = step(CONFIG, state, TOGGLE_OFF, steady_reference(1.0), 1.0, 0.0)
     assert terms.friction_nm == 0.0
     assert after.integral_a == pytest.approx(state.integral_a + state.friction.torque_nm / KT)
 
@@ -149,8 +150,8 @@ def test_off_hands_the_estimate_to_the_integrator():
 def test_feedback_reverses_only_beyond_the_band():
     n = 2000
     _, state = run(CONFIG, [TOGGLE_FEEDBACK] * n, [1.0] * n, [1.0] * n)
-    _, inside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.09, 0.0)
-    _, outside = controller_step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.11, 0.0)
+    _, inside = step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.09, 0.0)
+    _, outside = step(CONFIG, state, TOGGLE_FEEDBACK, steady_reference(1.0), -0.11, 0.0)
     assert inside.friction.direction == 1.0
     assert outside.friction.direction == -1.0
 
@@ -162,8 +163,8 @@ def test_the_parameter_block_is_the_record():
 def test_a_feed_forward_that_goes_at_once_is_handed_to_the_integrator():
     steady = steady_reference(2.0)
     _, state = run(CONFIG, [TOGGLE_FEEDFORWARD] * 200, [2.0] * 200, [1.9] * 200)
-    before, _ = controller_step(CONFIG, state, TOGGLE_FEEDFORWARD, steady, 1.9, 0.02)
-    after, _ = controller_step(CONFIG, with_torque_lost(CONFIG, state, 0.02), TOGGLE_FEEDFORWARD, steady, 1.9, 0.0)
+    before, _ = step(CONFIG, state, TOGGLE_FEEDFORWARD, steady, 1.9, 0.02)
+    after, _ = step(CONFIG, with_torque_lost(CONFIG, state, 0.02), TOGGLE_FEEDFORWARD, steady, 1.9, 0.0)
     assert abs(after.command_a - before.command_a) < 1e-12
     assert before.effects_nm == 0.02
 

@@ -16,6 +16,11 @@ TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
 GAINS = st.floats(0.05, 5.0)
 
 
+def step(config, state, toggle, reference, velocity_rps, effects_nm):
+    """The law with an error of the drive's own velocity."""
+    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps)
+
+
 def law(proportional: float, integral: float, observer: float) -> ControllerConfig:
     return ControllerConfig(
         PiConfig(proportional, integral),
@@ -38,8 +43,8 @@ def test_a_change_of_gains_moves_the_command_no_more_than_a_period_of_the_law_do
     before, after = law(kp, ki, observer), law(new_kp, new_ki, new_observer)
     state = controller_at_rest()
     for _ in range(50):
-        terms, state = controller_step(before, state, toggle, steady_reference(reference_rps), velocity_rps, 0.0)
-    then, _ = controller_step(
+        terms, state = step(before, state, toggle, steady_reference(reference_rps), velocity_rps, 0.0)
+    then, _ = step(
         after, with_new_gains(before, after, state), toggle, steady_reference(reference_rps), velocity_rps, 0.0
     )
     error_rps = abs(reference_rps - velocity_rps)
@@ -50,5 +55,5 @@ def test_a_change_of_gains_moves_the_command_no_more_than_a_period_of_the_law_do
 
 def test_the_same_gains_change_nothing():
     config = law(0.975, 9.75, 5.0)
-    _, state = controller_step(config, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(1.0), 0.3, 0.0)
+    _, state = step(config, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(1.0), 0.3, 0.0)
     assert with_new_gains(config, config, state) == state

@@ -12,6 +12,7 @@ from evaluation.gated import GatedDrive, GatedRun
 from fffo_drive.cli.replay import with_continuations
 from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note, session_config
 from fffo_drive.config.effects import compensation_table
+from fffo_drive.config.sections import VelocitySection
 from fffo_drive.control.compensation import ALL_EFFECTS
 from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY, piecewise_linear, sine
 from fffo_drive.control.set_point import SetPoint
@@ -88,6 +89,12 @@ class Asked:
         self.axis = self.axis.model_copy(update={"controller": controller})
         self._publish()
 
+    def velocity(self, value: float) -> None:
+        section = VelocitySection(source="estimated" if value >= 0.3 else "drive", bandwidth_hz=50.0 + 300.0 * value)
+        controller = self.axis.controller.model_copy(update={"velocity": section})
+        self.axis = self.axis.model_copy(update={"controller": controller})
+        self._publish()
+
     def other_model(self, value: float) -> None:
         self.model = self.models[round(value * (len(self.models) - 1))]
         self.session.set_model(model_note(self.model))
@@ -146,13 +153,15 @@ class Asked:
 
 WHAT = (
     "gains", "other_model", "toggle", "in_service", "enable", "start", "abort", "disable", "fault", "reset", "drain",
-    "set_point", "abort_set_point",
+    "set_point", "abort_set_point", "velocity",
 )  # fmt: skip
 STORY = (  # everything at least once, and a motion under most of it
-    ("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("gains", 0.3, 61), ("in_service", 0.0, 90),
+    ("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("velocity", 0.5, 40), ("gains", 0.3, 61),
+    ("in_service", 0.0, 90),
     ("in_service", 1.0, 150), ("other_model", 1.0, 70), ("toggle", 1.0, 33), ("drain", 0.0, 1), ("gains", 0.9, 47),
     ("other_model", 0.0, 21), ("fault", 0.0, 30), ("reset", 0.0, 60), ("other_model", 0.5, 10), ("start", 0.3, 120),
-    ("toggle", 0.0, 20), ("abort", 0.0, 10), ("start", 0.6, 60), ("disable", 0.0, 30), ("enable", 0.0, 30),
+    ("velocity", 0.0, 20), ("toggle", 0.0, 20), ("abort", 0.0, 10), ("velocity", 0.9, 1),
+    ("start", 0.6, 60), ("disable", 0.0, 30), ("enable", 0.0, 30),
     ("start", 1.0, 150), ("abort", 0.0, 3), ("set_point", 0.0, 120), ("set_point", 0.35, 60), ("gains", 0.5, 30),
     ("set_point", 1.0, 90), ("abort_set_point", 0.0, 20), ("set_point", 0.1, 700), ("disable", 1.0, 80),
 )  # fmt: skip

@@ -149,9 +149,11 @@ def test_the_error_at_a_crossing_is_the_lag_times_the_slope(amplitude_rps, fast)
     found = crossing_error(reference_rps, error_rps, period_s)
     slope_rps2 = 2.0 * np.pi * hz * amplitude_rps
     if fast:  # 31 rps2
-        assert found.fast > 5 and found.slow == 0
+        assert found.fast > 5
+        assert found.slow == 0
         assert found.fast_lag_ms == pytest.approx(1e3 * late_s, rel=2e-3)
     else:  # 3 rps2
-        assert found.slow > 5 and found.fast == 0
+        assert found.slow > 5
+        assert found.fast == 0
         assert found.slow_error_mrps == pytest.approx(1e3 * slope_rps2 * late_s, rel=2e-3)
         assert np.isnan(found.fast_lag_ms)

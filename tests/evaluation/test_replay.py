@@ -12,7 +12,10 @@ from runtime.test_loop import CONTROLLER, Rig, envelope
 
 from fffo_drive.cli import main
 from fffo_drive.control.controller import pack_controller
+from fffo_drive.control.reference import MODE_VELOCITY
 from fffo_drive.evaluation.replay import WORDS, Replay, law_in_force
+from fffo_drive.recording.reader import read_run
+from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -43,6 +46,37 @@ def test_a_run_is_reproduced_bit_for_bit(axis_file, tmp_path, toggle, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["exact"]
     assert report["rows"] > 12_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("toggle", ["ff", "fb"])
+def test_a_run_on_the_estimated_velocity_is_reproduced_bit_for_bit(axis_file, tmp_path, toggle, capsys):
+    estimated = axis_file.with_name("estimated.yaml")
+    estimated.write_text(
+        axis_file.read_text().replace("controller:\n", "controller:\n  velocity: {source: estimated}\n")
+    )
+    run = tmp_path / "run.mcap"
+    assert main(["run", str(estimated), "--toggle", toggle, "--out", str(run), "--json"]) == 0
+    rows = read_run(run).rows
+    acts = rows["mode"] == MODE_VELOCITY
+    used = rows["flags"] & FLAG_ESTIMATED_VELOCITY != 0
+    assert used.sum() > 0.99 * acts.sum()
+    taken = np.where(used, rows["estimated_rps"], rows["velocity_rps"])
+    np.testing.assert_array_equal(rows["error_rps"][acts], (rows["expected_rps"] - taken)[acts])
+    lags = [lag_s(rows[name][used], rows["true_velocity_rps"][used]) for name in ("velocity_rps", "estimated_rps")]
+    assert lags[0] == pytest.approx(0.0007, abs=2e-4)
+    assert abs(lags[1]) < 1.5e-4
+    capsys.readouterr()
+    assert main(["replay", str(run), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["exact"]
+    assert report["rows"] > 12_000
+
+
+def lag_s(velocity_rps, true_rps):
+    """How far a velocity lags behind the true one: over its derivative, in the mean."""
+    slope = np.gradient(true_rps, 5e-4)
+    return float(-np.dot(velocity_rps - true_rps, slope) / np.dot(slope, slope))
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from fffo_drive.evaluation.replay_runs import Law, Replayer
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import Kind, decode_record, encode_record
 from fffo_drive.runtime import records as made
-from fffo_drive.runtime.tick import FLAG_EMERGENCY, LoopConfig
+from fffo_drive.runtime.tick import FLAG_EMERGENCY, FLAG_ESTIMATED_VELOCITY, LoopConfig
 from fffo_drive.signals import ROW
 
 SMALL_FILES = 20_000  # bytes: a file holds some hundred rows
@@ -63,6 +63,7 @@ def test_a_run_with_everything_in_it_replays(story):
     assert (run.rows["trip"] != 0).any()
     assert (run.rows["resetting"] != 0).any()
     assert (run.rows["effects_nm"] != 0).any()
+    assert 500 < (run.rows["flags"] & FLAG_ESTIMATED_VELOCITY != 0).sum() < report.rows - 200
     assert len(np.unique(run.rows["limits"])) > 3
     used = {(block.parameters, block.effects) for block in report.blocks}
     assert len(used) >= 5

@@ -39,7 +39,8 @@ DELAY_TICKS = 6  # of the velocity that the drive reports behind its reference
 # words
 CYCLE = 0  # number of the cycle under way
 MARK_NS = 1  # when the part under way began; 0: none
-PORT_WORDS = 2
+CLOCK_NS = 2  # what the loop reads as the time where nothing paces it: the deadline, so that passes are alike
+PORT_WORDS = 3
 
 
 class CyclePort(NamedTuple):
@@ -81,7 +82,8 @@ def _answer(port: CyclePort, tick: int) -> int:
 @port_now_ns.register(CyclePort)  # type: ignore[attr-defined]
 @njit
 def _now_ns(port: CyclePort) -> int:
-    return port_now_ns(port.canopen)
+    now_ns = port_now_ns(port.canopen)
+    return now_ns if port.paced != 0 else int(port.words[CLOCK_NS])
 
 
 @port_sleep_until.register(CyclePort)  # type: ignore[attr-defined]
@@ -90,6 +92,7 @@ def _sleep_until(port: CyclePort, deadline_ns: int) -> int:
     now_ns = _close_part(port)
     if port.words[MARK_NS] > 0:
         port.words[CYCLE] += 1
+    port.words[CLOCK_NS] = deadline_ns
     if port.paced != 0:
         port_sleep_until(port.canopen, deadline_ns)
         now_ns = monotonic_ns(port.canopen.scratch)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
 from cycle_port import (
+    CLOCK_NS,
     CYCLE,
     MARK_NS,
     STATUS_EVERY,
@@ -25,9 +26,11 @@ from numba import typeof
 
 from fffo_drive.can import frame
 from fffo_drive.cli.drives import Plan, make_plan, plan_session
-from fffo_drive.control import envelope, friction_observer, reference
+from fffo_drive.config.sections import VelocitySection
+from fffo_drive.control import envelope, friction_observer, reference, velocity_estimator
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
+from fffo_drive.control.velocity_estimator import Measured, VelocityEstimatorState, VelocityEstimatorTerms
 from fffo_drive.drive import cia402
 from fffo_drive.drive.canopen import object_map, port_memory, service_queue
 from fffo_drive.drive.port import FEEDBACK, port_now_ns
@@ -55,6 +58,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction, ("OMEGA_", "STRIBECK_FLOOR", "PRESLIDING_OVER")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
+    (velocity_estimator, ("COMMANDS", "BRIDGED_TICKS")),
     (tick, ("FLAG_",)),
 )
 
@@ -137,17 +141,24 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
     made = Declarations()
     for module, beginnings in CONSTANTS:
         made.constants(module, *beginnings)
-    made.numbers({"STATUS_EVERY": STATUS_EVERY, "CYCLE": CYCLE, "MARK_NS": MARK_NS})
+    made.numbers({"STATUS_EVERY": STATUS_EVERY, "CYCLE": CYCLE, "MARK_NS": MARK_NS, "CLOCK_NS": CLOCK_NS})
     made.dtype("row", ROW)
     made.dtype("feedback", FEEDBACK)
     for record in (memory.port, loop, envelope_config, memory.blocks, memory.ring):
         made.record(record)
     for kind in (
         ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, Law,
+        VelocityEstimatorState, VelocityEstimatorTerms, Measured,
     ):  # fmt: skip
         made.record(zeros(kind))
     made.unpacking("unpack_controller", zeros(ControllerConfig), CONTROLLER_NAMES)
     return made.text
+
+
+def with_estimate(plan: Plan) -> Plan:
+    """The same plan on the estimated velocity."""
+    controller = plan.axis.controller.model_copy(update={"velocity": VelocitySection(source="estimated")})
+    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}))
 
 
 def zeros(kind: type) -> Any:
@@ -177,18 +188,24 @@ def run() -> int:
     report = Report(
         NAME, "One cycle of the loop (receive, compute, send, row, housekeeping), compiled by numba and by gcc -O2."
     )
-    loop = Cycles(make_plan(AXIS))
-    buses = {"socket pair": socket_pair, "loopback bus": loopback_bus}
-    for text, bus in buses.items():
-        one, other = loop.run("numba", bus, cycles).rows, loop.run("C", bus, cycles).rows
+    plan = make_plan(AXIS)
+    loop, estimating = Cycles(plan), Cycles(with_estimate(plan))
+    buses = {
+        "socket pair": (loop, socket_pair),
+        "loopback bus": (loop, loopback_bus),
+        "socket pair, estimated velocity": (estimating, socket_pair),
+    }
+    for text, (one_loop, bus) in buses.items():
+        one, other = one_loop.run("numba", bus, cycles).rows, one_loop.run("C", bus, cycles).rows
+        report.facts[f"{text}: estimated ticks"] = int((one["flags"] & tick.FLAG_ESTIMATED_VELOCITY != 0).sum())
         differing = differing_fields(one, other)
         report.facts[f"{text}: differing fields"] = differing
         report.facts[f"{text}: largest command"] = float(np.abs(one["current_command_a"]).max())
         if differing:
             raise RuntimeError(f"not the same work: {', '.join(differing)} differ between numba and C")
     variants = {
-        f"{text}, {language}": (lambda bus=bus, language=language: figures_of(loop.run(language, bus, cycles)))
-        for text, bus in buses.items()
+        f"{text}, {language}": (lambda one=one, bus=bus, language=language: figures_of(one.run(language, bus, cycles)))
+        for text, (one, bus) in buses.items()
         for language in ("numba", "C")
     }
     with shown(NAME) as progress:

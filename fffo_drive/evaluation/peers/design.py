@@ -39,8 +39,8 @@ def observer_margins(axis: LinearAxis, proportional_a_per_rps: float, bandwidth:
     low_pass = (bandwidth / (s + bandwidth)) ** order
     inertia = axis.inertia_nm_s2_per_rev * s
     controller = (proportional_a_per_rps * axis.torque_constant_nm_per_a + low_pass * inertia) / (1.0 - low_pass * late)
-    loop = controller * late / (inertia + axis.damping_nm_per_rps)
-    return margins_of(omega, np.abs(loop), np.degrees(np.unwrap(np.angle(loop))))
+    rational = controller / (inertia + axis.damping_nm_per_rps)
+    return margins_of(omega, rational, axis.delay_s)
 
 
 def observer_gains(axis: LinearAxis, order: int, wish: Wish) -> ObserverGains:

@@ -46,12 +46,109 @@ static void hand_over(const struct controller_config *c, struct controller_state
     state->toggle = toggle;
 }
 
+/* ---- velocity from position and torque ---- */
+
+static double command_of(const double *commands_a, const struct velocity_estimator_state *state, int64_t tick)
+{
+    return tick >= state->first_tick ? commands_a[tick & (COMMANDS - 1)] : 0.0;
+}
+
+static void hold_skipped(double *commands_a, const struct velocity_estimator_state *state, int64_t tick)
+{
+    double last_a = command_of(commands_a, state, state->tick), held_a = command_of(commands_a, state, state->tick - 1);
+    for (int64_t k = state->tick; k < tick - 1; k++)
+        commands_a[k & (COMMANDS - 1)] = held_a;
+    commands_a[(tick - 1) & (COMMANDS - 1)] = last_a;
+}
+
+static void predict(const struct velocity_estimator_config *c, struct velocity_estimator_state *state,
+                    const double *commands_a, const struct measured *measured)
+{
+    int64_t periods = measured->tick - state->tick;
+    double step_s = (double)(measured->woke_ns - state->woke_ns) / 1e9 / (double)periods;
+    for (int64_t k = state->tick; k < measured->tick; k++) {
+        int64_t newest = k - c->delay_periods;
+        double current_a = (1.0 - c->delay_share) * command_of(commands_a, state, newest);
+        current_a += c->delay_share * command_of(commands_a, state, newest - 1);
+        double torque_nm = c->torque_constant_nm_per_a * current_a - state->disturbance_nm;
+        double gained_rps = step_s * torque_nm / c->inertia_nm_s2_per_rev;
+        state->position_rev += step_s * (state->velocity_rps + 0.5 * gained_rps);
+        state->velocity_rps += gained_rps;
+    }
+    state->tick = measured->tick;
+    state->woke_ns = measured->woke_ns;
+}
+
+static void correct(const struct velocity_estimator_config *c, struct velocity_estimator_state *state,
+                    double innovation_rev)
+{
+    state->position_rev += c->position_gain * innovation_rev;
+    state->velocity_rps += c->velocity_gain_per_s * innovation_rev;
+    state->disturbance_nm -= c->disturbance_gain_nm_per_rev * innovation_rev;
+    state->fresh_tick = state->tick;
+}
+
+static const struct velocity_estimator_state ESTIMATOR_AT_REST = {0.0, 0.0, 0.0, -1, -1, -1, 0};
+
+static void begin_estimate(struct velocity_estimator_state *state, const struct measured *m)
+{
+    *state = ESTIMATOR_AT_REST;
+    if (m->fresh && isfinite(m->position_rev) && isfinite(m->velocity_rps))
+        *state = (struct velocity_estimator_state){m->position_rev, m->velocity_rps, 0.0, m->tick,
+                                                   m->tick, m->tick, m->woke_ns};
+}
+
+static bool trusted(const struct velocity_estimator_config *c, const struct velocity_estimator_state *state,
+                    double drive_rps)
+{
+    return isfinite(state->position_rev) && isfinite(state->disturbance_nm) &&
+           fabs(state->velocity_rps - drive_rps) <= c->disagreement_rps;
+}
+
+static struct velocity_estimator_terms velocity_estimator_step(const struct velocity_estimator_config *c,
+                                                               struct velocity_estimator_state *state,
+                                                               double *commands_a, const struct measured *measured)
+{
+    struct velocity_estimator_terms terms = {.followed_rps = measured->velocity_rps};
+    if (!c->used) {
+        *state = ESTIMATOR_AT_REST;
+        return terms;
+    }
+    if (state->tick < 0 || measured->tick - state->fresh_tick > BRIDGED_TICKS) {
+        begin_estimate(state, measured);
+    } else {
+        if (measured->tick - state->tick > 1)
+            hold_skipped(commands_a, state, measured->tick);
+        predict(c, state, commands_a, measured);
+        if (measured->fresh) {
+            double innovation_rev = measured->position_rev - state->position_rev;
+            if (fabs(innovation_rev) <= c->jump_rev)
+                correct(c, state, innovation_rev);
+            else
+                begin_estimate(state, measured);
+        }
+        if (state->tick >= 0 && !trusted(c, state, measured->velocity_rps))
+            begin_estimate(state, measured);
+    }
+    if (state->tick < 0)
+        return terms;
+    terms.estimated = state->tick - state->first_tick >= c->settling_ticks;
+    terms.estimated_rps = state->velocity_rps;
+    terms.disturbance_nm = state->disturbance_nm;
+    if (terms.estimated)
+        terms.followed_rps = state->velocity_rps;
+    return terms;
+}
+
+/* ---- the law ---- */
+
 static void controller_step(const struct controller_config *c, struct controller_state *state, int64_t toggle,
-                            const struct reference *reference, double velocity_rps, struct controller_terms *terms)
+                            const struct reference *reference, double velocity_rps, double followed_rps,
+                            struct controller_terms *terms)
 {
     if (toggle != state->toggle)
         hand_over(c, state, toggle, reference, velocity_rps);
-    double error_rps = reference->expected - velocity_rps;
+    double error_rps = reference->expected - followed_rps;
     double driving_rps = error_rps;
     if (c->error_share < 1.0)
         driving_rps = state->filtered_error_rps + c->error_share * (error_rps - state->filtered_error_rps);

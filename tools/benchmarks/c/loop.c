@@ -68,8 +68,16 @@ static void answer(struct cycle_port *port, int64_t tick)
         send((int)port->peer_tx_fd, port->status, FRAME_SIZE, MSG_DONTWAIT);
 }
 
+/* Where nothing paces the loop its time is the deadline, so that passes are alike; the clock is read all the same. */
+static int64_t loop_now_ns(const struct cycle_port *port)
+{
+    int64_t now_ns = monotonic_ns();
+    return port->paced ? now_ns : port->words[CLOCK_NS];
+}
+
 static void begin_cycle(struct cycle_port *port, int64_t deadline_ns)
 {
+    port->words[CLOCK_NS] = deadline_ns;
     int64_t now_ns = close_part(port);
     if (port->words[MARK_NS] > 0)
         port->words[CYCLE] += 1;
@@ -140,8 +148,23 @@ static struct reference follow_profile(struct blocks *blocks, struct profile_cur
     };
 }
 
+static struct velocity_estimator_terms estimate_velocity(const struct controller_config *config,
+                                                         struct velocity_estimator_state *state, struct blocks *blocks,
+                                                         int64_t mode, const struct timing *timing,
+                                                         const struct feedback *feedback, bool active)
+{
+    if (!active || mode == MODE_CURRENT) {
+        *state = ESTIMATOR_AT_REST;
+        return (struct velocity_estimator_terms){.followed_rps = feedback->velocity_rps};
+    }
+    struct measured measured = {timing->tick, timing->woke_ns, feedback->velocity_tick == timing->tick,
+                                feedback->position_rev, feedback->velocity_rps};
+    return velocity_estimator_step(&config->velocity, state, blocks->commands, &measured);
+}
+
 static struct law apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
-                            const struct reference *reference, double velocity_rps, int64_t toggle, bool active)
+                            const struct reference *reference, double velocity_rps, int64_t toggle, bool active,
+                            double followed_rps)
 {
     struct law law = {.mode = MODE_IDLE};
     if (!active || mode == MODE_CURRENT) {
@@ -154,7 +177,7 @@ static struct law apply_law(const struct controller_config *config, struct contr
     }
     law.mode = MODE_VELOCITY;
     law.reference = *reference;
-    controller_step(config, state, toggle, reference, velocity_rps, &law.terms);
+    controller_step(config, state, toggle, reference, velocity_rps, followed_rps, &law.terms);
     return law;
 }
 
@@ -172,7 +195,7 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .requested_a = law->terms.command_a,
         .velocity_rps = feedback->velocity_rps,
         .position_rev = feedback->position_rev,
-        .error_rps = law->terms.error_rps,
+        .error_rps = law->mode == MODE_VELOCITY ? law->reference.expected - feedback->velocity_rps : 0.0,
         .feedback_age = timing->tick - feedback->velocity_tick,
         .status_age = timing->tick - feedback->status_tick,
         .statusword = feedback->statusword,
@@ -193,9 +216,10 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
     };
 }
 
-static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began)
+static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, bool estimated)
 {
     int64_t flags = loop_began ? FLAG_LOOP_BEGAN : 0;
+    flags |= estimated ? FLAG_ESTIMATED_VELOCITY : 0;
     flags |= seen->emergencies > 0 ? FLAG_EMERGENCY : 0;
     flags |= seen->reboots > 0 ? FLAG_REBOOT : 0;
     flags |= seen->not_operational ? FLAG_NOT_OPERATIONAL : 0;
@@ -206,7 +230,8 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began)
 }
 
 static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
-                      const struct law *law, const struct envelope_inputs *seen, const struct feedback *feedback)
+                      const struct law *law, const struct velocity_estimator_terms *estimate,
+                      const struct envelope_inputs *seen, const struct feedback *feedback)
 {
     int64_t lateness_ns = timing->woke_ns - timing->deadline_ns;
     row->tick = timing->tick;
@@ -215,6 +240,8 @@ static void write_row(struct row *row, int64_t head, const struct timing *timing
     row->lateness_ns = lateness_ns;
     row->turnaround_ns = timing->turnaround_ns;
     row->late = lateness_ns > config->late_ns;
+    row->estimated_rps = estimate->estimated_rps;
+    row->disturbance_nm = estimate->disturbance_nm;
     row->effects = 0; /* a loop without effects */
     row->effects_nm = law->terms.effects_nm;
     row->reference_rps = law->reference.value;
@@ -262,6 +289,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct controller_config controller_config;
     unpack_controller(in_use, &controller_config);
     struct controller_state controller = {.toggle = TOGGLE_OFF};
+    struct velocity_estimator_state estimator = ESTIMATOR_AT_REST;
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
     struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
@@ -273,7 +301,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
 
     for (;;) {
         begin_cycle(cycle, larger_word(deadline_ns, last_sync_ns + config->minimum_gap_ns));
-        int64_t woke_ns = monotonic_ns();
+        int64_t woke_ns = loop_now_ns(cycle);
         int64_t missed = woke_ns > deadline_ns ? (woke_ns - deadline_ns) / config->period_ns : 0;
         status[SKIPPED_TICKS] += missed;
         struct timing timing = {tick + missed, deadline_ns + missed * config->period_ns, woke_ns, -1};
@@ -283,7 +311,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         close_part(cycle);
         answer(cycle, timing.tick);
         cycle->words[MARK_NS] = monotonic_ns();
-        int64_t sync_ns = monotonic_ns();
+        int64_t sync_ns = loop_now_ns(cycle);
         if (bus_receive(port, timing.tick, sync_ns + config->cutoff_ns))
             timing.turnaround_ns = feedback->received_ns - sync_ns;
         else
@@ -323,8 +351,10 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             goal = GOAL_DISABLED;
             wanted = active = false;
         }
+        struct velocity_estimator_terms estimate = estimate_velocity(&controller_config, &estimator, blocks,
+                                                                     cursor.mode, &timing, feedback, active);
         struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
-                                   toggle, active);
+                                   toggle, active, estimate.followed_rps);
 
         struct envelope_inputs seen = look(feedback, config, &timing, &baseline, &law, wanted, enabled,
                                            timing.tick - tick);
@@ -343,12 +373,13 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             command_a = 0.0;
 
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
-        write_row(row, head, &timing, config, &law, &seen, feedback);
+        write_row(row, head, &timing, config, &law, &estimate, &seen, feedback);
         int64_t goal_now = goal_in_force(envelope_config, trip, goal, &seen);
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
         row->limited_a = command_a;
         row->current_command_a = bus_command(port, controlword, command_a);
-        row->busy_ns = monotonic_ns() - timing.woke_ns;
+        blocks->commands[timing.tick & (COMMANDS - 1)] = row->current_command_a;
+        row->busy_ns = loop_now_ns(cycle) - timing.woke_ns;
         row->controlword = controlword;
         row->limits = limits;
         row->trip = trip;
@@ -362,7 +393,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         row->set_point_number = status[SET_POINT_DONE]; /* a loop without live set points */
         row->set_point_sample = -1;
         row->set_point_rps = 0.0;
-        row->flags = flags_of(&seen, ticks_run == 0);
+        row->flags = flags_of(&seen, ticks_run == 0, estimate.estimated);
         row->goal = goal;
         row->resetting = reset_ticks;
         head += 1;
