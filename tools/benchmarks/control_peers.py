@@ -281,7 +281,7 @@ def compare(sizes: Sizes, shown: bool) -> tuple[list[str], dict[str, object]]:
     return lines, facts
 
 
-def preface(seconds: float) -> list[str]:
+def preface(made_from: str, seconds: float) -> list[str]:
     """What was done, when and where."""
     return [
         "# control_peers",
@@ -298,7 +298,7 @@ def preface(seconds: float) -> list[str]:
         "effects and have their gains scaled with them; the effects they do not know. x: median over axes of a law's",
         "true ISE over that of PI+FFFO+. The peers' loop has the law's current limit, but no envelope.",
         "",
-        f"Made by tools/benchmarks/control_peers.py on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()};",
+        f"Made by tools/benchmarks/control_peers.py on {time.strftime('%Y-%m-%d')}, commit {made_from}, {machine()};",
         f"{seconds:.0f} s.",
         "",
     ]
@@ -313,9 +313,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout in place of the tables")
     options = parser.parse_args(arguments)
     sizes = Sizes(2, 1, 6.0) if options.sample else Sizes(options.seeds, options.axes)
-    began = time.perf_counter()
+    began, made_from = time.perf_counter(), commit()  # of the code that runs, whatever changes meanwhile
     lines, facts = compare(sizes, shown=not options.json)
-    lines = [*preface(time.perf_counter() - began), *lines]
+    lines = [*preface(made_from, time.perf_counter() - began), *lines]
     if not options.sample:
         (HERE / "results" / "control_peers.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print(json.dumps(facts) if options.json else "\n".join(lines))
