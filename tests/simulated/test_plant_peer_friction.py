@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from simulated.plant_rig import friction_along
+from simulated.test_plant_friction import rough_motion
 
 from fffo_drive.drive.simulated.parameters import PlantConfig, PlantConfigError
 from fffo_drive.drive.simulated.state import STEP_S
@@ -92,6 +93,37 @@ def test_a_loop_inside_a_loop_closes_as_masing_says():
     branch_nm = straight_nm[399] - torque_nm[400:460]
     virgin_nm = friction_along(config, np.full(30, step_rev / STEP_S))
     assert branch_nm[1::2] == pytest.approx(2.0 * virgin_nm, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("config", [LUGRE, SLIP], ids=["lugre", "maxwell slip"])
+def test_no_more_energy_comes_back_than_the_springs_hold(config, seed):
+    """Along any motion, from any moment on; at the level of rest, the highest one."""
+    w = rough_motion(seed)
+    work_j = np.cumsum(friction_along(config, w) * w) * STEP_S
+    if config is LUGRE:
+        stored_j = config.stiction_nm**2 / (2.0 * config.lugre.stiffness_nm_per_rev)
+    else:
+        elements = config.maxwell_slip.elements
+        stored_j = sum((e.share * config.stiction_nm) ** 2 / (2.0 * e.stiffness_nm_per_rev) for e in elements)
+    assert np.max(np.maximum.accumulate(work_j) - work_j) <= stored_j
+    assert work_j[-1] > 10.0 * stored_j
+
+
+def test_the_damping_of_lugre_bristles_is_within_what_keeps_the_model_passive():
+    """s1 |v| <= 4 g(v): v F is then the rate of the spring energy and a square, never negative (Olsson, 1996)."""
+    one = LUGRE.lugre
+    for speed_rps in np.geomspace(1e-3, 100.0, 200):
+        level_nm = stribeck_nm(one, speed_rps) - one.viscous_nm_per_rps * speed_rps
+        fading = math.exp(-((speed_rps / one.stribeck_rps) ** 2))
+        assert one.damping_nm_per_rps * fading * speed_rps <= 4.0 * level_nm
+
+
+def test_stiction_below_the_coulomb_level_is_refused_by_key():
+    for kind in ("lugre", "maxwell_slip"):
+        low = replace(getattr(FrictionConfig(), kind), stiction_nm=0.01)
+        with pytest.raises(PlantConfigError, match=rf"friction.{kind}.stiction_nm: 0.01 is below coulomb_nm 0.025"):
+            replace(PlantConfig(), friction=replace(FrictionConfig(), **{kind: low})).validate()
 
 
 def test_shares_that_are_not_the_whole_are_refused_by_key():

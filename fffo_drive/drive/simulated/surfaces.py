@@ -126,6 +126,10 @@ class FrictionConfig:
             for k, s in enumerate(self.surfaces)
             if s.stiction_nm < s.coulomb_nm
         ]
+        for name, one in (("lugre", self.lugre), ("maxwell_slip", self.maxwell_slip)):
+            if one.stiction_nm < one.coulomb_nm:
+                text = f"{one.stiction_nm:g} is below coulomb_nm {one.coulomb_nm:g} Nm"
+                found.append((f"{path}{name}.stiction_nm", text))
         return found
 
     @property

@@ -2,9 +2,10 @@
 
 Laws with a friction model have the loop of PI plus L (identification.tuning chooses it). A disturbance observer has
 
-    T = -C(s) w,   C = (Kp Kt + Q J s) / (1 - Q exp(-Td s)),   open loop  C exp(-Td s) / (J s + D)
+    T = -C(s) w,   C = (Kp Kt / (1 + Tf s) + Q J s) / (1 - Q exp(-Td s)),   open loop  C exp(-Td s) / (J s + D)
 
-and rejects a slow disturbance as an integral of Kp Kt / (n / wo + Td) does, n being the order of Q.
+with Tf of the error's filter, which the observer does not see. It rejects a slow disturbance as an integral of
+Kp Kt / (n / wo + Td) does, n being the order of Q.
 """
 
 from __future__ import annotations
@@ -31,19 +32,22 @@ class ObserverGains(NamedTuple):
     margins: Margins
 
 
-def observer_margins(axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, order: int) -> Margins:
-    """Margins of P with a disturbance observer of bandwidth `bandwidth` (rad/s)."""
+def observer_margins(
+    axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, order: int, error_filter_s: float = 0.0
+) -> Margins:
+    """Margins of P with a disturbance observer of bandwidth `bandwidth` (rad/s) and the error's filter."""
     omega = sweep_rad_per_s()
     s = 1j * omega
     late = np.exp(-axis.delay_s * s)
     low_pass = (bandwidth / (s + bandwidth)) ** order
     inertia = axis.inertia_nm_s2_per_rev * s
-    controller = (proportional_a_per_rps * axis.torque_constant_nm_per_a + low_pass * inertia) / (1.0 - low_pass * late)
+    proportional = proportional_a_per_rps * axis.torque_constant_nm_per_a / (1.0 + error_filter_s * s)
+    controller = (proportional + low_pass * inertia) / (1.0 - low_pass * late)
     rational = controller / (inertia + axis.damping_nm_per_rps)
     return margins_of(omega, rational, axis.delay_s)
 
 
-def observer_gains(axis: LinearAxis, order: int, wish: Wish) -> ObserverGains:
+def observer_gains(axis: LinearAxis, order: int, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
     """Gains with the wanted margins and the largest integral action. Raises ValueError where there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
     kt = axis.torque_constant_nm_per_a
@@ -51,22 +55,23 @@ def observer_gains(axis: LinearAxis, order: int, wish: Wish) -> ObserverGains:
     most = 0.0
     for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS):
         proportional = float(crossover) * axis.inertia_nm_s2_per_rev / kt
-        bandwidth = _largest_bandwidth(axis, proportional, order, wish)
+        bandwidth = _largest_bandwidth(axis, proportional, order, wish, error_filter_s)
         action = proportional * kt / (order / bandwidth + axis.delay_s) if bandwidth > 0.0 else 0.0
         if action > most:
             most = action
-            best = ObserverGains(proportional, bandwidth, observer_margins(axis, proportional, bandwidth, order))
+            margins = observer_margins(axis, proportional, bandwidth, order, error_filter_s)
+            best = ObserverGains(proportional, bandwidth, margins)
     if best is None:
         raise ValueError("no proportional gain has the wanted margins")
     return best
 
 
-def _largest_bandwidth(axis: LinearAxis, proportional: float, order: int, wish: Wish) -> float:
+def _largest_bandwidth(axis: LinearAxis, proportional: float, order: int, wish: Wish, error_filter_s: float) -> float:
     """In rad/s; 0 where none has the margins."""
     low, high = 0.0, LARGEST_BANDWIDTH / axis.delay_s
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        margins = observer_margins(axis, proportional, middle, order)
+        margins = observer_margins(axis, proportional, middle, order, error_filter_s)
         if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
             low = middle
         else:

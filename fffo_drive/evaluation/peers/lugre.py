@@ -14,7 +14,7 @@ from typing import NamedTuple
 from ...control.feedforward import Reference
 from ...jit import njit
 from ...packing import reader
-from .constants import OWN, Floats, PeerConfig, command_for, filtered_error
+from .constants import LIMITED, OWN, Floats, PeerConfig, command_for, filtered_error
 
 
 class LugreModel(NamedTuple):
@@ -74,6 +74,8 @@ def lugre_step(parameters: Floats, memory: Floats, reference: Reference, velocit
     """The command (A) of one period."""
     config = unpack_lugre(parameters)
     error_rps = filtered_error(config.peer, memory, reference, velocity_rps)
-    observation = 0.0 if reference.ahead == 0.0 else config.gain_nm_per_rev * error_rps
+    # frozen at rest and while the last command was limited, as in controller_step
+    frozen = reference.ahead == 0.0 or memory[LIMITED] != 0.0
+    observation = 0.0 if frozen else config.gain_nm_per_rev * error_rps
     torque_nm, memory[OWN] = lugre_torque(config.model, memory[OWN], reference.ahead, observation, config.peer.period_s)
     return command_for(config.peer, memory, reference, error_rps, torque_nm)

@@ -1,0 +1,226 @@
+"""The laws of a comparison on one axis: this project's and its peers, on one model map and with one set of margins.
+
+Laws with a friction model have the gains of PI+FFFO+: their linear loop is the same PI plus L / s, wherever L goes.
+Those with a disturbance observer have the gains of `design.observer_gains` for the margins of that loop. The friction
+models are fitted to one record of the same plant and are then wrong by the same share.
+
+On another axis the gains follow inertia, torque constant and delay: with time in units of the delay the loop is the
+same one, but for the viscous damping, which is small beside J / Td.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from ...control.controller import ControllerConfig
+from ...control.pi import PiConfig
+from ...control.stability import LinearAxis, Margins, loop_margins
+from ...drive.simulated.parameters import PlantConfig, delay_budget
+from ...identification.tuning import Wish
+from ...model.friction import FrictionConfig
+from ...units import inertia_nm_s2_per_rev
+from ..campaign import Candidate
+from .constants import Floats, PeerConfig
+from .design import ObserverGains, observer_gains
+from .disturbance_observer import ObserverLoop
+from .fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction
+from .loop import PeerLaw
+from .lugre import LugreConfig, LugreModel
+from .maxwell_slip import SlipConfig, SlipModel
+
+Model = TypeVar("Model", FrictionConfig, LugreModel, SlipModel)
+
+PI, FFFO, PLUS = "pi", "pi+fffo", "pi+fffo+"
+OWN_LAWS = (PI, FFFO, PLUS)
+DOB_ORDER, ESO_ORDER = 1, 2
+
+
+class Models(NamedTuple):
+    """One friction map in the words of each model."""
+
+    two_state: FrictionConfig
+    lugre: LugreModel
+    slip: SlipModel
+
+
+class Scale(NamedTuple):
+    """Factors on a friction map, those of drive.simulated.surfaces.FrictionConfig.scaled."""
+
+    level: float = 1.0
+    rise: float = 1.0
+    stribeck_velocity: float = 1.0
+    stiffness: float = 1.0
+    memory: float = 1.0
+
+
+class AxisNumbers(NamedTuple):
+    """What the gains depend on."""
+
+    inertia_nm_s2_per_rev: float
+    torque_constant_nm_per_a: float
+    delay_s: float  # end to end, hold included
+    sensor_delay_s: float
+
+
+class Design(NamedTuple):
+    """Gains on the nominal axis, with what they were made for."""
+
+    nominal: AxisNumbers
+    margins: Margins  # of PI+FFFO+
+    disturbance: ObserverGains  # Q of first order
+    extended_state: ObserverGains  # Q of second order
+
+
+def axis_numbers(plant: PlantConfig) -> AxisNumbers:
+    """Numbers of a plant, effects left out."""
+    return AxisNumbers(
+        inertia_nm_s2_per_rev(plant.inertia_kg_m2),
+        plant.torque_constant_nm_per_a,
+        plant.delay_s + plant.extra_delay_s,
+        delay_budget(plant).tracking_loop_s,
+    )
+
+
+def fit_models(velocity_rps: Floats, friction_nm: Floats, period_s: float) -> tuple[Models, tuple[float, ...]]:
+    """All models along one record, arrays (n,); and the share of the friction (rms) that each of them leaves."""
+    found = [fit_friction(start, velocity_rps, friction_nm, period_s) for start in (TABLE_1, LUGRE_START, SLIP_START)]
+    return Models._make(one.model for one in found), tuple(one.left for one in found)
+
+
+def scaled(models: Models, scale: Scale) -> Models:
+    """The models of a friction map whose plant is scaled likewise."""
+
+    def changed(model: Model) -> Model:
+        coulomb_nm = scale.level * model.coulomb_nm
+        return model._replace(
+            coulomb_nm=coulomb_nm,
+            static_nm=coulomb_nm + scale.level * scale.rise * (model.static_nm - model.coulomb_nm),
+            stribeck_velocity_rps=scale.stribeck_velocity * model.stribeck_velocity_rps,
+        )
+
+    two_state, lugre, slip = changed(models.two_state), changed(models.lugre), changed(models.slip)
+    return Models(
+        two_state._replace(
+            stiffness_per_rev=scale.stiffness * two_state.stiffness_per_rev,
+            attraction_nm_per_rev=two_state.attraction_nm_per_rev / scale.memory,
+        ),
+        lugre._replace(stiffness_nm_per_rev=scale.stiffness * lugre.stiffness_nm_per_rev),
+        slip._replace(
+            stiffness_nm_per_rev=scale.stiffness * slip.stiffness_nm_per_rev,
+            attraction_nm_per_s=slip.attraction_nm_per_s / scale.memory,
+        ),
+    )
+
+
+def wrong(models: Models, share: float, seed: int) -> Models:
+    """Each number of each model wrong by `share`; the signs are drawn from the seed, the same for equal names."""
+    names = sorted({name for model in models for name in model._fields if name != "omega_form"})
+    drawn = np.random.default_rng([seed, 0xF]).choice((-1.0, 1.0), len(names))
+    factors = {name: 1.0 + share * float(sign) for name, sign in zip(names, drawn, strict=True)}
+
+    def changed(model: Model) -> Model:
+        return model._replace(**{n: factors[n] * getattr(model, n) for n in model._fields if n in factors})
+
+    return Models(changed(models.two_state), changed(models.lugre), changed(models.slip))
+
+
+def error_filter_s(config: ControllerConfig) -> float:
+    """Time constant of the error's filter."""
+    return -config.period_s / math.log1p(-config.error_share) if config.error_share < 1.0 else 0.0
+
+
+def design_for(plus: ControllerConfig, plant: PlantConfig) -> Design:
+    """Gains of the disturbance observers with the margins of PI+FFFO+ on this plant."""
+    numbers = axis_numbers(plant)
+    axis = LinearAxis(
+        numbers.inertia_nm_s2_per_rev,
+        plant.friction.viscous_nm_per_rps,
+        numbers.delay_s,
+        numbers.torque_constant_nm_per_a,
+    )
+    filter_s = error_filter_s(plus)
+    margins = loop_margins(
+        axis, plus.pi.proportional_a_per_rps, plus.pi.integral_a_per_rev, plus.observer.gain_nm_per_rev, filter_s
+    )
+    wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
+    disturbance, extended = (observer_gains(axis, order, wish, filter_s) for order in (DOB_ORDER, ESO_ORDER))
+    return Design(numbers, margins, disturbance, extended)
+
+
+def tuned_to(config: ControllerConfig, design: Design, axis: AxisNumbers, friction: FrictionConfig) -> ControllerConfig:
+    """A law of this project with the gains, shifts and friction of an axis; shifts that it does not have stay zero."""
+    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
+    current_ratio = inertia_ratio * design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
+    faster = design.nominal.delay_s / axis.delay_s
+    observer = config.observer
+    clamp_nm = observer.clamp_nm * friction.static_nm / observer.friction.static_nm
+    shifts = config.feedforward
+    ahead_ticks = (axis.delay_s - axis.sensor_delay_s) / config.period_s
+    behind_ticks = axis.sensor_delay_s / config.period_s
+    return config._replace(
+        pi=PiConfig(
+            config.pi.proportional_a_per_rps * current_ratio * faster,
+            config.pi.integral_a_per_rev * current_ratio * faster**2,
+        ),
+        observer=observer._replace(
+            friction=friction, clamp_nm=clamp_nm, gain_nm_per_rev=observer.gain_nm_per_rev * inertia_ratio * faster**2
+        ),
+        feedforward=shifts._replace(
+            inertia_nm_s2_per_rev=axis.inertia_nm_s2_per_rev if shifts.inertia_nm_s2_per_rev else 0.0,
+            ahead_ticks=ahead_ticks if shifts.ahead_ticks else 0.0,
+            behind_ticks=behind_ticks if shifts.behind_ticks else 0.0,
+        ),
+        torque_constant_nm_per_a=axis.torque_constant_nm_per_a,
+    )
+
+
+def laws_of(candidates: Sequence[Candidate], design: Design, axis: AxisNumbers, models: Models) -> list[PeerLaw]:
+    """PI, PI+FFFO, PI+FFFO+ and the peers, tuned to an axis. `candidates` are those of OWN_LAWS."""
+    by_name = {candidate.name: candidate for candidate in candidates}
+    own = [
+        PeerLaw(name, tuned_to(by_name[name].controller, design, axis, models.two_state), by_name[name].toggle)
+        for name in OWN_LAWS
+    ]
+    plus = own[-1].config
+    assert isinstance(plus, ControllerConfig)
+    gain = plus.observer.gain_nm_per_rev
+    peer = PeerConfig(
+        plus.pi,
+        plus.feedforward,
+        plus.torque_constant_nm_per_a,
+        plus.current_limit_a,
+        plus.period_s,
+        plus.error_share,
+    )
+    integral = plus.pi.integral_a_per_rev + gain / plus.torque_constant_nm_per_a
+    learning = peer._replace(pi=plus.pi._replace(integral_a_per_rev=integral))
+    in_friction = plus._replace(observer=plus.observer._replace(learns_in_integral=False))
+    return [
+        *own,
+        PeerLaw("2sep observer+", in_friction, own[-1].toggle),
+        PeerLaw("lugre observer+", LugreConfig(peer, models.lugre, gain)),
+        PeerLaw("lugre forward+", LugreConfig(learning, models.lugre, 0.0)),
+        PeerLaw("gms forward+", SlipConfig(learning, models.slip)),
+        PeerLaw("dob+", _observer_loop(peer, design, axis, design.disturbance, DOB_ORDER)),
+        PeerLaw("eso+", _observer_loop(peer, design, axis, design.extended_state, ESO_ORDER)),
+    ]
+
+
+def _observer_loop(
+    peer: PeerConfig, design: Design, axis: AxisNumbers, gains: ObserverGains, order: int
+) -> ObserverLoop:
+    faster = design.nominal.delay_s / axis.delay_s
+    per_torque = design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
+    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
+    proportional = gains.proportional_a_per_rps * inertia_ratio * per_torque * faster
+    return ObserverLoop(
+        peer._replace(pi=PiConfig(proportional, 0.0)),
+        axis.inertia_nm_s2_per_rev,
+        gains.bandwidth_rad_per_s * faster,
+        order,
+        axis.delay_s / peer.period_s,
+    )

@@ -1,0 +1,64 @@
+"""What the peers are measured by: errors against both velocities, reversals, the start of the record apart, effort."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..metrics import Floats, error_metrics
+from ..reversal import Reversals, find_reversals, reversal_lag
+from ..trace import Trace
+
+START_S = 2.0  # of the record: estimates begin at zero while the reference may already move
+
+
+class PeerMeasures(NamedTuple):
+    """One run; infinite throughout where the velocity is not finite."""
+
+    true_ise: float  # rps^2 s, against the shaft's velocity
+    true_mae: float  # rps
+    true_max: float  # rps
+    measured_ise: float  # rps^2 s, against the reported velocity
+    start_ise: float  # rps^2 s, of true_ise within START_S
+    after_ise: float  # the rest of it
+    crossing_rps: float  # mean of the error's magnitude where the reference crosses zero; NaN without a reversal
+    lag_ms: float  # mean magnitude over the reversals that were not missed; NaN without one
+    step_rms_a: float  # of the command from tick to tick
+
+
+NOT_FINITE = PeerMeasures(*len(PeerMeasures._fields) * (math.inf,))
+
+
+def measure_peer(trace: Trace) -> PeerMeasures:
+    """Measure a run on a simulated drive. Raises ValueError where the shaft's velocity is not known."""
+    if trace.true_rps is None:
+        raise ValueError("no true velocity in the trace: peers are compared on a simulated drive")
+    if not (np.isfinite(trace.true_rps).all() and np.isfinite(trace.measured_rps).all()):
+        return NOT_FINITE
+    error_rps = trace.reference_rps - trace.true_rps
+    true = error_metrics(error_rps, trace.period_s)
+    measured = error_metrics(trace.reference_rps - trace.measured_rps, trace.period_s)
+    start_rps = error_rps[: round(START_S / trace.period_s)]
+    start_ise = float(start_rps @ start_rps) * trace.period_s
+    reference = find_reversals(trace.reference_rps, trace.period_s)
+    return PeerMeasures(
+        true.ise,
+        true.mae,
+        true.max,
+        measured.ise,
+        start_ise,
+        true.ise - start_ise,
+        crossing_error_rps(reference, error_rps, trace.period_s),
+        reversal_lag(reference, find_reversals(trace.true_rps, trace.period_s)).mean_absolute_ms,
+        float(np.sqrt(np.mean(np.diff(trace.command_a) ** 2))) if trace.command_a.size > 1 else 0.0,
+    )
+
+
+def crossing_error_rps(reference: Reversals, error_rps: Floats, period_s: float) -> float:
+    """Mean magnitude of an error (n,) at the moments of reversals. Unlike a lag it does not depend on the slope."""
+    if reference.time_s.size == 0:
+        return float("nan")
+    at = np.interp(reference.time_s, np.arange(error_rps.size) * period_s, error_rps)
+    return float(np.abs(at).mean())

@@ -1,0 +1,295 @@
+"""Peers: the loop is the loop, laws are their equations, the design keeps its margins, measures their meaning."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.control.controller import ControllerConfig
+from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_reference
+from fffo_drive.control.pi import PiConfig
+from fffo_drive.control.stability import LinearAxis, loop_margins
+from fffo_drive.evaluation.campaign import simulate
+from fffo_drive.evaluation.peers import disturbance_observer as dob
+from fffo_drive.evaluation.peers.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
+from fffo_drive.evaluation.peers.design import observer_gains, observer_margins
+from fffo_drive.evaluation.peers.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
+from fffo_drive.evaluation.peers.laws import (
+    OWN_LAWS,
+    PLUS,
+    AxisNumbers,
+    Design,
+    Models,
+    Scale,
+    axis_numbers,
+    design_for,
+    error_filter_s,
+    laws_of,
+    scaled,
+    wrong,
+)
+from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
+from fffo_drive.evaluation.peers.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
+from fffo_drive.evaluation.peers.measures import NOT_FINITE, START_S, measure_peer
+from fffo_drive.evaluation.trace import Trace, trace_of
+from fffo_drive.identification.tuning import Wish
+from fffo_drive.packing import pack
+
+PAPER = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.yaml"
+PERIOD_S = 0.0005
+AXIS = LinearAxis(9.425e-4, 0.003, 0.003, 0.148)
+FILTER_S = 0.0002
+MODELS = Models(TABLE_1, LUGRE_START, SLIP_START)
+PEER = PeerConfig(
+    PiConfig(0.5, 0.0), FeedforwardConfig(0.0, 0.0, 0.0), AXIS.torque_constant_nm_per_a, 16.6, PERIOD_S, 1.0
+)
+
+
+@pytest.fixture(scope="module")
+def short() -> Scenario:
+    """The paper's scenario, three seconds of it."""
+    scenario = read_scenario(PAPER)
+    assert scenario.file.reference is not None
+    reference = scenario.file.reference.model_copy(update={"duration_s": 3.0})
+    return scenario._replace(file=scenario.file.model_copy(update={"reference": reference}))
+
+
+@pytest.fixture(scope="module")
+def design(short: Scenario) -> Design:
+    case = case_of(short, 1)
+    return design_for(next(c.controller for c in case.candidates if c.name == PLUS), case.plant)
+
+
+@pytest.mark.parametrize("name", [*OWN_LAWS, "pi+fbfo"])
+def test_a_law_of_this_project_runs_in_the_loop_of_peers_as_in_its_own(short, name):
+    case = case_of(short, 3)
+    candidate = next(one for one in case.candidates if one.name == name)
+    rows, trip = simulate(case, candidate)
+    own = trace_of(rows, case.profile.period_s, case.profile.values.size)
+    found = run_law(case.plant, case.device, PeerLaw(name, candidate.controller, candidate.toggle), case.profile).trace
+    assert trip == 0
+    for column in ("reference_rps", "measured_rps", "true_rps", "command_a"):
+        assert np.array_equal(getattr(own, column), getattr(found, column)), column
+
+
+@pytest.mark.parametrize("velocity_rps", [0.3, -2.0])
+def test_the_lugre_observer_is_its_differential_equation(velocity_rps):
+    """dz/dt = w - s0 |w| z / g + (L/s0) e over a period: the bristles exactly, the torque with their mean bending."""
+    model, observation_nm_per_s, start_nm = LUGRE_START, 0.7, 0.01
+    level_nm = stribeck_nm(*model[:4], abs(velocity_rps))
+
+    def slope(_, z):
+        bent = model.stiffness_nm_per_rev * abs(velocity_rps) / level_nm * z
+        return velocity_rps - bent + observation_nm_per_s / model.stiffness_nm_per_rev
+
+    z_rev = start_nm / model.stiffness_nm_per_rev
+    solved = solve_ivp(slope, (0.0, PERIOD_S), [z_rev], rtol=1e-11, atol=1e-15)
+    torque_nm, bristles_nm = lugre_torque(model, start_nm, velocity_rps, observation_nm_per_s, PERIOD_S)
+    after_rev = float(solved.y[0, -1])
+    assert bristles_nm == pytest.approx(model.stiffness_nm_per_rev * after_rev, rel=1e-9)
+    bending_rps = (after_rev - z_rev) / PERIOD_S
+    expected_nm = bristles_nm + model.damping_nm_per_rps * bending_rps + model.viscous_nm_per_rps * velocity_rps
+    assert torque_nm == pytest.approx(expected_nm, rel=1e-7)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=["2sep", "lugre", "slip"])
+@pytest.mark.parametrize("velocity_rps", [0.2, -3.0])
+def test_every_model_ends_on_the_same_stribeck_curve(model, velocity_rps):
+    torque_nm = friction_along(model, np.full(8000, velocity_rps), PERIOD_S)
+    expected_nm = stribeck_nm(0.025, 0.067, 0.733, 1.07, abs(velocity_rps)) + 0.003 * abs(velocity_rps)
+    assert torque_nm[-1] == pytest.approx(math.copysign(expected_nm, velocity_rps), rel=1e-6)
+
+
+def test_the_elements_of_maxwell_slip_are_springs_at_first():
+    """Nearly at rest all four stick: the sum of a geometric row of stiffnesses."""
+    start = SLIP_START._replace(viscous_nm_per_rps=0.0)
+    torque_nm = friction_along(start, np.full(4, 1e-3), PERIOD_S)
+    stiffness = 12.0 * (1.0 + 0.4 + 0.4**2 + 0.4**3)
+    assert torque_nm == pytest.approx(stiffness * 1e-3 * PERIOD_S * np.arange(1, 5), rel=1e-9)
+
+
+def test_a_lugre_observer_learns_nothing_while_the_command_is_limited():
+    parameters = pack(LugreConfig(PEER, LUGRE_START, 5.0))
+    reference = Reference(1.0, 0.0, 1.0, 0.0, 1.0)
+    free, limited = np.zeros(MEMORY_SLOTS), np.zeros(MEMORY_SLOTS)
+    limited[LIMITED] = 1.0
+    lugre_step(parameters, free, reference, 0.5)
+    lugre_step(parameters, limited, reference, 0.5)
+    _, without_nm = lugre_torque(LUGRE_START, 0.0, 1.0, 0.0, PERIOD_S)
+    assert limited[OWN] == without_nm
+    assert free[OWN] - without_nm == pytest.approx(5.0 * 0.5 * PERIOD_S, rel=0.2)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("load_nm", [0.05, -0.2])
+def test_a_disturbance_observer_carries_a_constant_load_at_no_error(order, load_nm):
+    """P alone would leave an error of load / (Kp Kt). The axis takes the command as late as the law thinks."""
+    ticks = 6
+    parameters = pack(dob.ObserverLoop(PEER, AXIS.inertia_nm_s2_per_rev, 100.0, order, float(ticks)))
+    memory = np.zeros(MEMORY_SLOTS)
+    late = deque([0.0] * ticks, maxlen=ticks)
+    velocity_rps, command_a = 0.0, 0.0
+    for _ in range(4000):
+        command_a = dob.observer_loop_step(parameters, memory, steady_reference(0.0), velocity_rps)
+        torque_nm = AXIS.torque_constant_nm_per_a * late[0] - load_nm
+        late.append(command_a)
+        velocity_rps += torque_nm / AXIS.inertia_nm_s2_per_rev * PERIOD_S
+    assert command_a * AXIS.torque_constant_nm_per_a == pytest.approx(load_nm, rel=1e-6)
+    assert abs(velocity_rps) < 1e-6
+    assert memory[INTEGRAL_A] == 0.0
+
+
+def test_margins_of_a_disturbance_observer_are_those_of_the_pi_that_it_is_without_delay():
+    """Q of first order, no delay: C = Kp Kt + wo J + Kp Kt wo / s, a PI."""
+    axis = AXIS._replace(delay_s=1e-9)
+    kt, bandwidth, proportional = axis.torque_constant_nm_per_a, 120.0, 0.6
+    as_pi = loop_margins(
+        axis, proportional + bandwidth * axis.inertia_nm_s2_per_rev / kt, proportional * bandwidth, 0.0
+    )
+    found = observer_margins(axis, proportional, bandwidth, 1)
+    assert found.crossover_hz == pytest.approx(as_pi.crossover_hz, rel=1e-3)
+    assert found.phase_deg == pytest.approx(as_pi.phase_deg, abs=0.05)
+
+
+def test_margins_without_an_observer_are_those_of_p_with_its_filter():
+    as_p = loop_margins(AXIS, 0.6, 0.0, 0.0, FILTER_S)
+    found = observer_margins(AXIS, 0.6, 1e-7, 1, FILTER_S)
+    assert found.phase_deg == pytest.approx(as_p.phase_deg, abs=0.05)
+    assert found.gain == pytest.approx(as_p.gain, rel=1e-3)
+    assert observer_margins(AXIS, 0.6, 1e-7, 1).phase_deg > found.phase_deg + 1.0
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_gains_of_an_observer_have_the_margins_that_were_asked_for_and_no_more(order):
+    wish = Wish(phase_margin_deg=46.0, gain_margin=3.0)
+    gains = observer_gains(AXIS, order, wish, FILTER_S)
+    found = observer_margins(AXIS, gains.proportional_a_per_rps, gains.bandwidth_rad_per_s, order, FILTER_S)
+    assert found.phase_deg >= 46.0
+    assert found.gain >= 3.0
+    assert min(found.phase_deg - 46.0, 100.0 * (found.gain - 3.0)) < 1.0  # one of the two binds
+    faster = observer_margins(AXIS, gains.proportional_a_per_rps, 1.05 * gains.bandwidth_rad_per_s, order, FILTER_S)
+    assert faster.phase_deg < 46.0 or faster.gain < 3.0
+
+
+@pytest.mark.parametrize("place", range(3), ids=Models._fields)
+def test_a_fit_finds_the_numbers_that_made_its_record(place):
+    rng = np.random.default_rng(place)
+    truth = MODELS[place]
+    numbers = [name for name in truth._fields if name != "omega_form"]
+    truth = truth._replace(**{n: getattr(truth, n) * float(rng.uniform(0.8, 1.25)) for n in numbers})
+    time_s = np.arange(20_000) * PERIOD_S
+    velocity_rps = sum(a * np.sin(2.0 * np.pi * f * time_s) for a, f in ((0.4, 3.1), (1.5, 0.9), (6.0, 0.13)))
+    found = fit_friction(MODELS[place], velocity_rps, friction_along(truth, velocity_rps, PERIOD_S), PERIOD_S)
+    assert found.left < 1e-3
+    for name in numbers:
+        if name != "damping_nm_per_rps":  # a thousandth of the torque along this motion
+            assert getattr(found.model, name) == pytest.approx(getattr(truth, name), rel=0.03), name
+
+
+def test_on_the_nominal_axis_the_configured_gains_stay(short, design):
+    case = case_of(short, 1)
+    laws = {law.name: law for law in laws_of(case.candidates, design, design.nominal, MODELS)}
+    plus = next(c.controller for c in case.candidates if c.name == PLUS)
+    own = laws[PLUS].config
+    assert isinstance(own, ControllerConfig)
+    assert own.pi == plus.pi
+    assert own.observer.gain_nm_per_rev == plus.observer.gain_nm_per_rev
+    assert own.feedforward.inertia_nm_s2_per_rev == pytest.approx(plus.feedforward.inertia_nm_s2_per_rev, rel=0.01)
+    assert own.feedforward.ahead_ticks == pytest.approx(plus.feedforward.ahead_ticks, abs=0.05)
+    paper = laws["pi+fffo"].config
+    assert isinstance(paper, ControllerConfig)
+    assert paper.feedforward == FeedforwardConfig(0.0, 0.0, 0.0)
+
+
+def test_laws_keep_their_margins_on_an_axis_with_other_numbers(short, design):
+    case = case_of(short, 1)
+    other = AxisNumbers(1.3 * design.nominal.inertia_nm_s2_per_rev, 0.11, 0.0045, 0.0007)
+    axis = LinearAxis(other.inertia_nm_s2_per_rev, 0.003, other.delay_s, other.torque_constant_nm_per_a)
+    laws = {law.name: law.config for law in laws_of(case.candidates, design, other, MODELS)}
+    own = laws[PLUS]
+    assert isinstance(own, ControllerConfig)
+    found = loop_margins(axis, *own.pi, own.observer.gain_nm_per_rev, error_filter_s(own))
+    assert found.phase_deg == pytest.approx(design.margins.phase_deg, abs=2.0)
+    loop = laws["dob+"]
+    assert isinstance(loop, dob.ObserverLoop)
+    margins = observer_margins(
+        axis, loop.peer.pi.proportional_a_per_rps, loop.bandwidth_rad_per_s, 1, error_filter_s(own)
+    )
+    assert margins.phase_deg == pytest.approx(design.disturbance.margins.phase_deg, abs=2.0)
+    assert loop.delay_ticks == pytest.approx(9.0)
+    # forward laws have the same integral action as those that observe
+    forward, observer = laws["lugre forward+"], laws["lugre observer+"]
+    assert isinstance(forward, LugreConfig)
+    assert isinstance(observer, LugreConfig)
+    more = forward.peer.pi.integral_a_per_rev - observer.peer.pi.integral_a_per_rev
+    assert more * other.torque_constant_nm_per_a == pytest.approx(observer.gain_nm_per_rev)
+
+
+def test_wrong_models_are_wrong_in_every_number_and_alike_by_name():
+    changed = wrong(MODELS, 0.1, 7)
+    for before, after in zip(MODELS, changed, strict=True):
+        for name in before._fields:
+            ratio = getattr(after, name) / getattr(before, name) if name != "omega_form" else 1.1
+            assert abs(abs(ratio - 1.0) - 0.1) < 1e-12
+    ratios = [after.coulomb_nm / before.coulomb_nm for before, after in zip(MODELS, changed, strict=True)]
+    assert ratios[0] == pytest.approx(ratios[1])
+    assert ratios[0] == pytest.approx(ratios[2])
+
+
+def test_a_scaled_model_is_the_model_of_the_scaled_plant(short):
+    """The plant's own `scaled` and the model's: one curve, one stiffness."""
+    scale = Scale(1.2, 0.8, 1.1, 1.3, 0.7)
+    plant = replace(case_of(short, 1).plant.friction, kind="single_2sep").scaled(**scale._asdict()).single
+    model = scaled(MODELS, scale).two_state
+    assert (model.coulomb_nm, model.static_nm) == pytest.approx((plant.coulomb_nm, plant.stiction_nm))
+    assert model.stribeck_velocity_rps == pytest.approx(plant.stribeck_rps)
+    assert model.stiffness_per_rev == pytest.approx(plant.stiffness_per_rev)
+    assert model.attraction_nm_per_rev == pytest.approx(plant.attraction_nm_per_rev)
+
+
+def test_an_axis_is_known_by_its_inertia_constant_and_whole_delay(short):
+    numbers = axis_numbers(case_of(short, 1).plant)
+    assert numbers.delay_s == pytest.approx(0.003)
+    assert numbers.inertia_nm_s2_per_rev == pytest.approx(2.0 * math.pi * 1.5e-4)
+    assert numbers.sensor_delay_s == pytest.approx(0.0007, abs=2e-5)
+
+
+def sine_trace(late_s: float) -> Trace:
+    """A sine of 2 rps and 1 Hz, and an axis that is late."""
+    time_s = np.arange(round(6.0 / PERIOD_S)) * PERIOD_S
+    reference_rps = 2.0 * np.sin(2.0 * np.pi * time_s + 0.5)
+    true_rps = 2.0 * np.sin(2.0 * np.pi * (time_s - late_s) + 0.5)
+    command_a = np.where(np.arange(time_s.size) % 2, 0.1, -0.1)
+    return Trace(PERIOD_S, reference_rps, true_rps + 0.01, true_rps, command_a)
+
+
+def test_measures_of_a_late_axis_are_in_closed_form():
+    found = measure_peer(sine_trace(0.004))
+    slope_rps2 = 2.0 * 2.0 * np.pi
+    assert found.lag_ms == pytest.approx(4.0, rel=1e-3)
+    assert found.crossing_rps == pytest.approx(slope_rps2 * 0.004, rel=2e-3)
+    chord = 2.0 * math.sin(math.pi * 0.004)  # of the sine against its delayed self, amplitude of the difference
+    assert found.true_ise == pytest.approx(0.5 * (2.0 * chord) ** 2 * 6.0, rel=1e-3)
+    assert found.measured_ise == pytest.approx(found.true_ise + 0.01**2 * 6.0, rel=1e-3)
+    assert found.start_ise == pytest.approx(found.true_ise * START_S / 6.0, rel=1e-3)
+    assert found.start_ise + found.after_ise == pytest.approx(found.true_ise, rel=1e-12)
+    assert found.step_rms_a == pytest.approx(0.2)
+
+
+def test_a_run_that_is_not_finite_is_infinitely_bad():
+    trace = sine_trace(0.0)
+    assert trace.true_rps is not None
+    trace.true_rps[-1] = np.nan
+    assert measure_peer(trace) == NOT_FINITE
+
+
+def test_a_trace_without_the_true_velocity_is_refused():
+    with pytest.raises(ValueError, match="compared on a simulated drive"):
+        measure_peer(sine_trace(0.0)._replace(true_rps=None))
