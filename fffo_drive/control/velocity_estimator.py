@@ -176,7 +176,8 @@ def velocity_estimator_step(
     """
     if not config.used:
         return VelocityEstimatorTerms(0.0, 0.0, measured.velocity_rps, False), estimator_at_rest()
-    if state.tick < 0 or measured.tick - state.fresh_tick > BRIDGED_TICKS:
+    without = measured.tick - state.fresh_tick - (1 if measured.fresh else 0)  # ticks without feedback
+    if state.tick < 0 or without > BRIDGED_TICKS:
         state = _begun(measured)
     else:
         if measured.tick - state.tick > 1:

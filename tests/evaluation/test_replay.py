@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runtime.scripted_port import STATUSWORD, scripted
+from runtime.scripted_port import ANSWERS, STATUSWORD, WAKE_DELAY_NS, scripted
 from runtime.test_loop import CONTROLLER, Rig, envelope
 
 from fffo_drive.cli import main
 from fffo_drive.control.controller import pack_controller
+from fffo_drive.control.envelope import TRIP_FOLLOWING_ERROR
 from fffo_drive.control.reference import MODE_VELOCITY
-from fffo_drive.evaluation.replay import WORDS, Replay, law_in_force
+from fffo_drive.control.velocity_estimator import BRIDGED_TICKS, estimator_config
+from fffo_drive.drive.cia402 import GOAL_ENABLED
+from fffo_drive.evaluation.replay import TERMS, WORDS, Replay, law_in_force
 from fffo_drive.recording.reader import read_run
+from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -108,3 +112,42 @@ def test_what_the_drive_does_not_heed_and_an_enable_delay_are_reproduced_from_th
     for column, name in enumerate(WORDS):
         np.testing.assert_array_equal(replayed.words[:, column], rows[name])
     np.testing.assert_array_equal(replayed.commands[:, 0], rows["limited_a"])
+
+
+def test_the_row_says_where_feedback_that_was_missing_took_the_estimate_away():
+    ticks = 400
+    config = CONTROLLER._replace(velocity=estimator_config(200.0, 9.4e-4, 0.148, 0.00205, 5e-4, 30.0, 8.0))
+    rig = Rig(scripted(ticks, velocity_rps=0.01))  # at a position that stands still
+    rig.blocks = b.new_blocks(config, 1000)
+    rig.blocks.control[b.GOAL] = GOAL_ENABLED
+    short, long = slice(100, 100 + BRIDGED_TICKS), slice(200, 205 + BRIDGED_TICKS)
+    rig.port.script[short, ANSWERS] = rig.port.script[long, ANSWERS] = 0
+    rig.port.script[300, WAKE_DELAY_NS] = 1_020_000  # two periods are skipped
+    rows = rig.run(ticks - 20, feedback_missing_ticks=50)
+    estimated = rows["flags"] & FLAG_ESTIMATED_VELOCITY != 0
+    settling = config.velocity.settling_ticks
+    tick = rows["tick"].astype(int)
+    acts = rows["mode"] == MODE_VELOCITY
+    begin = int(tick[acts][0])
+    lost = (tick >= 200 + BRIDGED_TICKS) & (tick < 205 + BRIDGED_TICKS + settling)
+    np.testing.assert_array_equal(estimated, (tick >= begin + settling) & ~lost)
+    taken = np.where(estimated, rows["estimated_rps"], rows["velocity_rps"])
+    np.testing.assert_array_equal(rows["error_rps"], rows["expected_rps"] - taken)
+    nowhere = np.zeros(rows.size, np.int64)
+    in_force = law_in_force([pack_controller(config)], [rig.blocks.effects[0]], envelope(feedback_missing_ticks=50))
+    replayed = Replay().run(in_force, rows, nowhere, nowhere)
+    assert replayed.known.all()
+    for column, name in enumerate(TERMS):
+        np.testing.assert_array_equal(replayed.terms[acts, column], rows[name][acts])
+
+
+def test_the_envelopes_following_error_is_that_of_the_drives_own_velocity():
+    # the estimate follows the position, which stands still; the drive says 3 rps, within what is believed
+    config = CONTROLLER._replace(velocity=estimator_config(200.0, 9.4e-4, 0.148, 0.00205, 5e-4, 30.0, 8.0))
+    rig = Rig(scripted(200, velocity_rps=3.0))
+    rig.blocks = b.new_blocks(config._replace(pi=config.pi._replace(proportional_a_per_rps=0.0)), 1000)
+    rig.blocks.control[b.GOAL] = GOAL_ENABLED
+    rows = rig.run(following_error_rps=2.0, following_error_s=0.05)
+    assert (np.abs(rows["error_rps"][60:90]) < 2.0).all()
+    assert (rows["flags"][60:90] & FLAG_ESTIMATED_VELOCITY != 0).all()
+    assert TRIP_FOLLOWING_ERROR in rows["trip"]

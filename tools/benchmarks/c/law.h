@@ -114,7 +114,8 @@ static struct velocity_estimator_terms velocity_estimator_step(const struct velo
         *state = ESTIMATOR_AT_REST;
         return terms;
     }
-    if (state->tick < 0 || measured->tick - state->fresh_tick > BRIDGED_TICKS) {
+    int64_t without = measured->tick - state->fresh_tick - (measured->fresh ? 1 : 0); /* ticks without feedback */
+    if (state->tick < 0 || without > BRIDGED_TICKS) {
         begin_estimate(state, measured);
     } else {
         if (measured->tick - state->tick > 1)
