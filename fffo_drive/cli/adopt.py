@@ -18,29 +18,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import (
-    DISABLED,
-    SAME_AXIS,
-    Gate,
-    gates,
-    put_in_service,
-    read_report,
-    refused_effects,
-    require_model,
-    require_other_model,
-    roll_back,
-)
-from ..config.axis import model_of, read_axis
-from ..daemon.client import CallError, ClientError, DaemonClient
-from ..daemon.places import SYSTEM_DIRECTORY, WATCH, user_directory
+from ..config.adoption import DISABLED, SAME_AXIS, Gate, roll_back
+from ..config.axis import read_axis
+from ..daemon.serving import torque_on
 from ..documents import DocumentError
-from ..model.parameters import read_model
+from ..workflows.adopt import adopt
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
 
 EXIT_REFUSED = 1
 EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT}  # the first that applies, in this order
-TORQUE_STATES = ("enabled", "preparing", "running", "following", "stopping")
-ANSWER_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,17 +51,10 @@ def execute(options: argparse.Namespace) -> int:
         raise DocumentError("a model file is needed, or --rollback: fffo-drive adopt MODEL --axis AXIS")
     model_path = Path(options.model)
     axis = read_axis(axis_path)
-    require_model(model_path)
-    model = read_model(model_path)
-    require_other_model(axis_path, axis, model_path)
-    report = read_report(model_path, Path(options.report) if options.report else None)
     serving = torque_on(axis.name, Path(options.sockets) if options.sockets else None)
-    found = gates(axis, model_of(axis_path, axis), model, report, serving)
-    passed = all(gate.passed for gate in found)
-    weak = refused_effects(model, found)
-    adopted = None
-    if passed and not options.dry_run:
-        adopted = put_in_service(axis_path, model_path, found)
+    report_path = Path(options.report) if options.report else None
+    result = adopt(axis_path, axis, model_path, report_path, serving, options.dry_run)
+    found, passed, adopted, weak = list(result.gates), result.passed, result.entry, result.refused_effects
     if options.json:
         print(json.dumps({
             "adopted": adopted is not None, "passed": passed, "gates": [gate._asdict() for gate in found],
@@ -111,20 +90,6 @@ def refusal(found: list[Gate]) -> str:
 def exit_code(found: list[Gate]) -> int:
     """The exit code of a refusal."""
     return EXIT_OF_GATE.get(refused(found)[0].name, EXIT_REFUSED)
-
-
-def torque_on(name: str, sockets: Path | None = None) -> bool | None:
-    """Whether the axis' daemon has torque on; None where no daemon answers."""
-    for directory in [sockets] if sockets else [home / name for home in (SYSTEM_DIRECTORY, user_directory())]:
-        path = directory / WATCH
-        if not path.exists():
-            continue
-        try:
-            with DaemonClient(path, ANSWER_S) as client:
-                return str(client.call("status")["state"]) in TORQUE_STATES
-        except (ClientError, CallError):
-            continue
-    return None
 
 
 def print_gates(found: list[Gate]) -> None:

@@ -35,10 +35,10 @@ from ..recording.reader import read_run
 from ..report.bench import BenchRecord, write_bench_report
 from ..runtime.runs import RunOutcome, record_live, timestamp_name
 from ..runtime.session import Session
-from .drives import Plan, make_plan, open_drive, plan_session, run_header
+from ..workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
+from ..workflows.recordings import recorder_hooks
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
-from .recordings import recorder_hooks
 from .simulated_process import SimulatedProcess
 
 CONFIGS = PACKAGE_DIRECTORY.parent / "configs"

@@ -20,15 +20,16 @@ from ..config.axis import AxisFile, beside, model_of, read_axis
 from ..config.commissioning import permission
 from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
-from ..config.plan import Plan, checked_plan, open_drive
 from ..documents import DocumentError, parse, read_text
 from ..drive.port import DriveError
 from ..evaluation.metrics import Rows
 from ..identification.gaps import LONGEST_FILL_S
 from ..runtime.runs import RunOutcome, simulated_ring_rows
+from ..workflows.plan import Plan, checked_plan, open_drive, toggle_name
+from ..workflows.record import record_run
+from ..workflows.recordings import claim, recorded_rows
 from .exits import DriveFaultError, RecordingGapError
-from .recordings import claim, recorded_rows
-from .run import record_run
+from .progress import progress_bar
 
 LOWER_RATES_HZ = (1000, 500)
 TRIES = 2  # at one rate
@@ -170,7 +171,8 @@ class Circle:
         ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s, SPARE_RING_S)
         drive = open_drive(plan, self._options.bus)
         try:
-            outcome = record_run(plan, drive, plan.toggle, path, given, self._options.json, ring_rows)
+            with progress_bar(f"{plan.axis.name} {toggle_name(plan.toggle)}", self._options.json) as progress:
+                outcome = record_run(plan, drive, plan.toggle, path, given, progress, ring_rows)
         except DriveError as error:
             if self.forgiving:
                 raise SpoiledRunError(f"{name}: {error}") from error

@@ -40,7 +40,6 @@ from ..config.axis import AxisFile, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, services, slope_margin
-from ..config.plan import checked_plan
 from ..config.simulated import read_simulated
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY
@@ -51,11 +50,11 @@ from ..report.circle import KIND, CircleRun, CircleSource, Tracking, as_object, 
 from ..report.document import provenance, source_file
 from ..report.page import refuse_other_report
 from ..runtime.runs import timestamp_name
+from ..workflows.plan import Plan, checked_plan, make_plan
+from ..workflows.recorded_facts import facts_of_axis
 from .adopt import print_gates, refusal
 from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
-from .drives import Plan, make_plan
 from .exits import EXIT_NOTHING_CARRIES_OVER, DriveFaultError
-from .recorded_facts import facts_of_axis
 from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1

@@ -40,7 +40,7 @@ from ..config.commissioning import declared_facts
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
 from ..model.parameters import content_hash
-from .drives import Plan, open_drive, plan_session
+from ..workflows.plan import Plan, open_drive, plan_session
 from .exits import DriveFaultError, UnconfirmedError
 
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}

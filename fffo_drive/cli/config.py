@@ -26,7 +26,7 @@ from ..control.friction_observer import TOGGLE_OFF
 from ..identification.facts import DriveFacts
 from ..model.parameters import ModelFile
 from ..signals import SIGNALS
-from .drives import Plan, make_plan, open_drive
+from ..workflows.plan import Plan, make_plan, open_drive
 
 SCHEMAS: dict[str, Any] = {
     "axis": AxisFile,

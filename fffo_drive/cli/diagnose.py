@@ -22,7 +22,6 @@ import difflib
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +30,6 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
 from ..identification.coverage import coverage_lines, coverage_of
 from ..identification.dataset import load_records
-from ..identification.declared import weight_remarks
 from ..model.effects.laws.lookup import KindWord
 from ..model.parameters import read_model, write_model
 from ..report.coverage import coverage_section
@@ -39,9 +37,10 @@ from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_dia
 from ..report.diagnose_figures import ROTARY, Words, words_of
 from ..report.document import SourceFile, provenance, source_file
 from ..report.page import JSON_NAME, refuse_other_report
+from ..workflows.diagnose import diagnose
+from ..workflows.recorded_facts import facts_for
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
-from .recorded_facts import facts_for
 
 MODEL_NAME = "model.yaml"
 CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
@@ -70,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from ..diagnosis.diagnose import DiagnosisSettings, diagnose  # compiles the library
+    from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
 
     facts = facts_for(options.drive, [*options.fit, *options.held_out])
     out = Path(options.out)
@@ -88,9 +87,7 @@ def execute(options: argparse.Namespace) -> int:
     if not options.json:
         print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
     with progress_bar("diagnose", options.json) as bar:
-        found = diagnose(fit, held_out, facts, model, settings, lambda share, text: bar(share) if bar else None)
-    accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
-    found = replace(found, cautions=(*found.cautions, *weight_remarks(facts, accepted, coverage.travel_rev)))
+        found = diagnose(fit, held_out, facts, model, settings, bar)
     name = options.name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
     files = _files([*filter(None, (options.drive, options.model)), *options.fit, *options.held_out])

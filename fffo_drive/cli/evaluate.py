@@ -23,19 +23,18 @@ from rich.table import Table
 from ..config.commissioning import permission
 from ..config.scenario import (
     Scenario,
-    cases_of,
     law_cautions,
     read_scenario,
-    select_controllers,
     yardstick_of,
 )
 from ..documents import DocumentError
-from ..evaluation.campaign import Evaluation, run_campaign
+from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
 from ..report.document import SourceFile, provenance, source_file
 from ..report.evaluate import EvaluationSource, write_evaluation_report
 from ..runtime.runs import timestamp_name
+from ..workflows.evaluate import narrowed, run_seeds
 from .evaluate_live import evaluate_on_bus, evaluate_recordings
 from .progress import progress_bar
 
@@ -105,14 +104,8 @@ def execute(options: argparse.Namespace) -> int:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     if options.scenario is None:
         return None
-    scenario = read_scenario(options.scenario)
-    if options.seeds is not None:
-        if options.seeds < 1:
-            raise DocumentError(f"evaluate: --seeds {options.seeds}: at least 1 is needed")
-        scenario = scenario._replace(file=scenario.file.model_copy(update={"seeds": options.seeds}))
-    if options.controllers:
-        scenario = select_controllers(scenario, [name.strip() for name in options.controllers.split(",")])
-    return scenario
+    names = [name.strip() for name in options.controllers.split(",")] if options.controllers else None
+    return narrowed(read_scenario(options.scenario), names, options.seeds)
 
 
 def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
@@ -126,8 +119,7 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
         where = "on a bus, in real time"
     else:
         with progress_bar(f"{file.name:8}", options.json) as progress:
-            done = None if progress is None else (lambda cases: progress(cases / file.seeds))
-            evaluations = run_campaign(cases_of(scenario), options.workers, done)
+            evaluations = run_seeds(scenario, options.workers, progress)
         where = "on the simulated drive in process"
     return Compared(
         f"Evaluation of {file.name}",

@@ -34,11 +34,11 @@ from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
 from ..runtime.runs import record_live
 from ..runtime.session import Session
-from .drives import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
+from ..workflows.plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
+from ..workflows.recordings import recorded_rows, recorder_hooks
+from ..workflows.replay import recorded_files
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
-from .recordings import recorded_rows, recorder_hooks
-from .replay import recorded_files
 from .simulated_process import SimulatedProcess
 
 NAMES = {"off": "pi", "fb": "pi+fbfo", "ff": "pi+fffo"}

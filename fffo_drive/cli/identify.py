@@ -16,18 +16,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..identification.coverage import coverage_lines, coverage_of
-from ..identification.cyclic import cyclic_error, cyclic_lines
+from ..identification.coverage import coverage_lines
+from ..identification.cyclic import cyclic_lines
 from ..identification.dataset import load_records
-from ..identification.fit import FitSettings, fit_records
-from ..identification.residuals import run_residuals
-from ..identification.results import model_file, report
 from ..model.parameters import write_model
 from ..report.identify import IdentifySource, identify_report
 from ..report.page import refuse_other_report, write_report
 from ..units import text_on
+from ..workflows.identify import identify
+from ..workflows.recorded_facts import facts_for
 from .progress import progress_bar
-from .recorded_facts import facts_for
 
 FIGURES = "figures"
 
@@ -54,21 +52,12 @@ def execute(options: argparse.Namespace) -> int:
         for warning in record.warnings:
             print(f"warning: {warning}", file=sys.stderr)
     with progress_bar("identify", options.json) as bar:
-        progress = None if bar is None else lambda share, _: bar(0.85 * share)
-        fit = fit_records(records, FitSettings(), facts, progress)
-        runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
-        coverage = coverage_of(records)
-        cyclic = cyclic_error(records)
-        result = report(fit, records, facts, runs) | {"coverage": coverage._asdict()}
-        if cyclic is not None:
-            result["cyclic_error"] = cyclic.as_plain()
-        if bar is not None:
-            bar(0.95)
-        out.mkdir(parents=True, exist_ok=True)
         name = options.name or out.resolve().name
-        write_model(out / "model.yaml", model_file(fit, records, name, facts.units))
+        found = identify(records, facts, name, None if bar is None else bar)
+        out.mkdir(parents=True, exist_ok=True)
+        write_model(out / "model.yaml", found.model)
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
-        page = identify_report(source, fit, records, runs, result, coverage, cyclic)
+        page = identify_report(source, found.fit, records, found.residuals, found.result, found.coverage, found.cyclic)
         paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -76,12 +65,12 @@ def execute(options: argparse.Namespace) -> int:
         write_figures(page.figures, out / FIGURES)
     if options.json:
         keys = ("parameters", "effects", "remarks", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
-        print(json.dumps({key: result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
+        print(json.dumps({key: found.result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
     else:
-        print("\n".join(coverage_lines(coverage, facts.units == "linear")))
-        _print(result)
-        if cyclic is not None:
-            print("\n".join(cyclic_lines(cyclic)))
+        print("\n".join(coverage_lines(found.coverage, facts.units == "linear")))
+        _print(found.result)
+        if found.cyclic is not None:
+            print("\n".join(cyclic_lines(found.cyclic)))
         print(out / "model.yaml")
         print(paths.page)
     return 0

@@ -13,23 +13,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
-from ..config.axis import AxisFile, controller_config, envelope_config, model_of, read_axis
-from ..config.effects import compensation_table
-from ..control.controller import pack_controller
-from ..documents import DocumentError
-from ..evaluation.replay_runs import Law, Replayer, ReplayReport, session_id
-from ..model.parameters import ModelFile, read_model
-from ..recording.reader import Run, read_metadata, read_run
+from ..evaluation.replay_runs import ReplayReport
+from ..workflows.replay import replay_files, with_continuations
 
 EXIT_DIFFERENT = 1
-MODEL_FORMAT = "fffo_drive/model/"
-AXIS_FORMAT = b"fffo_drive/axis/"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,78 +40,6 @@ def execute(options: argparse.Namespace) -> int:
     else:
         print("\n".join(sentences(files, report, options.other)))
     return 0 if report.exact or options.other else EXIT_DIFFERENT
-
-
-def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayReport:
-    """Replay recordings, one after the other. `other`: an axis or a model file. Raises DocumentError."""
-    replayer: Replayer | None = None
-    for file in files:
-        run = read_run(file)
-        if replayer is None:
-            replayer = Replayer(None if other is None else _other_law(other, run))
-        fallback = None
-        if session_id(run.records) is None and other is None:
-            fallback = _law_of(*recorded_files(run))
-        try:
-            replayer.take(run.rows, run.records, fallback)
-        except KeyError as error:
-            raise DocumentError(f"{file}: a record in it has no {error}: it cannot be replayed here") from None
-        except ValueError as error:
-            raise DocumentError(f"{file}: {error}; replay it with the version that wrote it") from None
-    assert replayer is not None
-    return replayer.report
-
-
-def with_continuations(files: Iterable[Path]) -> list[Path]:
-    """Each file with those beside it that continue it, unless they are given themselves."""
-    given = list(files)
-    found: list[Path] = []
-    for file in given:
-        found.append(file)
-        found += [other for other in _continuations(file) if other not in given]
-    return found
-
-
-def _continuations(file: Path) -> Iterator[Path]:
-    """NAME_002.mcap, NAME_003.mcap ... that say that they continue this file, also one that is being written."""
-    stem = file.name.removesuffix(".part").removesuffix(".mcap")
-    for other in sorted((*file.parent.glob(f"{stem}_[0-9]*.mcap"), *file.parent.glob(f"{stem}_[0-9]*.mcap.part"))):
-        if other != file and read_metadata(other).get("continues") == f"{stem}.mcap":
-            yield other
-
-
-def _law_of(axis: AxisFile, model: ModelFile) -> Law:
-    return Law(
-        np.array(pack_controller(controller_config(axis, model))),
-        compensation_table(axis, model),
-        envelope_config(axis),
-    )
-
-
-def _other_law(file: str, run: Run) -> Law:
-    """The law of an axis file; of a model file, with the axis file in the recording."""
-    try:
-        is_model = MODEL_FORMAT in Path(file).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        is_model = False  # reading it as an axis file says what is wrong
-    if is_model:
-        return _law_of(recorded_files(run)[0], read_model(file))
-    axis = read_axis(file)
-    return _law_of(axis, model_of(file, axis))
-
-
-def recorded_files(run: Run) -> tuple[AxisFile, ModelFile]:
-    """The axis file and the model that a recording carries. Raises DocumentError when they are not there."""
-    with tempfile.TemporaryDirectory() as directory:
-        for attachment in run.attachments.values():
-            (Path(directory) / Path(attachment.name).name).write_bytes(attachment.data)
-        for name in run.attachments:
-            path = Path(directory) / Path(name).name
-            if AXIS_FORMAT in path.read_bytes():
-                axis = read_axis(path)
-                flat = axis.model_copy(update={"model": Path(axis.model).name})
-                return axis, model_of(path, flat)
-    raise DocumentError(f"{run.path}: holds no axis file; name one with --with")
 
 
 def as_json(report: ReplayReport, files: Iterable[Path]) -> dict[str, object]:

@@ -8,23 +8,21 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..config.axis import TOGGLES, recorder_settings
-from ..config.commissioning import Permission, permission
-from ..drive.port import Drive, ExchangeCounts
-from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
+from ..config.axis import TOGGLES
+from ..config.commissioning import permission
+from ..drive.port import ExchangeCounts
 from ..model.effects.registry import name_error
-from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows, timestamp_name
-from ..runtime.session import Session
-from .drives import Plan, connect, effect_monitor, make_plan, open_drive, plan_session, run_header, toggle_name
+from ..runtime.runs import timestamp_name
+from ..workflows.plan import Plan, make_plan, open_drive, toggle_name
+from ..workflows.record import record_run, summarise
+from ..workflows.recordings import claim
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
-from .recordings import claim, recorded_rows, recorder_hooks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +59,8 @@ def execute(options: argparse.Namespace) -> int:
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    outcome = record_run(plan, drive, toggle, out, given, quiet=options.json)
+    with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", options.json or not drive.realtime) as progress:
+        outcome = record_run(plan, drive, toggle, out, given, progress)
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))
@@ -90,48 +89,6 @@ def _effect_name(text: str) -> str:
 
 def _default_path(plan: Plan) -> Path:
     return Path(plan.axis.recording.directory) / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
-
-
-def record_run(
-    plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission, quiet: bool, ring_rows: int | None = None
-) -> RunOutcome:  # fmt: skip
-    """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError."""
-    identity = connect(drive, given)
-    header = run_header(plan, identity, toggle, given)
-    settings, hooks = recorder_settings(plan.axis), recorder_hooks()
-    if not drive.realtime:
-        rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
-        with Session(drive, plan_session(plan, rows)) as session:
-            return record_simulated(session, plan.profile, toggle, out, header, settings, hooks)
-    with Session(drive, plan_session(plan, ring_rows)) as session:
-        report = session.start()
-        for refusal in report.refusals:
-            print(f"without real-time properties: {refusal}", file=sys.stderr)
-        with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", quiet) as progress:
-            monitor = effect_monitor(plan)
-            return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
-
-
-def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
-    """The result as one JSON object, from what was recorded."""
-    recorder = outcome.recorder
-    summary: dict[str, Any] = {
-        "axis": plan.axis.name,
-        "toggle": toggle_name(toggle),
-        "fault": outcome.fault_text,
-        "warnings": list(outcome.warnings),
-        "files": [str(file) for file in outcome.files],
-        "rows_written": recorder.rows_written,
-        "rows_lost": recorder.rows_lost,
-        "rows_dropped": recorder.rows_dropped,
-        "write_errors": recorder.write_errors,
-    }
-    rows = recorded_rows(outcome.files)
-    if rows.size:
-        summary["ticks"] = tick_statistics(rows, outcome.exchange)._asdict()
-    if profile_rows(rows, plan.profile.values.size).size:
-        summary["metrics"] = run_metrics(rows, plan.profile.period_s, plan.profile.values.size)._asdict()
-    return summary
 
 
 def _print(summary: dict[str, Any]) -> None:

@@ -9,31 +9,26 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
-from .. import formats
 from ..config.axis import loop_axis, read_axis
-from ..control.stability import LinearAxis, linear_axis, stuck_axis
-from ..documents import DocumentError, parse, read_text
-from ..identification.tuning import Design, Wish, design, root_locus, step_response
-from ..model.parameters import ModelFile, read_model
+from ..control.stability import linear_axis
+from ..documents import parse, read_text
+from ..identification.tuning import Design, Wish
+from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
 from ..report.tune import TuneSource, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
+from ..workflows.tune import tune
 
 FIGURES = "figures"
-LOCUS_POINTS = 61
-STEP_S = 0.4
-ROUNDING = 1e-6  # of margins
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,17 +63,17 @@ def execute(options: argparse.Namespace) -> int:
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
     axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
-    found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
-    _refuse_unstable(found, axis, wish, model)
+    tuned = tune(model, axis, wish)
+    found = tuned.design
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     refuse_other_report(out, "tune")
     out.mkdir(parents=True, exist_ok=True)
-    section = controller_section(found, limit_a)
+    section = tuned.section(limit_a)
     text = yaml.safe_dump({"controller": section}, sort_keys=False)
     written = [out / "controller.yaml"]
     written[0].write_text(text, encoding="utf-8")
-    result = summarise(found, axis)
+    result = tuned.summary()
     if options.axis:
         written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
@@ -113,75 +108,6 @@ def _commands(axis: Path | None, model: Path) -> list[str]:
         f"fffo-drive run {place} --toggle ff   # one profile, recorded",
         f"fffo-drive run {place} --toggle off  # the same under PI alone",
     ]
-
-
-def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
-    """The `controller:` section of an axis file."""
-    return {
-        "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
-        "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
-        "current_limit_a": current_limit_a,
-        "observer": {
-            "toggle": "ff",
-            "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
-            "learns_in": "integral",
-        },
-        "at_rest": {"gain_share": _rounded(found.gains.rest_share), "release_friction": True},
-    }
-
-
-def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
-    """The design, its root locus and its step, JSON-ready."""
-    gains = found.gains
-    integral_time_s = gains.proportional_a_per_rps / gains.integral_a_per_rev
-    locus = root_locus(axis, integral_time_s, gains.proportional_a_per_rps * np.geomspace(0.02, 10.0, LOCUS_POINTS))
-    step = step_response(axis, gains.proportional_a_per_rps, gains.integral_a_per_rev, STEP_S)
-    return {
-        "format": formats.TUNING.word,
-        "axis": axis._asdict(),
-        "gains": gains._asdict(),
-        "integral_time_s": integral_time_s,
-        "margins_pi": found.margins_pi._asdict(),
-        "margins_observer": found.margins_observer._asdict(),
-        "margins_rest": found.margins_rest._asdict(),
-        "condition_14_nm_per_rev": found.condition_14_nm_per_rev,
-        "real_poles_from_a_per_rps": found.real_poles_from_a_per_rps,
-        "overshoot_percent": found.overshoot_percent,
-        "settled_s": found.settled_s,
-        "damping_with_real_poles_nm_per_rps": found.without_overshoot._asdict()
-        | {"ratio": found.without_overshoot.ratio},
-        "damping_within_margins_nm_per_rps": found.within_margins._asdict() | {"ratio": found.within_margins.ratio},
-        "root_locus": [
-            {"proportional_a_per_rps": p.proportional_a_per_rps, "poles": [[z.real, z.imag] for z in p.poles]}
-            for p in locus
-        ],
-        "step": {"period_s": STEP_S / 400, "velocity_rps": step[:: step.size // 400].tolist()},
-        "warnings": list(found.warnings),
-    }
-
-
-def _rounded(value: float) -> float:
-    """Four digits, never more than it was: margins fall with each gain."""
-    exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
-    return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
-
-
-def _refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
-    """Gains below their own margins are not written. Raises DocumentError that names a crossover that holds them."""
-    margins = found.margins_observer
-    if margins.phase_deg >= wish.phase_margin_deg - ROUNDING and margins.gain >= wish.gain_margin - ROUNDING:
-        return
-    text = (
-        f"the loop would have a phase margin of {margins.phase_deg:.1f} deg and a gain margin of {margins.gain:.2f}; "
-        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are asked for. "
-    )
-    free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
-    if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
-        crossover_hz = free.margins_pi.crossover_hz
-        raise DocumentError(
-            f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}A crossover of {crossover_hz:.3g} Hz has them"
-        )
-    raise DocumentError(f"{model.name}: {text}No crossover has them: ask for smaller margins")
 
 
 def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..config.drive_section import CanopenDriveSection
-from ..config.plan import Plan, open_drive, plan_session
 from ..control.envelope import TRIP_NONE
 from ..documents import refuse
 from ..drive.canopen.drive import CanopenDrive
@@ -18,6 +17,7 @@ from ..runtime import blocks as b
 from ..runtime.realtime import RealtimeReport
 from ..runtime.ring import HEAD, copy_row
 from ..runtime.session import LoopHungError, Session
+from ..workflows.plan import Plan, open_drive, plan_session
 
 
 @dataclasses.dataclass

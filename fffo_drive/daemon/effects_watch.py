@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ..config.effects import service_bits
-from ..config.plan import Plan, effect_monitor
 from ..control.compensation import ALL_EFFECTS
 from ..recording.events import Level
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.effect_monitor import Phase
+from ..workflows.plan import Plan, effect_monitor
 from .connection import Connection
 from .event_log import EventLog
 

@@ -41,9 +41,9 @@ from typing import Any, Protocol
 
 from .. import __version__
 from ..config.axis import TOGGLES
-from ..config.plan import YAML_TYPE, Plan, toggle_name
 from ..recording.events import Level
 from ..runtime.states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
+from ..workflows.plan import YAML_TYPE, Plan, toggle_name
 from . import parameters as p
 from . import set_points, settings
 from .profiles import chosen_profile

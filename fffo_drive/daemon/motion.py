@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..config.plan import Plan
 from ..control.reference import MODE_VELOCITY, Profile
 from ..drive.cia402 import GOAL_ENABLED
 from ..runtime import blocks as b
 from ..runtime.session import Session
+from ..workflows.plan import Plan
 from .connection import Connection
 from .profiles import STOP, braking_ramp
 from .set_points import JOG, AskedSetPoint, standstill

@@ -9,10 +9,10 @@ import numpy as np
 
 from ..config.axis import build_profile
 from ..config.checks import motion_problems, profile_problems
-from ..config.plan import Plan
 from ..config.sections import ProfileSection, length_problems
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError
+from ..workflows.plan import Plan
 
 DEFAULT = "default"
 STOP = "stop"  # name of the ramp

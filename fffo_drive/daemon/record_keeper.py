@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from ..config.axis import beside, recorder_settings
-from ..config.plan import YAML_TYPE, Plan
 from ..recording.events import Level
 from ..recording.recorder import Recorder
 from ..recording.settings import RecorderHooks, RunHeader
 from ..recording.writer import wall_clock_offset_ns
 from ..runtime.runs import run_metadata, timestamp_name
+from ..workflows.plan import YAML_TYPE, Plan
 from .connection import Connection
 from .event_log import EventLog
 from .worker import Worker

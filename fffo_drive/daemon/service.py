@@ -14,13 +14,13 @@ from typing import NamedTuple, Protocol
 
 from .. import __version__
 from ..config.axis import realtime_request
-from ..config.plan import Plan, make_plan
 from ..documents import DocumentError
 from ..recording.events import Level
 from ..runtime.journal import Journal
 from ..runtime.notify import Notifier
 from ..runtime.realtime import require_realtime
 from ..runtime.states import AT_REST, Event
+from ..workflows.plan import Plan, make_plan
 from .connection import require_served
 from .methods import Api
 from .places import recordings_directory, socket_directory

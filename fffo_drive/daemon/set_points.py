@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 from ..config.axis import feedforward_config
-from ..config.plan import Plan
 from ..control.set_point import SetPoint
 from ..documents import DocumentError
+from ..workflows.plan import Plan
 
 JOG, VELOCITY, STEP, STOP = "jog", "velocity", "step", "stop"
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..config.axis import TOGGLES, AxisFile
-from ..config.plan import Plan, checked_plan, make_plan, proof_problems
 from ..config.sections import ControllerSection
 from ..documents import DocumentError, check
 from ..model.parameters import ModelFile, content_hash, read_model
 from ..runtime.states import Change
+from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems
 
 GAIN_KEYS = (
     "controller.proportional_a_per_rps",

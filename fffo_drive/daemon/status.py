@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..config.plan import toggle_name
 from ..control.envelope import TRIP_NONE
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..drive.cia402 import state_name
 from ..drive.port import exchange_counts
 from ..runtime import blocks as b
 from ..runtime.states import State
+from ..workflows.plan import toggle_name
 from .parameters import agreed_protocol
 from .profiles import profile_names
 from .set_points import latency_s

@@ -17,7 +17,6 @@ from ..can.link import LinkError
 from ..config.axis import controller_config, model_note
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
-from ..config.plan import Plan
 from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
@@ -28,6 +27,7 @@ from ..runtime import blocks as b
 from ..runtime.journal import Journal
 from ..runtime.runs import NOT_ENABLED, with_words
 from ..runtime.states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
+from ..workflows.plan import Plan
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
 from .event_log import EventLog

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..config.plan import Plan
 from ..control import envelope as env
 from ..control.reference import MODE_IDLE
 from ..drive.cia402 import (
@@ -16,6 +15,7 @@ from ..drive.cia402 import (
 from ..runtime import blocks as b
 from ..runtime.states import Event
 from ..runtime.tick import in_local_control
+from ..workflows.plan import Plan
 from .connection import Connection
 
 RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)

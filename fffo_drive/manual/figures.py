@@ -18,10 +18,10 @@ from matplotlib.patches import Circle, FancyBboxPatch
 
 from .. import units
 from ..config.checks import bus_sum
-from ..config.plan import Plan, make_plan
 from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
 from ..model.friction import REST, FrictionConfig, friction_step, steady_friction_nm
 from ..report.palette import FURNITURE, SERIES
+from ..workflows.plan import Plan, make_plan
 from .table_two import details, obstacles, read_data
 
 ORANGE, GREEN, BLUE = (SERIES[name].light for name in ("orange", "green", "blue"))

@@ -21,8 +21,6 @@ from interpreted import TESTS
 from recording.samples import WALL_NS, Disk, FakeClock, FakeRing, random_rows
 
 from fffo_drive.cli import main
-from fffo_drive.cli.drives import make_plan, open_drive, plan_session
-from fffo_drive.cli.recordings import recorded_rows
 from fffo_drive.cli.run import _print as print_summary
 from fffo_drive.config.axis import read_axis, recorder_settings
 from fffo_drive.control.envelope import TRIP_NONE
@@ -40,6 +38,8 @@ from fffo_drive.recording.settings import (
 )
 from fffo_drive.runtime.runs import RunOutcome, simulated_ring_rows
 from fffo_drive.runtime.session import Session
+from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
+from fffo_drive.workflows.recordings import recorded_rows
 
 FILES = TESTS / "bad_input" / "files"
 KILLS = 30

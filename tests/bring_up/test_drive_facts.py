@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from shared_data import shared_files
 from told_by import Paper, told, u32
 
-from fffo_drive.config.plan import make_plan
 from fffo_drive.drive.canopen.told import ToldObjects
 from fffo_drive.units import inertia_nm_s2_per_rev
 from fffo_drive.workflows.axis_draft import ACCELERATION_RPS2, Place, make_draft, model_file_of
 from fffo_drive.workflows.drive_facts import Answers, Fact, drive_facts
+from fffo_drive.workflows.plan import make_plan
 
 EPOS4 = {"vendor_id": 0xFB, "product_code": 0x61500000}
 

@@ -18,7 +18,6 @@ from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.cli import bring_up as command
 from fffo_drive.cli import main
-from fffo_drive.config.plan import make_plan
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.canopen import scan
 from fffo_drive.drive.canopen.lss import LssLink, LssMaster
@@ -28,6 +27,7 @@ from fffo_drive.workflows import bring_up as workflow
 from fffo_drive.workflows import rate_trial
 from fffo_drive.workflows.bring_up import Wishes, bring_up_axis
 from fffo_drive.workflows.drive_facts import Answers
+from fffo_drive.workflows.plan import make_plan
 
 NODE = 5
 LEVELS = ("failure", "warning")

@@ -8,12 +8,12 @@ from commissioning.test_record import CONFIGS, axis_file, record_for
 
 from fffo_drive.cli import commission, main
 from fffo_drive.cli.commission import found_text, next_line, verdict_line
-from fffo_drive.cli.drives import make_plan
 from fffo_drive.commissioning.estimate import HeldCurrent
 from fffo_drive.commissioning.judge import CHECKS, graded, not_done, told, within
 from fffo_drive.commissioning.motion_checks import Beliefs, current_scale
 from fffo_drive.commissioning.objects import NamePlate
 from fffo_drive.drive.port import DriveIdentity
+from fffo_drive.workflows.plan import make_plan
 
 IDENTITY = DriveIdentity(1, 2, 3, 4, "a servo drive", "1.0")
 NO_BUS = ["--bus", "socketcan:nosuch0"]

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from fffo_drive.cli import main
-from fffo_drive.cli.drives import connect, make_plan, run_header
 from fffo_drive.commissioning.judge import CHECKS, graded, not_done, told, within
 from fffo_drive.commissioning.record import (
     BoundsRecord,
@@ -23,6 +22,7 @@ from fffo_drive.config.commissioning import declared_facts, permission
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.port import DriveRefusedError
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.workflows.plan import connect, make_plan, run_header
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NAME = "canopen.commissioning.yaml"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from commissioning.misdeclared import HIGHEST_A, HIGHEST_REV, HIGHEST_RPS, LOWEST_REV, MisdeclaredDrive, TalkingDrive
 
-from fffo_drive.cli.drives import make_plan, plan_session
 from fffo_drive.commissioning.bounds import BoundsError, make_bounds
 from fffo_drive.commissioning.judge import CHECKS
 from fffo_drive.commissioning.procedure import commission
@@ -17,6 +16,7 @@ from fffo_drive.commissioning.record import DeclaredFacts, overall
 from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED
 from fffo_drive.drive.simulated.parameters import DeviceConfig, EffectConfig, PlantConfig, paper_plant
+from fffo_drive.workflows.plan import make_plan, plan_session
 
 pytestmark = pytest.mark.slow
 

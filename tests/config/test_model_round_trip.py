@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 import yaml
 
-from fffo_drive.cli.tune import linear_axis
 from fffo_drive.config.adoption import gates
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.config.effects import compensation_table, services, slope_margin
-from fffo_drive.config.plan import make_plan
 from fffo_drive.control.compensation import COUNT, MOST_EFFECTS
+from fffo_drive.control.stability import linear_axis
 from fffo_drive.model.effects.law import SearchContext
 from fffo_drive.model.effects.laws.lookup import (
     AXIS_CODES,
@@ -33,6 +32,7 @@ from fffo_drive.model.effects.laws.lookup import (
 )
 from fffo_drive.model.effects.registry import LAWS, vector_of
 from fffo_drive.model.parameters import EffectModel, Quantity, effect_errors, effect_model, read_model, write_model
+from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS_FILE = CONFIGS / "axis_simulated.yaml"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fffo_drive.config.plan import make_plan
 from fffo_drive.documents import DocumentError
+from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PROFILES = sorted((CONFIGS / "profiles").glob("*.yaml"))

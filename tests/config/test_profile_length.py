@@ -11,11 +11,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from fffo_drive.cli import main
 from fffo_drive.config.axis import build_profile
-from fffo_drive.config.plan import make_plan
 from fffo_drive.config.sections import LoopSection, ProfileSection, duration_s, length_problems
 from fffo_drive.daemon.profiles import chosen_profile
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.registry import LAWS
+from fffo_drive.workflows.plan import make_plan
 
 SECTIONS = TypeAdapter(ProfileSection)
 PERIOD_S = 0.001

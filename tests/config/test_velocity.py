@@ -9,9 +9,9 @@ import pytest
 from fffo_drive.cli import main
 from fffo_drive.config.axis import controller_config, loop_axis, model_of, read_axis
 from fffo_drive.config.checks import law_margins, law_problems, velocity_problems
-from fffo_drive.config.plan import make_plan
 from fffo_drive.control.velocity_estimator import DRIVE_VELOCITY
 from fffo_drive.documents import DocumentError
+from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 MODEL = (CONFIGS / "models" / "table1.yaml").read_text()

@@ -21,7 +21,6 @@ from bad_input.bus_node import BusNode
 from interpreted import TESTS
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.config.plan import make_plan
 from fffo_drive.daemon.client import DaemonClient
 from fffo_drive.daemon.methods import Api
 from fffo_drive.daemon.places import CONTROL, WATCH
@@ -31,6 +30,7 @@ from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.core import Node
 from fffo_drive.drive.simulated.node.faults import Fault
 from fffo_drive.runtime.journal import Journal
+from fffo_drive.workflows.plan import make_plan
 
 FILES = TESTS / "bad_input" / "files"
 PATIENCE_S = 60.0

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fffo_drive.config.plan import make_plan
 from fffo_drive.daemon import parameters as p
 from fffo_drive.daemon import settings
 from fffo_drive.daemon.parameters import METHODS, PROTOCOLS, agreed_protocol
 from fffo_drive.daemon.rpc import INVALID_PARAMS, RpcError
 from fffo_drive.daemon.server import _checked
 from fffo_drive.documents import DocumentError
+from fffo_drive.workflows.plan import make_plan
 
 SINE = {"kind": "sine", "duration_s": 5, "amplitude": 1, "frequency_hz": 1}
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.config.axis import read_axis
-from fffo_drive.config.plan import make_plan
 from fffo_drive.control.feedforward import FeedforwardConfig
 from fffo_drive.control.set_point import preview_ticks
 from fffo_drive.daemon import set_points
 from fffo_drive.documents import DocumentError
+from fffo_drive.workflows.plan import make_plan
 
 KEYS = {"acceleration_rps2": 20, "jerk_rps3": 300, "jog_timeout_s": 0.4, "largest_rps": 10}
 

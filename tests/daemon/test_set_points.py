@@ -17,10 +17,10 @@ from daemon.rig import PATIENCE_S, RATE_HZ, Rig, edit
 from daemon.test_supervisor import reached, refused
 
 from fffo_drive.cli import main
-from fffo_drive.cli.replay import replay_files
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, INVALID_PARAMS
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import Kind
+from fffo_drive.workflows.replay import replay_files
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from fffo_drive.cli import main
-from fffo_drive.cli.drives import make_plan, plan_session
-from fffo_drive.cli.recorded_facts import facts_for
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from fffo_drive.documents import DocumentError
@@ -22,6 +20,8 @@ from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.runs import simulated_ring_rows
 from fffo_drive.runtime.session import Session
 from fffo_drive.signals import ROW, UNITS
+from fffo_drive.workflows.plan import make_plan, plan_session
+from fffo_drive.workflows.recorded_facts import facts_for
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = CONFIGS / "axis_simulated.yaml"

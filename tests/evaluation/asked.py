@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from evaluation.gated import GatedDrive, GatedRun
 
-from fffo_drive.cli.replay import with_continuations
 from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note, session_config
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.config.sections import VelocitySection
@@ -24,6 +23,7 @@ from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recorder import Recorder
 from fffo_drive.recording.settings import RecorderHooks, RecorderSettings, RotationPolicy
 from fffo_drive.runtime import blocks as b
+from fffo_drive.workflows.replay import with_continuations
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = AxisFile.model_validate({

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from interpreted import hex_results
 
 from fffo_drive.cli import main
-from fffo_drive.cli.replay import replay_files
 from fffo_drive.config.axis import controller_config, envelope_config
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.control.controller import pack_controller
@@ -23,6 +22,7 @@ from fffo_drive.recording.run_records import Kind, decode_record, encode_record
 from fffo_drive.runtime import records as made
 from fffo_drive.runtime.tick import FLAG_EMERGENCY, FLAG_ESTIMATED_VELOCITY, LoopConfig
 from fffo_drive.signals import ROW
+from fffo_drive.workflows.replay import replay_files
 
 SMALL_FILES = 20_000  # bytes: a file holds some hundred rows
 

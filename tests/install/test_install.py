@@ -15,10 +15,10 @@ import pytest
 
 from fffo_drive.cli import main
 from fffo_drive.cli.install import hidden_from_services
-from fffo_drive.config.plan import make_plan
 from fffo_drive.system import placing, system_commands
 from fffo_drive.system import service_files as sf
 from fffo_drive.system.system_commands import after_install, after_removal
+from fffo_drive.workflows.plan import make_plan
 
 SOURCE = Path(__file__).resolve().parents[2]
 PROGRAM = "/opt/axis/bin/fffo-drive"

@@ -11,8 +11,7 @@ from identification.rig import TABLE_1
 from report.test_page import LARGEST_PAGE_BYTES, outline
 
 from fffo_drive.cli import main
-from fffo_drive.cli.tune import controller_section, linear_axis, summarise
-from fffo_drive.control.stability import loop_margins
+from fffo_drive.control.stability import linear_axis, loop_margins
 from fffo_drive.identification.tuning import Wish, design, judge
 from fffo_drive.model.parameters import read_model, write_model
 from fffo_drive.report.document import ReportFile
@@ -20,6 +19,7 @@ from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.static import write_figures
 from fffo_drive.report.tune import TuneSource, tune_report
 from fffo_drive.report.tune_figures import Tuning, open_loop
+from fffo_drive.workflows.tune import controller_section, summarise
 
 PERIOD_S = 0.0005
 

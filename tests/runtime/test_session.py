@@ -11,7 +11,6 @@ import pytest
 from daemon.rig import PATIENCE_S, ToldNode, axis_file
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.config.plan import make_plan, open_drive, plan_session
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.nmt import NmtState
 from fffo_drive.runtime import blocks as b
@@ -19,6 +18,7 @@ from fffo_drive.runtime import session as sessions
 from fffo_drive.runtime.realtime import RealtimeRefusedError, RealtimeRequest, require_realtime
 from fffo_drive.runtime.session import LoopHungError, Session
 from fffo_drive.units import NS_PER_S
+from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 

@@ -12,10 +12,10 @@ from uml.whole_run import Participants, WholeRun, axis_file, record, wait_for_tr
 
 from fffo_drive.can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, pack_frame
 from fffo_drive.can.link import open_link
-from fffo_drive.cli.drives import make_plan, open_drive
 from fffo_drive.control.envelope import TRIP_BUS_OFF, TRIP_NONE
 from fffo_drive.drive.cia402 import CONTROL_QUICK_STOP
 from fffo_drive.drive.port import BusUnavailableError
+from fffo_drive.workflows.plan import make_plan, open_drive
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 only_vcan = pytest.mark.parametrize("drive_bus", [pytest.param("vcan", marks=pytest.mark.vcan)], indirect=True)

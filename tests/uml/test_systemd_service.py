@@ -17,10 +17,10 @@ from needs import ROOT
 from fffo_drive.commissioning.judge import CHECKS, told
 from fffo_drive.commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
 from fffo_drive.config.commissioning import declared_facts
-from fffo_drive.config.plan import make_plan
 from fffo_drive.drive.simulated.node import emcy
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.runtime.journal import MESSAGE_IDS
+from fffo_drive.workflows.plan import make_plan
 
 pytestmark = [pytest.mark.slow, pytest.mark.uml, pytest.mark.systemd, pytest.mark.timeout(1500)]
 
@@ -58,7 +58,7 @@ DRIVE = {"format": "fffo_drive/simulated/1", "node_id": 1, "sync_loss_tolerance_
 # what the daemon and the drive run, compiled here where it is fast; prints where numba keeps it
 COMPILE = """\
 import sys
-from fffo_drive.config.plan import make_plan, open_drive, plan_session
+from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.daemon.connection import OnPaper
 from fffo_drive.drive.simulated.node.process import rehearse

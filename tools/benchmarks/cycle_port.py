@@ -14,7 +14,6 @@ import numpy as np
 
 from fffo_drive.can import frame as can
 from fffo_drive.can.link import Link, free_loopback_port, open_link
-from fffo_drive.cli.drives import Plan
 from fffo_drive.control.reference import Profile
 from fffo_drive.drive.canopen import cyclic  # noqa: F401  registers the kernels
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
@@ -31,6 +30,7 @@ from fffo_drive.drive.port import (
 from fffo_drive.jit import njit
 from fffo_drive.jit.libc import MSG_DONTWAIT, monotonic_ns, recv, send
 from fffo_drive.units import NS_PER_S
+from fffo_drive.workflows.plan import Plan
 
 STATUS_EVERY = 10  # SYNCs between answers with statusword and current
 ENABLED_STATUSWORD = 0x1637  # operation enabled

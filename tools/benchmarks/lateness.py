@@ -16,10 +16,10 @@ from cycle_port import socket_pair
 from in_c import compile_c, compiler_version
 from loop_cycle import Cycles
 
-from fffo_drive.cli.drives import make_plan
 from fffo_drive.runtime.realtime import RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
 from fffo_drive.runtime.tick import LoopConfig
 from fffo_drive.units import NS_PER_S
+from fffo_drive.workflows.plan import make_plan
 
 NAME = "lateness"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"

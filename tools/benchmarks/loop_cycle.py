@@ -25,7 +25,6 @@ from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 
 from fffo_drive.can import frame
-from fffo_drive.cli.drives import Plan, make_plan, plan_session
 from fffo_drive.config.sections import VelocitySection
 from fffo_drive.control import envelope, friction_observer, reference, velocity_estimator
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
@@ -41,6 +40,7 @@ from fffo_drive.runtime.loop import run_loop
 from fffo_drive.runtime.ring import new_ring
 from fffo_drive.runtime.tick import Baseline, Law, LoopConfig, ProfileCursor, Timing
 from fffo_drive.signals import ROW
+from fffo_drive.workflows.plan import Plan, make_plan, plan_session
 
 NAME = "loop_cycle"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"

@@ -18,14 +18,14 @@ import numpy as np
 from common import ROOT, Report, finish, main, parser, shown
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.cli.drives import Plan, connect, make_plan, open_drive, plan_session, run_header
-from fffo_drive.cli.recordings import recorded_rows
 from fffo_drive.config.commissioning import permission
 from fffo_drive.control.reference import Profile
 from fffo_drive.evaluation.metrics import TickStatistics, tick_statistics
 from fffo_drive.runtime.runs import record_live
 from fffo_drive.runtime.session import Session
 from fffo_drive.units import NS_PER_S
+from fffo_drive.workflows.plan import Plan, connect, make_plan, open_drive, plan_session, run_header
+from fffo_drive.workflows.recordings import recorded_rows
 
 NAME = "node"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"

@@ -13,7 +13,6 @@ from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 from plant_step import Floats, drive_plant
 
-from fffo_drive.cli.drives import make_plan, open_drive, plan_session
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.drive.simulated import friction, noise
 from fffo_drive.drive.simulated import state as at
@@ -22,6 +21,7 @@ from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime.runs import simulated_ring_rows
 from fffo_drive.runtime.session import Session
+from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 
 NAME = "plant"
 AXIS = ROOT / "configs" / "axis_simulated.yaml"

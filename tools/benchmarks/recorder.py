@@ -13,7 +13,6 @@ from common import ROOT, Figures, Report, finish, interleaved, main, paired_rati
 from mcap.opcode import Opcode
 from paced_port import paced
 
-from fffo_drive.cli.drives import Plan, make_plan, open_drive, plan_session
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import Profile
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
@@ -29,6 +28,7 @@ from fffo_drive.runtime.runs import simulated_ring_rows
 from fffo_drive.runtime.session import Session
 from fffo_drive.signals import ROW
 from fffo_drive.units import NS_PER_S
+from fffo_drive.workflows.plan import Plan, make_plan, open_drive, plan_session
 
 NAME = "recorder"
 AXIS = ROOT / "configs" / "axis_simulated.yaml"

@@ -6,6 +6,22 @@ import dataclasses
 from pathlib import Path
 from typing import NamedTuple
 
+from ..config.axis import (
+    TOGGLES,
+    AxisFile,
+    beside,
+    build_profile,
+    deciding_section,
+    model_of,
+    read_axis,
+    session_config,
+)
+from ..config.checks import bus_problems, law_problems, motion_problems, profile_problems, require, velocity_problems
+from ..config.commissioning import Permission, require_identity
+from ..config.drive_profile import profile_path
+from ..config.drive_section import CanopenDriveSection
+from ..config.effects import compensated_names, effect_problems
+from ..config.sections import ProfileSection, length_problems
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
 from ..documents import Record, load
@@ -16,13 +32,6 @@ from ..runtime.effect_monitor import EffectMonitor, MonitorConfig
 from ..runtime.runs import run_metadata
 from ..runtime.session import SessionConfig
 from ..units import NS_PER_S
-from .axis import TOGGLES, AxisFile, beside, build_profile, deciding_section, model_of, read_axis, session_config
-from .checks import bus_problems, law_problems, motion_problems, profile_problems, require, velocity_problems
-from .commissioning import Permission, require_identity
-from .drive_profile import profile_path
-from .drive_section import CanopenDriveSection
-from .effects import compensated_names, effect_problems
-from .sections import ProfileSection, length_problems
 
 YAML_TYPE = "application/yaml"
 
@@ -114,8 +123,8 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
         if on_bus.eds is not None:
             on_bus = dataclasses.replace(on_bus, eds=str(beside(plan.path, on_bus.eds)))
         return CanopenDrive(on_bus)
+    from ..config.simulated import read_simulated
     from ..drive.simulated.in_process import SimulatedDrive
-    from .simulated import read_simulated
 
     if bus is not None:
         require(plan.path, [f"drive.kind: simulated runs in process and has no bus: leave --bus {bus} out"])

@@ -1,0 +1,43 @@
+"""Logs of one axis to a model: the fit with its uncertainties, its residuals, and what the logs cover."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from ..identification.coverage import Coverage, coverage_of
+from ..identification.cyclic import CyclicError, cyclic_error
+from ..identification.dataset import Record
+from ..identification.facts import DriveFacts
+from ..identification.fit import Fit, FitSettings, fit_records
+from ..identification.residuals import RunResidual, run_residuals
+from ..identification.results import model_file, report
+from ..model.parameters import ModelFile
+
+FIT_SHARE = 0.85  # of the time that all of it takes
+
+
+class Identified(NamedTuple):
+    """What `identify` found."""
+
+    model: ModelFile
+    fit: Fit
+    residuals: list[RunResidual]
+    coverage: Coverage
+    cyclic: CyclicError | None  # of the sensor, where the logs show one
+    result: dict[str, Any]  # JSON-ready: parameters with intervals, effects, doubts, warnings
+
+
+def identify(
+    records: Sequence[Record], facts: DriveFacts, name: str, progress: Callable[[float], None] | None = None
+) -> Identified:
+    """Fit a model to records of one axis. Raises DataError for logs that carry no fit."""
+    told = None if progress is None else lambda share, _: progress(FIT_SHARE * share)
+    fit = fit_records(list(records), FitSettings(), facts, told)
+    residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
+    coverage = coverage_of(records)
+    cyclic = cyclic_error(records)
+    result = report(fit, records, facts, residuals) | {"coverage": coverage._asdict()}
+    if cyclic is not None:
+        result["cyclic_error"] = cyclic.as_plain()
+    return Identified(model_file(fit, records, name, facts.units), fit, residuals, coverage, cyclic, result)

@@ -1,0 +1,62 @@
+"""One profile on a drive, recorded: in process as fast as it goes, on a bus in real time."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..config.axis import recorder_settings
+from ..config.commissioning import Permission
+from ..drive.port import Drive
+from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
+from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows
+from ..runtime.session import Session
+from .plan import Plan, connect, effect_monitor, plan_session, run_header, toggle_name
+from .recordings import recorded_rows, recorder_hooks
+
+
+def record_run(
+    plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission,
+    progress: Callable[[float], None] | None = None, ring_rows: int | None = None,
+) -> RunOutcome:  # fmt: skip
+    """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError.
+
+    `progress` gets the share done (0 to 1) of a run in real time.
+    """
+    identity = connect(drive, given)
+    header = run_header(plan, identity, toggle, given)
+    settings, hooks = recorder_settings(plan.axis), recorder_hooks()
+    if not drive.realtime:
+        rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
+        with Session(drive, plan_session(plan, rows)) as session:
+            return record_simulated(session, plan.profile, toggle, out, header, settings, hooks)
+    with Session(drive, plan_session(plan, ring_rows)) as session:
+        report = session.start()
+        for refusal in report.refusals:
+            print(f"without real-time properties: {refusal}", file=sys.stderr)
+        monitor = effect_monitor(plan)
+        return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
+
+
+def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
+    """The result as one JSON object, from what was recorded."""
+    recorder = outcome.recorder
+    summary: dict[str, Any] = {
+        "axis": plan.axis.name,
+        "toggle": toggle_name(toggle),
+        "fault": outcome.fault_text,
+        "warnings": list(outcome.warnings),
+        "files": [str(file) for file in outcome.files],
+        "rows_written": recorder.rows_written,
+        "rows_lost": recorder.rows_lost,
+        "rows_dropped": recorder.rows_dropped,
+        "write_errors": recorder.write_errors,
+    }
+    rows = recorded_rows(outcome.files)
+    if rows.size:
+        summary["ticks"] = tick_statistics(rows, outcome.exchange)._asdict()
+    if profile_rows(rows, plan.profile.values.size).size:
+        summary["metrics"] = run_metrics(rows, plan.profile.period_s, plan.profile.values.size)._asdict()
+    return summary

@@ -1,0 +1,109 @@
+"""Gains for a fitted model, as the section of an axis file, and what speaks for them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import formats
+from ..control.stability import LinearAxis, stuck_axis
+from ..documents import DocumentError
+from ..identification.tuning import Design, Wish, design, root_locus, step_response
+from ..model.parameters import ModelFile
+
+LOCUS_POINTS = 61
+STEP_S = 0.4
+ROUNDING = 1e-6  # of margins
+
+
+class Tuned(NamedTuple):
+    """Gains, and the linear axis on which they were chosen."""
+
+    axis: LinearAxis
+    design: Design
+
+    def section(self, current_limit_a: float) -> dict[str, Any]:
+        """The `controller:` section of an axis file."""
+        return controller_section(self.design, current_limit_a)
+
+    def summary(self) -> dict[str, Any]:
+        """Gains, margins, root locus and step, JSON-ready."""
+        return summarise(self.design, self.axis)
+
+
+def tune(model: ModelFile, axis: LinearAxis, wish: Wish) -> Tuned:
+    """Choose gains for the linear axis of a model. Raises DocumentError where none has the wanted margins."""
+    found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
+    refuse_unstable(found, axis, wish, model)
+    return Tuned(axis, found)
+
+
+def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
+    """The `controller:` section of an axis file."""
+    return {
+        "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
+        "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
+        "current_limit_a": current_limit_a,
+        "observer": {
+            "toggle": "ff",
+            "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
+            "learns_in": "integral",
+        },
+        "at_rest": {"gain_share": _rounded(found.gains.rest_share), "release_friction": True},
+    }
+
+
+def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
+    """The design, its root locus and its step, JSON-ready."""
+    gains = found.gains
+    integral_time_s = gains.proportional_a_per_rps / gains.integral_a_per_rev
+    locus = root_locus(axis, integral_time_s, gains.proportional_a_per_rps * np.geomspace(0.02, 10.0, LOCUS_POINTS))
+    step = step_response(axis, gains.proportional_a_per_rps, gains.integral_a_per_rev, STEP_S)
+    return {
+        "format": formats.TUNING.word,
+        "axis": axis._asdict(),
+        "gains": gains._asdict(),
+        "integral_time_s": integral_time_s,
+        "margins_pi": found.margins_pi._asdict(),
+        "margins_observer": found.margins_observer._asdict(),
+        "margins_rest": found.margins_rest._asdict(),
+        "condition_14_nm_per_rev": found.condition_14_nm_per_rev,
+        "real_poles_from_a_per_rps": found.real_poles_from_a_per_rps,
+        "overshoot_percent": found.overshoot_percent,
+        "settled_s": found.settled_s,
+        "damping_with_real_poles_nm_per_rps": found.without_overshoot._asdict()
+        | {"ratio": found.without_overshoot.ratio},
+        "damping_within_margins_nm_per_rps": found.within_margins._asdict() | {"ratio": found.within_margins.ratio},
+        "root_locus": [
+            {"proportional_a_per_rps": p.proportional_a_per_rps, "poles": [[z.real, z.imag] for z in p.poles]}
+            for p in locus
+        ],
+        "step": {"period_s": STEP_S / 400, "velocity_rps": step[:: step.size // 400].tolist()},
+        "warnings": list(found.warnings),
+    }
+
+
+def _rounded(value: float) -> float:
+    """Four digits, never more than it was: margins fall with each gain."""
+    exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
+    return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
+
+
+def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
+    """Gains below their own margins are not written. Raises DocumentError that names a crossover that holds them."""
+    margins = found.margins_observer
+    if margins.phase_deg >= wish.phase_margin_deg - ROUNDING and margins.gain >= wish.gain_margin - ROUNDING:
+        return
+    text = (
+        f"the loop would have a phase margin of {margins.phase_deg:.1f} deg and a gain margin of {margins.gain:.2f}; "
+        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are asked for. "
+    )
+    free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
+    if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
+        crossover_hz = free.margins_pi.crossover_hz
+        raise DocumentError(
+            f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}A crossover of {crossover_hz:.3g} Hz has them"
+        )
+    raise DocumentError(f"{model.name}: {text}No crossover has them: ask for smaller margins")
