@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
@@ -17,7 +18,8 @@ from ..model.parameters import ModelFile
 FIT_SHARE = 0.85  # of the time that all of it takes
 
 
-class Identified(NamedTuple):
+@dataclass(frozen=True)
+class Identified:
     """What `identify` found."""
 
     model: ModelFile
@@ -26,6 +28,24 @@ class Identified(NamedTuple):
     coverage: Coverage
     cyclic: CyclicError | None  # of the sensor, where the logs show one
     result: dict[str, Any]  # JSON-ready: parameters with intervals, effects, doubts, warnings
+
+    def __repr__(self) -> str:
+        fitted = self._fitted()
+        said = ", ".join(f"{row['symbol']} {row['value']:.4g} {row['unit']}" for row in fitted[:3])
+        doubts = ", ".join(doubt["symbol"] for doubt in self.result["doubts"])
+        unknown = f"; not determined: {doubts}" if doubts else ""
+        return f"Identified({self.model.name!r}: {said} and {len(fitted) - 3} more{unknown})"
+
+    def _repr_html_(self) -> str:
+        cells = [
+            (row["symbol"], f"{row['value']:.5g}", "" if row["sd"] is None else f"{row['sd']:.2g}", row["unit"])
+            for row in self._fitted()
+        ]
+        rows = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in cells)
+        return f"<table><tr><th>parameter</th><th>value</th><th>sd</th><th>unit</th></tr>{rows}</table>"
+
+    def _fitted(self) -> list[dict[str, Any]]:
+        return [row for row in self.result["parameters"] if row["fitted"]]
 
 
 def identify(

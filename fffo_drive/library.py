@@ -1,0 +1,358 @@
+"""The library: what the command line does, as functions on arrays, files and records.
+
+    import fffo_drive as fd
+    run = fd.read_run({"time_s": t, "position_rev": x, "current_command_a": i}, torque_constant_nm_per_a=0.148)
+    print(fd.identify(run).model.friction)
+
+Signals have the names and units of `signals.ROW`: time_s, position_rev, velocity_rps, current_command_a, reference_rps.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .config.axis import TOGGLES, AxisFile, loop_axis, model_of
+from .config.axis import read_axis as read_axis_file
+from .config.commissioning import permission
+from .config.scenario import read_scenario
+from .control.stability import linear_axis
+from .daemon.serving import torque_on
+from .documents import DocumentError
+from .evaluation.metrics import ErrorMetrics, Rows, run_metrics, true_metrics
+from .evaluation.replay_runs import ReplayReport
+from .evaluation.summary import Summary
+from .identification.dataset import RECORDINGS, Record, load_record, one_rate, record_of_columns
+from .identification.facts import DriveFacts
+from .identification.facts import read_facts as read_facts
+from .identification.tuning import Wish
+from .model.parameters import ModelFile
+from .model.parameters import read_model as read_model
+from .recording.reader import read_run as read_recording
+from .recording.table import read_table
+from .runtime.runs import timestamp_name
+from .signals import UNITS
+from .workflows import adopt as adoption
+from .workflows import diagnose as diagnosing
+from .workflows import evaluate as evaluating
+from .workflows import identify as identifying
+from .workflows import replay as replaying
+from .workflows import simulate as simulating
+from .workflows import tune as tuning
+from .workflows.adopt import Adopted
+from .workflows.identify import Identified
+from .workflows.plan import Plan, make_plan, open_drive
+from .workflows.record import record_run
+from .workflows.recorded_facts import facts_for, facts_of_axis
+from .workflows.recordings import claim
+from .workflows.tune import Tuned
+
+if TYPE_CHECKING:
+    import pandas
+
+    from .diagnosis.results import Diagnosis
+
+Floats = np.ndarray[Any, np.dtype[Any]]
+Source = str | Path | Mapping[str, Any]
+SHOWN = (("reference_rps", "violet"), ("velocity_rps", "blue"))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis file with the model that it names."""
+
+    path: Path
+    file: AxisFile
+    model: ModelFile
+
+    def __repr__(self) -> str:
+        return f"Axis({str(self.path)!r}: {self.file.name}, {self.file.drive.kind} drive, model {self.model.name})"
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """One run of an axis: signals (n,) at one rate, by name; `run["velocity_rps"]` is one of them."""
+
+    name: str
+    columns: Mapping[str, Floats]
+    facts: DriveFacts | None
+    path: Path | None = None  # the file, where there is one
+    fault: str | None = None  # why it ended before its profile did
+    rows: Rows | None = field(default=None, repr=False)  # signals.ROW, of this project's own loop
+    profile_samples: int | None = None  # of the profile that ran, in those rows
+
+    def __getitem__(self, name: str) -> Floats:
+        if name not in self.columns:
+            raise KeyError(f"{self.name}: no signal {name!r}; there are {', '.join(self.columns)}")
+        return self.columns[name]
+
+    @property
+    def time_s(self) -> Floats:
+        """Seconds since the first sample, (n,)."""
+        return self["time_s"]
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def metrics(self) -> ErrorMetrics:
+        """ISE (rps^2 s), MAE, MAX, STD (rps) of the error while the profile ran: of the shaft's velocity where known.
+
+        Raises ValueError for a run that was not made by this project's loop.
+        """
+        if self.rows is None:
+            raise ValueError(f"{self.name}: no profile of this project's loop ran in it")
+        period_s = float(np.median(np.diff(self.time_s)))
+        known = bool(np.isfinite(self.rows["true_velocity_rps"]).all())
+        measure = true_metrics if known else run_metrics
+        return measure(self.rows, period_s, self.profile_samples)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A column a signal, units in the names, indexed by time_s. Needs pandas: pip install pandas."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        return pandas.DataFrame({name: np.asarray(values) for name, values in self.columns.items()}).set_index("time_s")
+
+    def record(self, facts: DriveFacts | None = None) -> Record:
+        """As `identify` and `diagnose` take it. Raises DataError with everything that speaks against a fit."""
+        chosen = facts or self.facts
+        if chosen is None:
+            raise DocumentError(f"{self.name}: nothing is declared about its drive: give torque_constant_nm_per_a")
+        if self.path is not None:
+            return load_record(self.path, chosen)
+        return record_of_columns(self.name, self.columns, chosen)
+
+    def __repr__(self) -> str:
+        size = f"{self.time_s.size} samples, {self.duration_s:.4g} s, {len(self.columns)} signals"
+        return f"MeasuredRun({self.name!r}: {size}{f', fault: {self.fault}' if self.fault else ''})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            f"<tr><td>{name}</td><td>{UNITS[name]}</td><td>{np.min(values):.4g}</td><td>{np.max(values):.4g}</td></tr>"
+            for name, values in self.columns.items()
+            if name in UNITS and np.issubdtype(np.asarray(values).dtype, np.floating)
+        ]
+        table = f"<table><tr><th>signal</th><th>unit</th><th>least</th><th>most</th></tr>{''.join(rows)}</table>"
+        return f"<p>{escape(repr(self))}</p>{self._picture()}<details><summary>signals</summary>{table}</details>"
+
+    def _picture(self) -> str:
+        """Velocity and reference over time, as SVG."""
+        from .report.figures import Axis as FigureAxis
+        from .report.figures import Figure, Series, Uniform
+        from .report.static import write_figure  # loads slowly
+
+        period_s = float(np.median(np.diff(self.time_s)))
+        series = tuple(
+            Series(name, Uniform(0.0, period_s), np.asarray(self.columns[name], float), colour)
+            for name, colour in SHOWN
+            if name in self.columns
+        )
+        if not series:
+            return ""
+        figure = Figure(
+            "velocity", "time", self.name, "velocity over time", FigureAxis("time", "s"),
+            FigureAxis("velocity", "rps"), series,
+        )  # fmt: skip
+        with tempfile.TemporaryDirectory() as directory:
+            path = Path(directory) / "velocity.svg"
+            write_figure(figure, path)
+            text = path.read_text(encoding="utf-8")
+        return text[text.index("<svg") :]
+
+
+def read_axis(path: str | Path) -> Axis:
+    """Read an axis file and its model. Raises DocumentError with every error, by file, line and key."""
+    path = Path(path)
+    file = read_axis_file(path)
+    return Axis(path, file, model_of(path, file))
+
+
+def read_run(
+    source: Source, *, facts: DriveFacts | str | Path | None = None, torque_constant_nm_per_a: float | None = None,
+    name: str | None = None,
+) -> MeasuredRun:  # fmt: skip
+    """Read a run: a recording (.mcap), a table (CSV, MAT), or a mapping of arrays (n,) by signal name.
+
+    `facts`: what is declared about the drive, or the file that says it; recordings carry it.
+    `torque_constant_nm_per_a` (Nm/A) alone is enough. Raises RecordingError or DocumentError.
+    """
+    declared = _facts(facts, torque_constant_nm_per_a)
+    if isinstance(source, Mapping):
+        arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
+        if "time_s" not in arrays:
+            raise DocumentError(f"{name or 'run'}: time_s: a mapping of arrays needs the time of each sample, in s")
+        return MeasuredRun(name or "run", arrays, declared)
+    path = Path(source)
+    if not path.name.endswith(RECORDINGS):
+        table = read_table(path, None if declared is None else declared.column_map(), uneven_time=True)
+        return MeasuredRun(name or path.name, dict(table.columns), declared, path)
+    recording = read_recording(path)
+    if declared is None:
+        declared = facts_for(None, [path])
+    if "profile_sample" not in recording.columns:
+        return MeasuredRun(name or path.name, dict(recording.columns), declared, path)
+    samples = recording.metadata.get("profile_samples")
+    return MeasuredRun(
+        name or path.name, dict(recording.columns), declared, path, None, np.asarray(recording.rows),
+        None if samples is None else int(samples),
+    )  # fmt: skip
+
+
+def _facts(facts: DriveFacts | str | Path | None, torque_constant_nm_per_a: float | None) -> DriveFacts | None:
+    if isinstance(facts, str | Path):
+        facts = read_facts(facts)
+    if torque_constant_nm_per_a is None:
+        return facts
+    if facts is not None:
+        return facts.model_copy(update={"torque_constant_nm_per_a": torque_constant_nm_per_a})
+    return DriveFacts(torque_constant_nm_per_a=torque_constant_nm_per_a)
+
+
+def simulate(
+    axis: Axis | str | Path, *, toggle: str | None = None, profile: str | Path | None = None, seed: int | None = None
+) -> MeasuredRun:
+    """Run an axis file on its simulated drive in process, many times faster than real time, without a file.
+
+    `toggle`: friction from "off", "ff" (reference) or "fb" (feedback); None: the file's. `profile`: a file with another
+    profile. `seed`: of the drive's noise. Raises DocumentError for what may not run.
+    """
+    plan, chosen = _plan(axis, toggle, profile)
+    found = simulating.simulate(plan, chosen, seed)
+    rows = found.rows
+    columns = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
+    columns["time_s"] = (rows["deadline_ns"] - rows["deadline_ns"][0]) * 1e-9
+    active = np.flatnonzero(rows["profile_sample"] >= 0)
+    inside = slice(int(active[0]), int(active[-1]) + 1) if active.size else slice(None)
+    columns = {name: values[inside] for name, values in columns.items()}
+    facts = DriveFacts.model_validate(facts_of_axis(plan.axis, plan.model))
+    samples = plan.profile.values.size
+    return MeasuredRun(plan.axis.name, columns, facts, None, found.fault, rows[inside], samples)
+
+
+def run(
+    axis: Axis | str | Path, out: str | Path | None = None, *, toggle: str | None = None,
+    profile: str | Path | None = None, bus: str | None = None, uncommissioned: bool = False,
+) -> MeasuredRun:  # fmt: skip
+    """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
+
+    `out`: the recording (None: recording.directory of the axis file). `bus` replaces the bus of the file.
+    `uncommissioned`: enable a drive that has no record of commissioning. Raises DriveError, DocumentError, OSError.
+    """
+    plan, chosen = _plan(axis, toggle, profile)
+    given = permission(plan.path, plan.axis, plan.model, uncommissioned)
+    name = f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
+    path = Path(out) if out is not None else Path(plan.axis.recording.directory) / name
+    claim(path)
+    outcome = record_run(plan, open_drive(plan, bus), chosen, path, given)
+    return replace(read_run(outcome.files[0]), fault=outcome.fault_text)
+
+
+def _plan(axis: Axis | str | Path, toggle: str | None, profile: str | Path | None) -> tuple[Plan, int]:
+    path = axis.path if isinstance(axis, Axis) else Path(axis)
+    if toggle is not None and toggle not in TOGGLES:
+        raise DocumentError(f"toggle: {toggle!r} is none of {', '.join(TOGGLES)}")
+    wanted = None if toggle is None else (TOGGLES[toggle],)
+    plan = make_plan(path, wanted, None, profile)
+    return plan, plan.toggle if wanted is None else wanted[0]
+
+
+def _records(runs: Sequence[MeasuredRun], facts: DriveFacts | None) -> tuple[list[Record], DriveFacts]:
+    """Records at one rate, and what is declared about their drive."""
+    chosen = facts or next((one.facts for one in runs if one.facts is not None), None)
+    if chosen is None:
+        raise DocumentError("nothing is declared about the drive: read_run(..., torque_constant_nm_per_a=...)")
+    return one_rate([one.record(chosen) for one in runs]), chosen
+
+
+def _several(runs: MeasuredRun | Sequence[MeasuredRun]) -> list[MeasuredRun]:
+    return [runs] if isinstance(runs, MeasuredRun) else list(runs)
+
+
+def identify(
+    runs: MeasuredRun | Sequence[MeasuredRun], *, facts: DriveFacts | None = None, name: str = "model"
+) -> Identified:
+    """Fit inertia, delay and 2SEP friction to runs of one axis. `.model` can be written, run and tuned.
+
+    Raises DataError for runs that carry no fit.
+    """
+    records, chosen = _records(_several(runs), facts)
+    return identifying.identify(records, chosen, name)
+
+
+def tune(
+    model: ModelFile, *, axis: Axis | None = None, rate_hz: float = 2000.0, bandwidth_hz: float | None = None,
+    phase_margin_deg: float = Wish().phase_margin_deg, gain_margin: float = Wish().gain_margin,
+) -> Tuned:  # fmt: skip
+    """Gains with the largest integral action within the margins (deg, factor). `bandwidth_hz`: a wanted crossover.
+
+    `axis`: its rate and its source of velocity count; None: `rate_hz` and the drive's velocity. Raises DocumentError.
+    """
+    linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
+    return tuning.tune(model, linear, Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin))
+
+
+def diagnose(
+    runs: MeasuredRun | Sequence[MeasuredRun], held_out: MeasuredRun | Sequence[MeasuredRun] = (), *,
+    model: ModelFile | None = None, facts: DriveFacts | None = None,
+) -> Diagnosis:  # fmt: skip
+    """Find what the model lacks on `runs`, prove it on `held_out`. `model`: the base (None: identified from the runs).
+
+    `.headline` says it in a sentence, `.findings` have size, interval and proof, `.model_after` is the model with them.
+    """
+    chosen_runs, proof = _several(runs), _several(held_out)
+    records, chosen = _records([*chosen_runs, *proof], facts)
+    count = len(chosen_runs)
+    return diagnosing.diagnose(records[:count], records[count:], chosen, model)
+
+
+def adopt(
+    model: str | Path, axis: Axis | str | Path, *, report: str | Path | None = None, dry_run: bool = False
+) -> Adopted:
+    """Put a diagnosed model file in service on an axis when every gate passes; with `dry_run` only look.
+
+    `report`: the diagnosis' report.json (None: beside the model). A daemon that has torque on is a gate.
+    """
+    chosen = axis if isinstance(axis, Axis) else read_axis(axis)
+    serving = torque_on(chosen.file.name)
+    report_path = None if report is None else Path(report)
+    return adoption.adopt(chosen.path, chosen.file, Path(model), report_path, serving, dry_run)
+
+
+def evaluate(
+    scenario: str | Path, *, controllers: Sequence[str] | None = None, seeds: int | None = None,
+    workers: int | None = None,
+) -> Summary:  # fmt: skip
+    """Compare the controllers of a scenario file over seeds: `.figure("true.ise", "pi+fffo+")` and all others.
+
+    `workers`: processes (None: one a core). Raises DocumentError, and ValueError when no seed ran to its end.
+    """
+    chosen = evaluating.narrowed(read_scenario(scenario), controllers, seeds)
+    return evaluating.evaluate(chosen, workers)
+
+
+def replay(
+    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], instead: str | Path | None = None
+) -> ReplayReport:
+    """Put recordings through the law and the envelope again: `.exact` where every command is the same bit for bit.
+
+    `instead`: an axis or model file whose law is run on the recorded feedback. Raises DocumentError.
+    """
+    several = [runs] if isinstance(runs, MeasuredRun | str | Path) else list(runs)
+    paths = []
+    for one in several:
+        path = one.path if isinstance(one, MeasuredRun) else Path(one)
+        if path is None:
+            raise DocumentError(f"{one!r}: only a recorded run can be replayed: make it with run()")
+        paths.append(path)
+    return replaying.replay_files(replaying.with_continuations(paths), None if instead is None else str(instead))
