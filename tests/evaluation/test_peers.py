@@ -146,6 +146,24 @@ def test_a_disturbance_observer_carries_a_constant_load_at_no_error(order, load_
     assert memory[INTEGRAL_A] == 0.0
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_disturbance_observer_takes_neither_inertia_nor_delay_for_a_disturbance(order):
+    """On an axis without friction that is as late as the law thinks, the estimate is zero whatever the motion."""
+    ticks = 6
+    # a command is held for a period: on average it is half of one later than the whole ticks
+    parameters = pack(dob.ObserverLoop(PEER, AXIS.inertia_nm_s2_per_rev, 158.0, order, ticks + 0.5))
+    memory = np.zeros(MEMORY_SLOTS)
+    late = deque([0.0] * ticks, maxlen=ticks)
+    velocity_rps, largest_nm = 0.0, 0.0
+    for tick in range(4000):
+        reference = steady_reference(3.0 * math.sin(0.02 * tick))
+        command_a = dob.observer_loop_step(parameters, memory, reference, velocity_rps)
+        largest_nm = max(largest_nm, abs(memory[dob.FIRST_NM]), abs(memory[dob.SECOND_NM]))
+        velocity_rps += AXIS.torque_constant_nm_per_a * late[0] / AXIS.inertia_nm_s2_per_rev * PERIOD_S
+        late.append(command_a)
+    assert largest_nm < 1e-12
+
+
 def test_margins_of_a_disturbance_observer_are_those_of_the_pi_that_it_is_without_delay():
     """Q of first order, no delay: C = Kp Kt + wo J + Kp Kt wo / s, a PI."""
     axis = AXIS._replace(delay_s=1e-9)

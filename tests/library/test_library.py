@@ -16,12 +16,13 @@ import fffo_drive as fd
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.evaluation.metrics import error_metrics
+from fffo_drive.model.parameters import write_model
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = CONFIGS / "axis_simulated.yaml"
 NAMES = {
-    "Axis", "MeasuredRun", "adopt", "diagnose", "evaluate", "identify", "read_axis", "read_facts", "read_model", "read_run",
-    "replay", "run", "simulate", "tune",
+    "Axis", "MeasuredRun", "adopt", "diagnose", "evaluate", "identify", "read_axis", "read_facts", "read_model",
+    "read_run", "replay", "run", "simulate", "tune",
 }  # fmt: skip
 
 
@@ -88,12 +89,11 @@ def test_a_recorded_run_is_replayed_bit_for_bit_and_another_model_asks_for_anoth
     friction = axis.model.friction
     stiffer = friction.coulomb_nm.model_copy(update={"value": 1.5 * friction.coulomb_nm.value})
     other = axis.model.model_copy(update={"friction": friction.model_copy(update={"coulomb_nm": stiffer})})
-    from fffo_drive.model.parameters import write_model
-
     write_model(tmp_path / "other.yaml", other)
     changed = fd.replay(recorded, tmp_path / "other.yaml")
     expected_a = 0.5 * friction.coulomb_nm.value / axis.model.torque_constant_nm_per_a
-    assert changed.rms_difference_a == pytest.approx(expected_a, rel=0.15)
+    assert 0.9 * expected_a < changed.largest_difference_a  # all of it in sliding, less in presliding
+    assert 0.5 * expected_a < changed.rms_difference_a < expected_a
 
 
 def test_a_run_that_was_not_recorded_is_not_replayed(simulated):

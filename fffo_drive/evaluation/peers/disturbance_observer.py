@@ -17,8 +17,8 @@ from ...jit import njit
 from ...packing import reader
 from .constants import MEMORY_SLOTS, OWN, Floats, PeerConfig, command_for, filtered_error
 
-TORQUE_NM = OWN  # through the first low-pass: torque on time, and torque of the inertia
-VELOCITY_RPS = OWN + 1  # through it
+FIRST_NM = OWN  # estimate through the first low-pass
+VELOCITY_RPS = OWN + 1  # of the last period
 SECOND_NM = OWN + 2  # estimate through the second low-pass
 HISTORY = OWN + 3  # commands, the last one first
 LONGEST_DELAY_TICKS = MEMORY_SLOTS - HISTORY - 2
@@ -45,14 +45,14 @@ def observer_loop_step(parameters: Floats, memory: Floats, reference: Reference,
     error_rps = filtered_error(peer, memory, reference, velocity_rps)
     kept = math.exp(-config.bandwidth_rad_per_s * peer.period_s)
     history = memory[HISTORY:]
-    given_nm = peer.torque_constant_nm_per_a * read_samples(history, history.size, config.delay_ticks - 1.0)
-    memory[TORQUE_NM] = given_nm + (memory[TORQUE_NM] - given_nm) * kept
-    memory[VELOCITY_RPS] = velocity_rps + (memory[VELOCITY_RPS] - velocity_rps) * kept
-    # Q J s w = J wo (w - its low-pass)
-    fast_rps = velocity_rps - memory[VELOCITY_RPS]
-    first_nm = memory[TORQUE_NM] - config.inertia_nm_s2_per_rev * config.bandwidth_rad_per_s * fast_rps
-    memory[SECOND_NM] = first_nm + (memory[SECOND_NM] - first_nm) * kept
-    missing_nm = memory[SECOND_NM] if config.order == 2 else first_nm
+    # a difference of velocities is the acceleration half a period ago: the command that made it is as much older
+    given_nm = peer.torque_constant_nm_per_a * read_samples(history, history.size, config.delay_ticks - 0.5)
+    inertia_nm = config.inertia_nm_s2_per_rev * (velocity_rps - memory[VELOCITY_RPS]) / peer.period_s
+    memory[VELOCITY_RPS] = velocity_rps
+    unexplained_nm = given_nm - inertia_nm
+    memory[FIRST_NM] = unexplained_nm + (memory[FIRST_NM] - unexplained_nm) * kept
+    memory[SECOND_NM] = memory[FIRST_NM] + (memory[SECOND_NM] - memory[FIRST_NM]) * kept
+    missing_nm = memory[SECOND_NM] if config.order == 2 else memory[FIRST_NM]
     command_a = command_for(peer, memory, reference, error_rps, missing_nm)
     for place in range(MEMORY_SLOTS - 1, HISTORY, -1):
         memory[place] = memory[place - 1]
