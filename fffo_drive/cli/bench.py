@@ -30,18 +30,17 @@ from ..evaluation.metrics import (
     run_metrics,
     tick_statistics,
 )
-from ..jit import PACKAGE_DIRECTORY
 from ..recording.reader import read_run
 from ..report.bench import BenchRecord, write_bench_report
 from ..runtime.runs import RunOutcome, record_live, timestamp_name
 from ..runtime.session import Session
+from ..system.service_files import sources
 from ..workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
 from ..workflows.recordings import recorder_hooks
 from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 from .simulated_process import SimulatedProcess
 
-CONFIGS = PACKAGE_DIRECTORY.parent / "configs"
 CONTROLLERS = {"PI": TOGGLE_OFF, "PI+FBFO": TOGGLE_FEEDBACK, "PI+FFFO": TOGGLE_FEEDFORWARD}
 QUICK_S = 10.0
 
@@ -62,9 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--quick", action="store_true", help=f"{QUICK_S:g} s a controller instead of the file's duration"
     )
     parser.add_argument("--bus", help="bus for drive and controller, e.g. socketcan:vcan0 (default: a loopback bus)")
-    parser.add_argument("--config", default=str(CONFIGS / "axis_bench.yaml"), help="axis file (default: %(default)s)")
+    _, configs = sources()
+    parser.add_argument("--config", default=str(configs / "axis_bench.yaml"), help="axis file (default: %(default)s)")
     parser.add_argument(
-        "--drive", default=str(CONFIGS / "simulated_drive.yaml"), help="simulated drive (default: %(default)s)"
+        "--drive", default=str(configs / "simulated_drive.yaml"), help="simulated drive (default: %(default)s)"
     )
     parser.add_argument("--out", default="runs", metavar="DIR", help="directory for the recordings (default: runs)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else on stdout")

@@ -49,6 +49,13 @@ def sources() -> tuple[Path, Path]:
     raise FileNotFoundError(2, "the package has no service files; install it again with pip", str(PACKAGE / "files"))
 
 
+def example_files() -> dict[str, bytes]:
+    """Everything below `configs`, by its path there, in order. Raises FileNotFoundError."""
+    _, configs = sources()
+    files = sorted(path for path in configs.rglob("*") if path.is_file())
+    return {path.relative_to(configs).as_posix(): path.read_bytes() for path in files}
+
+
 def service_files(program: Path, networks: Iterable[str] = ()) -> list[ServiceFile]:
     """All files, filled in: `program` is what the unit starts.
 

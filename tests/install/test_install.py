@@ -178,3 +178,41 @@ def test_the_wheel_brings_all_files(tmp_path):
     assert done.stderr == ""
     expected = {file.path: file.content for file in sf.service_files(Path(PROGRAM))}
     assert {path: (root / path).read_bytes() for path in expected} == expected
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(tmp_path):
+    """No source tree, no file of it: examples, a run, a model, gains, a comparison, the library."""
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        cwd=SOURCE, check=True, capture_output=True,
+    )  # fmt: skip
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    place = tmp_path / "place"
+    place.mkdir()
+    environment = dict(os.environ, PYTHONPATH=str(tmp_path / "site"), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+
+    def typed(*words: str) -> str:
+        done = subprocess.run([sys.executable, *words], capture_output=True, text=True, cwd=place, env=environment)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    program = ("-m", "fffo_drive")
+    where = typed("-c", "import fffo_drive; print(fffo_drive.__file__)")
+    assert where.startswith(str(tmp_path / "site"))
+    typed(*program, "init")
+    (place / "short.yaml").write_text("profile: {kind: paper, duration_s: 15, seed: 3}\n")
+    assert "ok" in typed(*program, "config", "check", "configs/axis_simulated.yaml")
+    run = typed(*program, "run", "configs/axis_simulated.yaml", "--profile", "short.yaml", "--out", "a.mcap")
+    assert "a.mcap" in run
+    assert "bit for bit" in typed(*program, "replay", "a.mcap")
+    typed(*program, "identify", "a.mcap", "--out", "model")
+    typed(*program, "tune", "model/model.yaml", "--axis", "configs/axis_simulated.yaml", "--out", "tuned")
+    typed(*program, "evaluate", "configs/scenarios/paper.yaml", "--controllers", "pi", "--seeds", "1", "--out", "page")
+    assert (place / "page" / "report.html").is_file()
+    assert typed(*program, "bench", "--help").count(str(tmp_path / "site")) == 2  # its files are in the wheel
+    library = "import fffo_drive as fd; print(fd.replay('a.mcap').exact)"
+    assert typed("-c", library).strip() == "True"

@@ -69,7 +69,7 @@ def test_a_simulated_run_has_signals_with_units_and_the_metrics_of_its_error(sim
     error_rps = simulated["reference_rps"] - simulated["true_velocity_rps"]
     inside = simulated["profile_sample"] < simulated.profile_samples
     expected = error_metrics(error_rps[inside], 5e-4)
-    assert simulated.metrics == expected
+    assert simulated.metrics == pytest.approx(expected, rel=1e-12)
     assert simulated.duration_s == pytest.approx(12.25, abs=1e-3)  # and the standstill after it
     assert repr(simulated).startswith("MeasuredRun('simulated': 245")
     page = simulated._repr_html_()
