@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 from pathlib import Path
+
+import fffo_drive
 
 from .building import SCRIPTS, SOURCE_TREE
 from .figures import draw_all
@@ -29,8 +32,7 @@ def write_generated(source: Path) -> None:
     for folder, origin in (("tables", TABLES), ("results", RESULTS)):
         _copy_pages(origin, source / folder)
     (source / "howto" / "mistakes.md").write_text(mistakes((TABLES / "bad_input.md").read_text(encoding="utf-8")))
-    if SCRIPTS.is_dir():
-        shutil.copytree(SCRIPTS, source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(SCRIPTS, source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
     (source / "tutorial" / "library.md").write_text(library(source / "scripts"), encoding="utf-8")
 
 
@@ -80,21 +82,26 @@ def mistakes(text: str) -> str:
 
 
 def library(scripts: Path) -> str:
-    """The chapter on the library, with each script that ships."""
-    found = sorted(scripts.glob("*.py")) if scripts.is_dir() else []
+    """The chapter on the library: every public name, and each script that ships."""
     lines = [
         "# Using the library",
         "",
         "The commands are functions of the package. A script or a notebook imports them:",
         "",
         "```python",
-        "import fffo_drive",
+        "import fffo_drive as fd",
+        "",
+        'run = fd.simulate("configs/axis_simulated.yaml", toggle="ff")',
+        "print(run.metrics)",
+        'velocity_rps = run["velocity_rps"]',
         "```",
         "",
+        "A run is a set of arrays with units in their names ({doc}`/reference/signals`). It comes from a recording, a",
+        "table, arrays of your own, or the simulated drive; `run.to_pandas()` makes a data frame of it. No file is needed",
+        "where arrays will do.",
+        "",
     ]
-    if not found:
-        lines += LIBRARY_TODAY
-    for path in found:
+    for path in sorted(scripts.glob("*.py")):
         title = path.stem.replace("_", " ")
         lines += [
             f"## {title[:1].upper()}{title[1:]}",
@@ -104,31 +111,9 @@ def library(scripts: Path) -> str:
             "```",
             "",
         ]
+    lines += ["## All names", ""]
+    for name in fffo_drive.__all__:
+        member = getattr(fffo_drive, name)
+        called = f"fd.{name}{inspect.signature(member)}" if inspect.isfunction(member) else f"fd.{name}"
+        lines += ["```text", called.replace("'", ""), "```", "", inspect.getdoc(member) or "", ""]
     return "\n".join([*lines, "The layout of the package is described in {doc}`/explanation/house`.", ""])
-
-
-LIBRARY_TODAY = """\
-## Read a recording
-
-```python
-from fffo_drive.recording.reader import read_run
-
-run = read_run("runs/first.mcap")
-time_s, velocity_rps = run.columns["time_s"], run.columns["velocity_rps"]
-```
-
-Every column of {doc}`/reference/signals` is a NumPy array. All arrays have the same length, so
-`pandas.DataFrame(run.columns)` works where pandas is installed.
-
-## Fit a model to arrays or a data frame
-
-```python
-from fffo_drive.identification.fit import FitSettings, fit_records
-from fffo_drive.importing.frames import record_of
-
-record, facts, found = record_of(frame, torque_constant_nm_per_a=0.13)
-fit = fit_records([record], FitSettings(), facts)
-```
-
-`frame` is a dictionary of arrays, or a frame of pandas or polars. `found` says which column was taken for which signal.
-""".splitlines()
