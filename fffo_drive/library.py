@@ -23,13 +23,14 @@ from .config.axis import TOGGLES, AxisFile, loop_axis, model_of
 from .config.axis import read_axis as read_axis_file
 from .config.commissioning import permission
 from .config.scenario import read_scenario
+from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
 from .daemon.serving import torque_on
 from .documents import DocumentError
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics, true_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary
-from .identification.dataset import RECORDINGS, Record, load_record, one_rate, record_of_columns
+from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
 from .identification.facts import DriveFacts
 from .identification.facts import read_facts as read_facts
 from .identification.tuning import Wish
@@ -47,6 +48,7 @@ from .workflows import replay as replaying
 from .workflows import simulate as simulating
 from .workflows import tune as tuning
 from .workflows.adopt import Adopted
+from .workflows.errors import RecordingGapError
 from .workflows.identify import Identified
 from .workflows.plan import Plan, make_plan, open_drive
 from .workflows.record import record_run
@@ -61,7 +63,7 @@ if TYPE_CHECKING:
 
 Floats = np.ndarray[Any, np.dtype[Any]]
 Source = str | Path | Mapping[str, Any]
-SHOWN = (("reference_rps", "violet"), ("velocity_rps", "blue"))
+SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))  # signal, colour of the palette
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,9 @@ class MeasuredRun:
             raise DocumentError(f"{self.name}: nothing is declared about its drive: give torque_constant_nm_per_a")
         if self.path is not None:
             return load_record(self.path, chosen)
-        return record_of_columns(self.name, self.columns, chosen)
+        open_loop = "mode" in self.columns and not (self["mode"] == MODE_VELOCITY).any()
+        given = {name: self[name] for name in self.columns if not (open_loop and name == "reference_rps")}
+        return record_of_columns(self.name, given, chosen)
 
     def __repr__(self) -> str:
         size = f"{self.time_s.size} samples, {self.duration_s:.4g} s, {len(self.columns)} signals"
@@ -247,7 +251,8 @@ def run(
     """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
 
     `out`: the recording (None: recording.directory of the axis file). `bus` replaces the bus of the file.
-    `uncommissioned`: enable a drive that has no record of commissioning. Raises DriveError, DocumentError, OSError.
+    `uncommissioned`: enable a drive that has no record of commissioning. Raises DriveError, DocumentError, OSError, and
+    RecordingGapError where the recording is not whole.
     """
     plan, chosen = _plan(axis, toggle, profile)
     given = permission(plan.path, plan.axis, plan.model, uncommissioned)
@@ -255,6 +260,11 @@ def run(
     path = Path(out) if out is not None else Path(plan.axis.recording.directory) / name
     claim(path)
     outcome = record_run(plan, open_drive(plan, bus), chosen, path, given)
+    if outcome.gap_text is not None:
+        raise RecordingGapError(f"{path}: {outcome.gap_text}")
+    if len(outcome.files) > 1:
+        names = ", ".join(map(str, outcome.files))
+        raise DocumentError(f"{names}: `recording` of the axis file divided the run: read each with read_run")
     return replace(read_run(outcome.files[0]), fault=outcome.fault_text)
 
 
@@ -268,11 +278,20 @@ def _plan(axis: Axis | str | Path, toggle: str | None, profile: str | Path | Non
 
 
 def _records(runs: Sequence[MeasuredRun], facts: DriveFacts | None) -> tuple[list[Record], DriveFacts]:
-    """Records at one rate, and what is declared about their drive."""
-    chosen = facts or next((one.facts for one in runs if one.facts is not None), None)
+    """Records at one rate under names of their own, and what is declared about their drive."""
+    declared = [one for one in runs if one.facts is not None]
+    chosen = facts or (declared[0].facts if declared else None)
     if chosen is None:
         raise DocumentError("nothing is declared about the drive: read_run(..., torque_constant_nm_per_a=...)")
-    return one_rate([one.record(chosen) for one in runs]), chosen
+    other = next((one for one in declared if one.facts != chosen), None)
+    if facts is None and other is not None:
+        raise DocumentError(
+            f"{other.name}: its facts are not those of {declared[0].name}: runs of one axis belong "
+            "together; where they are of one axis, give facts="
+        )
+    records = [one.record(chosen) for one in runs]
+    names = distinct_names([record.path for record in records])
+    return one_rate([replace(record, name=name) for record, name in zip(records, names, strict=True)]), chosen
 
 
 def _several(runs: MeasuredRun | Sequence[MeasuredRun]) -> list[MeasuredRun]:
@@ -309,11 +328,16 @@ def diagnose(
     """Find what the model lacks on `runs`, prove it on `held_out`. `model`: the base (None: identified from the runs).
 
     `.headline` says it in a sentence, `.findings` have size, interval and proof, `.model_after` is the model with them.
+    Raises DataError for runs that carry no fit, DocumentError for a run that is on both sides.
     """
     chosen_runs, proof = _several(runs), _several(held_out)
     records, chosen = _records([*chosen_runs, *proof], facts)
-    count = len(chosen_runs)
-    return diagnosing.diagnose(records[:count], records[count:], chosen, model)
+    fit, proven = records[: len(chosen_runs)], records[len(chosen_runs) :]
+    seen = {record.digest for record in fit}
+    both = next((run for run, record in zip(proof, proven, strict=True) if record.digest in seen), None)
+    if both is not None:
+        raise DocumentError(f"{both.name}: a run cannot be fitted and held out")
+    return diagnosing.diagnose(fit, proven, chosen, model)
 
 
 def adopt(

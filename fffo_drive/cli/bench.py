@@ -35,9 +35,9 @@ from ..report.bench import BenchRecord, write_bench_report
 from ..runtime.runs import RunOutcome, record_live, timestamp_name
 from ..runtime.session import Session
 from ..system.service_files import sources
+from ..workflows.errors import DriveFaultError, RecordingGapError
 from ..workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
 from ..workflows.recordings import recorder_hooks
-from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 from .simulated_process import SimulatedProcess
 

@@ -25,10 +25,10 @@ from ..drive.port import DriveError
 from ..evaluation.metrics import Rows
 from ..identification.gaps import LONGEST_FILL_S
 from ..runtime.runs import RunOutcome, simulated_ring_rows
+from ..workflows.errors import DriveFaultError, RecordingGapError
 from ..workflows.plan import Plan, checked_plan, open_drive, toggle_name
 from ..workflows.record import record_run
 from ..workflows.recordings import claim, recorded_rows
-from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 
 LOWER_RATES_HZ = (1000, 500)

@@ -40,8 +40,9 @@ from ..config.commissioning import declared_facts
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
 from ..model.parameters import content_hash
+from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan, open_drive, plan_session
-from .exits import DriveFaultError, UnconfirmedError
+from .exits import UnconfirmedError
 
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}
 

@@ -34,10 +34,10 @@ from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
 from ..runtime.runs import record_live
 from ..runtime.session import Session
+from ..workflows.errors import DriveFaultError, RecordingGapError
 from ..workflows.plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
 from ..workflows.recordings import recorded_rows, recorder_hooks
 from ..workflows.replay import recorded_files
-from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 from .simulated_process import SimulatedProcess
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..directories import ForeignDirectoryError
 from ..documents import DocumentError
+from ..workflows.errors import DriveFaultError, RecordingGapError
 
 EXIT_OK = 0
 EXIT_NOTHING_CARRIES_OVER = 65  # a diagnosis whose effects the held-out runs refuse: there is no model
@@ -15,16 +16,8 @@ EXIT_BAD_INPUT = 78  # systemd does not restart on it
 EXIT_INTERRUPTED = 130
 
 
-class DriveFaultError(Exception):
-    """A run that ended with a fault."""
-
-
 class UnconfirmedError(Exception):
     """Something would move, and nobody said that it may."""
-
-
-class RecordingGapError(Exception):
-    """A run whose recording is not whole."""
 
 
 def exit_code_of(error: Exception) -> int | None:

@@ -18,10 +18,10 @@ from ..config.commissioning import permission
 from ..drive.port import ExchangeCounts
 from ..model.effects.registry import name_error
 from ..runtime.runs import timestamp_name
+from ..workflows.errors import DriveFaultError, RecordingGapError
 from ..workflows.plan import Plan, make_plan, open_drive, toggle_name
 from ..workflows.record import record_run, summarise
 from ..workflows.recordings import claim
-from .exits import DriveFaultError, RecordingGapError
 from .progress import progress_bar
 
 

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 import fffo_drive as fd
+from fffo_drive import library
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.evaluation.metrics import error_metrics
 from fffo_drive.model.parameters import write_model
+from fffo_drive.workflows.errors import RecordingGapError
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = CONFIGS / "axis_simulated.yaml"
@@ -111,6 +113,70 @@ def test_arrays_and_the_file_give_the_same_model_and_it_is_the_true_one(recorded
         assert model.inertia_kg_m2.value == pytest.approx(1.494e-4, rel=0.1)
         assert model.friction.coulomb_nm.value == pytest.approx(0.025, rel=0.2)
     assert from_arrays.inertia_kg_m2.value == pytest.approx(from_file.inertia_kg_m2.value, rel=0.01)
+
+
+ARRAYS = ("time_s", "position_rev", "velocity_rps", "current_command_a")
+
+
+def arrays_of(run, name, torque_constant_nm_per_a=0.148):
+    return fd.read_run(
+        {key: run[key] for key in ARRAYS}, torque_constant_nm_per_a=torque_constant_nm_per_a, name=name
+    )  # fmt: skip
+
+
+def test_runs_of_one_name_are_two_runs(simulated):
+    found = fd.identify([arrays_of(simulated, "run"), arrays_of(simulated, "run")])
+    assert len(found.result["residuals"]) == 2
+
+
+def test_runs_of_two_torque_constants_are_not_one_axis_unless_the_facts_say_so(simulated):
+    runs = [arrays_of(simulated, "a"), arrays_of(simulated, "b", 0.3)]
+    for both in (fd.identify, fd.diagnose):
+        with pytest.raises(DocumentError, match="b: its facts are not those of a"):
+            both(runs)
+    assert fd.identify(runs, facts=runs[1].facts).model.torque_constant_nm_per_a == 0.3
+
+
+def test_a_run_is_no_proof_of_what_was_chosen_on_it(simulated):
+    with pytest.raises(DocumentError, match="b: a run cannot be fitted and held out"):
+        fd.diagnose(arrays_of(simulated, "a"), arrays_of(simulated, "b"))
+
+
+def test_a_simulated_current_is_an_open_loop_as_in_its_recording(tmp_path):
+    profile = tmp_path / "current.yaml"
+    profile.write_text("profile: {kind: identify, lowest_hz: 0.5, duration_s: 4, high_a: 0.6, low_a: 0.18}\n")
+    records = [
+        fd.simulate(AXIS, profile=profile).record(),
+        fd.run(AXIS, tmp_path / "current.mcap", profile=profile).record(),
+    ]
+    for name in ("current_a", "position_rev", "velocity_rps"):
+        assert np.array_equal(*(getattr(record, name) for record in records)), name
+    assert [record.reference_rps for record in records] == [None, None]
+
+
+def test_a_recording_that_is_not_whole_is_an_error(short_profile, tmp_path, monkeypatch):
+    made = library.record_run
+
+    def with_rows_lost(*given):
+        outcome = made(*given)
+        return outcome._replace(recorder=outcome.recorder._replace(rows_lost=7))
+
+    monkeypatch.setattr(library, "record_run", with_rows_lost)
+    with pytest.raises(RecordingGapError, match=r"gap\.mcap: .*7"):
+        fd.run(AXIS, tmp_path / "gap.mcap", profile=short_profile)
+
+
+def test_a_divided_recording_names_its_files(short_profile, tmp_path, monkeypatch):
+    made = library.record_run
+    monkeypatch.setattr(
+        library, "record_run", lambda *given: (lambda done: done._replace(files=done.files * 2))(made(*given))
+    )
+    with pytest.raises(DocumentError, match="read each with read_run"):
+        fd.run(AXIS, tmp_path / "two.mcap", profile=short_profile)
+
+
+def test_the_package_tells_a_type_checker_that_it_has_types():
+    assert (Path(fd.__file__).parent / "py.typed").exists()
 
 
 def test_the_command_line_finds_the_same_numbers(recorded, tmp_path, capsys):

@@ -1,0 +1,11 @@
+"""How a run on a drive may end: errors of the workflows, which the command line turns into exit codes."""
+
+from __future__ import annotations
+
+
+class DriveFaultError(Exception):
+    """A run that ended with a fault."""
+
+
+class RecordingGapError(Exception):
+    """A run whose recording is not whole."""
