@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -22,14 +23,14 @@ import numpy as np
 from .config.axis import TOGGLES, AxisFile, loop_axis, model_of
 from .config.axis import read_axis as read_axis_file
 from .config.commissioning import permission
-from .config.scenario import read_scenario
+from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
 from .daemon.serving import torque_on
 from .documents import DocumentError
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics, true_metrics
 from .evaluation.replay_runs import ReplayReport
-from .evaluation.summary import Summary
+from .evaluation.summary import Summary, summarise
 from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
 from .identification.facts import DriveFacts
 from .identification.facts import read_facts as read_facts
@@ -49,6 +50,7 @@ from .workflows import simulate as simulating
 from .workflows import tune as tuning
 from .workflows.adopt import Adopted
 from .workflows.errors import RecordingGapError
+from .workflows.evaluate_live import evaluate_recordings
 from .workflows.identify import Identified
 from .workflows.plan import Plan, make_plan, open_drive
 from .workflows.record import record_run
@@ -354,14 +356,24 @@ def adopt(
 
 
 def evaluate(
-    scenario: str | Path, *, controllers: Sequence[str] | None = None, seeds: int | None = None,
-    workers: int | None = None,
+    scenario: str | Path | None = None, *, runs: Sequence[MeasuredRun | str | Path] = (),
+    controllers: Sequence[str] | None = None, seeds: int | None = None, workers: int | None = None,
 ) -> Summary:  # fmt: skip
-    """Compare the controllers of a scenario file over seeds: `.figure("true.ise", "pi+fffo+")` and all others.
+    """Compare controllers: `.figure("true.ise", "pi+fffo+")` in rps^2 s, and all others, with intervals over seeds.
 
+    `scenario`: a scenario file, run on the simulated drive in process. `runs`: recordings instead; those of one
+    controller count as seeds, a scenario gives their yardstick, and what speaks against comparing them is a warning.
     `workers`: processes (None: one a core). Raises DocumentError, and ValueError when no seed ran to its end.
     """
-    chosen = evaluating.narrowed(read_scenario(scenario), controllers, seeds)
+    chosen = None if scenario is None else evaluating.narrowed(read_scenario(scenario), controllers, seeds)
+    if runs:
+        given = None if chosen is None else yardstick_of(chosen.file)
+        _, evaluations, cautions = evaluate_recordings([str(path) for path in _recorded(runs)], given)
+        for caution in cautions:
+            warnings.warn(caution, stacklevel=2)
+        return summarise(evaluations, None if chosen is None else chosen.file.percent_of)
+    if chosen is None:
+        raise DocumentError("evaluate: a scenario file or runs=[...] is needed")
     return evaluating.evaluate(chosen, workers)
 
 
@@ -370,13 +382,18 @@ def replay(
 ) -> ReplayReport:
     """Put recordings through the law and the envelope again: `.exact` where every command is the same bit for bit.
 
-    `instead`: an axis or model file whose law is run on the recorded feedback. Raises DocumentError.
+    `instead`: an axis or model file whose law is run on the recorded feedback; the differences are in A. Raises
+    DocumentError.
     """
     several = [runs] if isinstance(runs, MeasuredRun | str | Path) else list(runs)
-    paths = []
-    for one in several:
-        path = one.path if isinstance(one, MeasuredRun) else Path(one)
-        if path is None:
-            raise DocumentError(f"{one!r}: only a recorded run can be replayed: make it with run()")
-        paths.append(path)
-    return replaying.replay_files(replaying.with_continuations(paths), None if instead is None else str(instead))
+    paths = replaying.with_continuations(_recorded(several))
+    return replaying.replay_files(paths, None if instead is None else str(instead))
+
+
+def _recorded(runs: Sequence[MeasuredRun | str | Path]) -> list[Path]:
+    """The recordings of runs."""
+    paths = [(one, one.path if isinstance(one, MeasuredRun) else Path(one)) for one in runs]
+    lost = next((one for one, path in paths if path is None), None)
+    if lost is not None:
+        raise DocumentError(f"{lost!r}: no recording: make it with run()")
+    return [path for _, path in paths if path is not None]

@@ -38,8 +38,8 @@ from ..system.service_files import sources
 from ..workflows.errors import DriveFaultError, RecordingGapError
 from ..workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
 from ..workflows.recordings import recorder_hooks
+from ..workflows.simulated_process import SimulatedProcess
 from .progress import progress_bar
-from .simulated_process import SimulatedProcess
 
 CONTROLLERS = {"PI": TOGGLE_OFF, "PI+FBFO": TOGGLE_FEEDBACK, "PI+FFFO": TOGGLE_FEEDFORWARD}
 QUICK_S = 10.0

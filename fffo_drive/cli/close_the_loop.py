@@ -53,10 +53,10 @@ from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan, checked_plan, make_plan
 from ..workflows.recorded_facts import facts_of_axis
+from ..workflows.simulated_process import SimulatedProcess
 from .adopt import print_gates, refusal
 from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
 from .exits import EXIT_NOTHING_CARRIES_OVER
-from .simulated_process import SimulatedProcess
 
 EXIT_NOT_ADOPTED = 1
 SECOND_SURFACE = "second_surface"

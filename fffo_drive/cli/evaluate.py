@@ -13,6 +13,7 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +36,7 @@ from ..report.document import SourceFile, provenance, source_file
 from ..report.evaluate import EvaluationSource, write_evaluation_report
 from ..runtime.runs import timestamp_name
 from ..workflows.evaluate import narrowed, run_seeds
-from .evaluate_live import evaluate_on_bus, evaluate_recordings
+from ..workflows.evaluate_live import evaluate_on_bus, evaluate_recordings
 from .progress import progress_bar
 
 METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}  # rps² s, rps
@@ -110,15 +111,16 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
 def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
     file = scenario.file
+    bar = partial(progress_bar, quiet=options.json)
     if options.bus is not None:
         own_node = options.node is not None  # a simulated drive of the scenario's own needs no commissioning
         given = permission(
             scenario.axis_path, scenario.axis, scenario.model, uncommissioned=own_node or options.uncommissioned
         )
-        evaluations = evaluate_on_bus(scenario, options.bus or None, options.node, out, given, options.json)
+        evaluations = evaluate_on_bus(scenario, options.bus or None, options.node, out, given, bar)
         where = "on a bus, in real time"
     else:
-        with progress_bar(f"{file.name:8}", options.json) as progress:
+        with bar(f"{file.name:8}") as progress:
             evaluations = run_seeds(scenario, options.workers, progress)
         where = "on the simulated drive in process"
     return Compared(

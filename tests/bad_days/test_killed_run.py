@@ -21,8 +21,8 @@ from interpreted import TESTS
 from fffo_drive.can.frame import pack_frame, unpack_frame
 from fffo_drive.can.link import Link, free_loopback_port, open_link
 from fffo_drive.cli import main
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.recording.reader import read_run
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 FILES = TESTS / "bad_input" / "files"
 NODE = 1

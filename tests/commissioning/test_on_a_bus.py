@@ -11,10 +11,10 @@ import pytest
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.commissioning.judge import CHECKS
 from fffo_drive.commissioning.record import read_record
 from fffo_drive.recording.reader import read_run
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PATIENCE = {

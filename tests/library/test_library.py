@@ -99,7 +99,7 @@ def test_a_recorded_run_is_replayed_bit_for_bit_and_another_model_asks_for_anoth
 
 
 def test_a_run_that_was_not_recorded_is_not_replayed(simulated):
-    with pytest.raises(DocumentError, match="only a recorded run can be replayed"):
+    with pytest.raises(DocumentError, match="no recording: make it with run"):
         fd.replay(simulated)
 
 
@@ -188,6 +188,56 @@ def test_the_command_line_finds_the_same_numbers(recorded, tmp_path, capsys):
     assert main(["tune", str(tmp_path / "out" / "model.yaml"), "--out", str(tmp_path / "tuned"), "--json"]) == 0
     gains = json.loads(capsys.readouterr().out)["gains"]
     assert gains == fd.tune(model).design.gains._asdict()
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scenario") / "short.yaml"
+    path.write_text(f"""\
+format: fffo_drive/scenario/1
+name: short
+axis: {AXIS}
+seeds: 2
+reference: {{kind: paper, duration_s: 2, slope: 0}}
+controllers:
+  pi: {{toggle: "off"}}
+  pi+fffo: {{toggle: ff}}
+""")
+    return path
+
+
+def test_a_scenario_has_the_figures_of_the_command_line(scenario, tmp_path, capsys):
+    words = ["evaluate", str(scenario), "--workers", "1", "--out", str(tmp_path / "out"), "--json"]
+    assert main(words) == 0
+    said = json.loads(capsys.readouterr().out)
+    found = fd.evaluate(scenario, workers=1)
+    assert list(found.controllers) == said["controllers"] == ["pi", "pi+fffo"]
+    assert found.seeds == (1, 2)
+    for name in ("true.ise", "measured.mae"):
+        for controller in found.controllers:
+            assert found.figure(name, controller) == said["figures"][name][controller]["value"]
+    assert found.figure("true.ise", "pi+fffo") < found.figure("true.ise", "pi")
+
+
+def test_recordings_have_the_figures_of_the_command_line_and_one_that_broke_off_is_a_warning(
+    recorded, short_profile, tmp_path, capsys
+):
+    other = fd.run(AXIS, tmp_path / "off.mcap", toggle="off", profile=short_profile)
+    files = [str(other.path), str(recorded.path)]
+    assert main(["evaluate", "--runs", *files, "--out", str(tmp_path / "out"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    found = fd.evaluate(runs=[other, recorded])
+    assert list(found.controllers) == said["controllers"] == ["pi", "pi+fffo"]
+    for controller, run in (("pi", other), ("pi+fffo", recorded)):
+        assert found.figure("true.ise", controller) == said["figures"]["true.ise"][controller]["value"]
+        assert found.figure("true.ise", controller) == pytest.approx(run.metrics.ise, rel=1e-9)
+    shorter = tmp_path / "shorter.yaml"
+    shorter.write_text("profile: {kind: paper, duration_s: 3, seed: 3}\n")
+    third = fd.run(AXIS, tmp_path / "third.mcap", toggle="off", profile=shorter)
+    with pytest.warns(UserWarning, match="do not share one profile"):
+        fd.evaluate(runs=[third, recorded])
+    with pytest.raises(DocumentError, match="a scenario file or runs"):
+        fd.evaluate()
 
 
 def test_a_mapping_without_time_and_a_log_without_facts_say_what_to_give():

@@ -20,10 +20,10 @@ from interpreted import TESTS
 
 from fffo_drive.can.frame import EMERGENCY, pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import DaemonClient
 from fffo_drive.daemon.places import CONTROL
 from fffo_drive.live.places import TOKEN_FILE, URL_FILE
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 CONFIGS = TESTS.parent / "configs"
 RATE_HZ = 100

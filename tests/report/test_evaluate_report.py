@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from fffo_drive.cli import evaluate_live
 from fffo_drive.evaluation.campaign import evaluation_of
 from fffo_drive.evaluation.measures import Yardstick
 from fffo_drive.evaluation.summary import summarise
@@ -14,6 +13,7 @@ from fffo_drive.report.document import provenance
 from fffo_drive.report.evaluate import EvaluationSource, evaluation_report
 from fffo_drive.report.page import render_page
 from fffo_drive.signals import ROW
+from fffo_drive.workflows import evaluate_live
 
 PERIOD_S = 5e-4
 SAMPLES = 4000

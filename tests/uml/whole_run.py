@@ -17,7 +17,6 @@ from buses import PATIENCE_S, SOCKETCAN, BusLog, as_text
 
 from fffo_drive.can.frame import NMT, SDO_REQUEST, SDO_RESPONSE, pack_frame, unpack_frame
 from fffo_drive.can.link import StampedFrame, open_link
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.control.envelope import TRIP_NONE
 from fffo_drive.drive.canopen.drive import CanopenDrive
 from fffo_drive.drive.port import DriveIdentity
@@ -27,6 +26,7 @@ from fffo_drive.runtime import runs
 from fffo_drive.runtime.runs import RunOutcome, record_live
 from fffo_drive.runtime.session import Session, SessionConfig
 from fffo_drive.workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PERIOD_S = 0.0005

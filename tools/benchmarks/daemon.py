@@ -26,10 +26,10 @@ from running_axis import Axis
 
 from fffo_drive.can.frame import SYNC, unpack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import ClientError, DaemonClient
 from fffo_drive.daemon.places import CONTROL, WATCH
 from fffo_drive.recording.reader import read_run
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "daemon"
 AXIS = ROOT / "configs" / "axis_bench.yaml"

@@ -17,9 +17,9 @@ from live import Streaming
 from running_axis import Axis
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import ClientError
 from fffo_drive.live.places import VIEWERS_FILE
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "hostile"
 TARGET = 1.3

@@ -21,10 +21,10 @@ from daemon import DRIVE, PATIENCE_S, TICKS_PER_S, Daemon, measure, timed_passes
 from running_axis import Axis
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import ClientError, DaemonClient
 from fffo_drive.live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
 from fffo_drive.live.server import THREAD_NAME
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "live"
 LARGEST_SHARE, SLOWEST_MS, TARGET = 10.0, 50.0, 1.3

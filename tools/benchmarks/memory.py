@@ -17,9 +17,9 @@ from daemon import AXIS, DRIVE, Daemon, until
 from hostile import resident_mb
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
 from fffo_drive.daemon.places import WATCH
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "memory"
 HOUR_S, SAMPLE_S = 3600.0, 30.0

@@ -28,10 +28,10 @@ from fffo_drive.can.bpf import CanFilter
 from fffo_drive.can.frame import RPDO1, TPDO2, unpack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.cli import main as command
-from fffo_drive.cli.simulated_process import SimulatedProcess
 from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
 from fffo_drive.drive.cia402 import is_operation_enabled
 from fffo_drive.live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
+from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "stops"
 ENABLE_OPERATION = 0x0F

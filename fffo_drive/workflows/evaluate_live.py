@@ -34,11 +34,11 @@ from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
 from ..runtime.runs import record_live
 from ..runtime.session import Session
-from ..workflows.errors import DriveFaultError, RecordingGapError
-from ..workflows.plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
-from ..workflows.recordings import recorded_rows, recorder_hooks
-from ..workflows.replay import recorded_files
-from .progress import progress_bar
+from .errors import DriveFaultError, RecordingGapError
+from .plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
+from .progress import Bar, no_bar
+from .recordings import recorded_rows, recorder_hooks
+from .replay import recorded_files
 from .simulated_process import SimulatedProcess
 
 NAMES = {"off": "pi", "fb": "pi+fbfo", "ff": "pi+fffo"}
@@ -98,7 +98,7 @@ def _profile_of(run: Run) -> Rows:
 
 
 def evaluate_on_bus(
-    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, quiet: bool
+    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, bar: Bar = no_bar
 ) -> list[Evaluation]:
     """Every controller on every seed's reference, one run after the other; recordings go to `out`.
 
@@ -127,7 +127,7 @@ def evaluate_on_bus(
                 session.set_controller(candidate.controller)
                 header = _header(plan._replace(profile=profile), scenario, candidate.name, seed, identity)
                 path = out / f"{candidate.name.replace('+', '_')}_{seed}.mcap"
-                with progress_bar(f"{candidate.name}, seed {seed}", quiet) as progress:
+                with bar(f"{candidate.name}, seed {seed}") as progress:
                     outcome = record_live(
                         session, profile, candidate.toggle, path, header, recorder_settings(plan.axis),
                         recorder_hooks(), progress,

@@ -1,0 +1,14 @@
+"""How far a workflow is: who calls it gives a bar, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
+Share = Callable[[float], None]  # is told the share done, 0 to 1
+Bar = Callable[[str], AbstractContextManager[Share | None]]  # of the text beside it
+
+
+def no_bar(_text: str) -> AbstractContextManager[Share | None]:
+    """Nobody watches."""
+    return nullcontext(None)
