@@ -325,12 +325,13 @@ def tune(
 
 def diagnose(
     runs: MeasuredRun | Sequence[MeasuredRun], held_out: MeasuredRun | Sequence[MeasuredRun] = (), *,
-    model: ModelFile | None = None, facts: DriveFacts | None = None,
+    model: ModelFile | None = None, facts: DriveFacts | None = None, out: str | Path | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Find what the model lacks on `runs`, prove it on `held_out`. `model`: the base (None: identified from the runs).
 
     `.headline` says it in a sentence, `.findings` have size, interval and proof, `.model_after` is the model with them.
-    Raises DataError for runs that carry no fit, DocumentError for a run that is on both sides.
+    Findings are in Nm, rps and the units that each names. `out`: a directory for report.html, report.json and the
+    model.yaml that `adopt` takes. Raises DataError for runs that carry no fit, DocumentError for a run on both sides.
     """
     chosen_runs, proof = _several(runs), _several(held_out)
     records, chosen = _records([*chosen_runs, *proof], facts)
@@ -339,7 +340,13 @@ def diagnose(
     both = next((run for run, record in zip(proof, proven, strict=True) if record.digest in seen), None)
     if both is not None:
         raise DocumentError(f"{both.name}: a run cannot be fitted and held out")
-    return diagnosing.diagnose(fit, proven, chosen, model)
+    if out is not None:
+        diagnosing.require_place(Path(out))
+    found = diagnosing.diagnose(fit, proven, chosen, model)
+    if out is not None:
+        files = [run.path for run in (*chosen_runs, *proof) if run.path is not None]
+        diagnosing.write_diagnosis(found, fit, chosen, files, Path(out), None)
+    return found
 
 
 def adopt(

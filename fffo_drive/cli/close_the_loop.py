@@ -20,55 +20,23 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import (
-    STABILITY,
-    Gate,
-    gates,
-    held_out_gate,
-    put_in_service,
-    read_report,
-    refused_effects,
-)
-from ..config.axis import AxisFile, build_profile, model_of, read_axis
-from ..config.checks import motion_problems
-from ..config.drive_section import CanopenDriveSection
-from ..config.effects import compensated_names, services, slope_margin
-from ..config.simulated import read_simulated
-from ..control.friction_observer import TOGGLE_OFF
-from ..control.reference import MODE_VELOCITY
+from ..config.adoption import Gate
 from ..documents import DocumentError
-from ..identification.facts import read_facts
-from ..model.parameters import ModelFile, read_model
-from ..report.circle import KIND, CircleRun, CircleSource, Tracking, as_object, tracking_of, write_circle_report
-from ..report.document import provenance, source_file
-from ..report.page import refuse_other_report
+from ..report.circle import CircleSource, Tracking, as_object
 from ..runtime.runs import timestamp_name
-from ..workflows.errors import DriveFaultError
-from ..workflows.plan import Plan, checked_plan, make_plan
-from ..workflows.recorded_facts import facts_of_axis
-from ..workflows.simulated_process import SimulatedProcess
+from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
+from ..workflows.circle_runs import CircleWish
 from .adopt import print_gates, refusal
-from .circle_runs import Circle, Run, SpoiledRunError, change, changed, write_axis, write_simulated
 from .exits import EXIT_NOTHING_CARRIES_OVER
+from .progress import progress_bar
 
 EXIT_NOT_ADOPTED = 1
-SECOND_SURFACE = "second_surface"
-GAIN_ROOM = 1.02  # of what condition (14) asks for
-RECIPE = {"kind": "recipe", "repeats": 1}
-IDENTIFY = {"kind": "identify", "lowest_hz": 0.05}
-IDENTIFY_S = 40.0
-QUICK_S = 20.0
-OTHER_SEED = 1000  # added to the profile's: another reference of its kind
-BREAK_AWAY_RATIO = 2.4  # the identification current's peak over what breaks away; less where it goes too far
-SHORTER = 0.85
-LEAST_BREAK_AWAY_RATIO = 1.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,161 +56,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    axis_path = Path(options.axis)
-    plan = make_plan(axis_path)
-    _require(plan, options)
-    out = Path(options.out or Path("runs") / timestamp_name("circle", time.time_ns()))
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_other_report(out, KIND)
-    _require_empty(out)
-    sim = Path(options.sim) if options.sim else None
-    own_path = write_axis(axis_path, out, sim, options.rate)
-    facts_path = Path(options.drive) if options.drive else _write_facts(plan, out, sim is not None)
     console = Console(stderr=True, quiet=options.json)
-    circle = Circle(options, own_path, lambda text: console.print(text, soft_wrap=True, highlight=False))
-    if options.quick:
-        _shorten(own_path)
-    plan = make_plan(own_path)
-    try:
-        with _drive_process(plan, options.bus, sim, out):
-            return _close(circle, plan, facts_path, options)
-    except SpoiledRunError as error:
-        raise DriveFaultError(
-            f"{error}: this machine does not keep the loop's rate; make it quieter (`fffo-drive doctor`), or lower the "
-            "rate (--rate)"
-        ) from error
-
-
-def _close(circle: Circle, plan: Plan, facts_path: Path, options: argparse.Namespace) -> int:
-    """Runs, diagnosis, adoption, the run with it, the report."""
-    out, say = circle.out, circle.say
-    say("run and record: the file's profile, identification current, " + ("another one" if options.quick else "recipe"))
-    third = ("other", _other_reference(plan)) if options.quick else ("recipe", _recipe(plan))
-    identify = _identify(plan, options.quick)
-    before, *fit = circle.at_a_rate_it_keeps(
-        lambda: (circle.run("before"), circle.run("identify", identify), circle.run(*third))
+    closed = close_the_loop(
+        Path(options.axis),
+        Path(options.out or Path("runs") / timestamp_name("circle", time.time_ns())),
+        CircleWish(Path(options.sim) if options.sim else None, options.bus, options.rate, options.uncommissioned),
+        facts=Path(options.drive) if options.drive else None,
+        quick=options.quick,
+        say=lambda text: console.print(text, soft_wrap=True, highlight=False),
+        bar=partial(progress_bar, quiet=options.json),
+        diagnose=partial(_diagnose, options.json),
     )
-    say(f"diagnose ({before.rate_hz} Hz; {before.health.text})")
-    model_path = out / "diagnosis" / "model.yaml"
-
-    def adopt_without(*names: str) -> tuple[ModelFile | None, dict[str, Any] | None, bool, list[Gate]]:
-        _diagnose(facts_path, [run.path for run in fit], [before.path], model_path.parent, options.json, names)
-        report = read_report(model_path, None)
-        model = read_model(model_path) if model_path.exists() else None
-        return model, report, *_adopt(circle.path, model_path, model, report)
-
-    as_given = circle.path.read_text(encoding="utf-8")
-    model, report, adopted, found = adopt_without()
-    if model is not None and _second_surface_is_unstable(model, found):
-        say("the loop is not stable with the friction of two surfaces: diagnose again with one")
-        circle.path.write_text(as_given, encoding="utf-8")
-        model, report, adopted, found = adopt_without(SECOND_SURFACE)
-    after, trouble = None, ""
-    if adopted:
-        say("adopted; run again")
-        try:
-            after = circle.run("after")
-        except SpoiledRunError as error:
-            trouble = str(error)
-    source = _source(circle, plan, model, report, found, (before, *fit), after)
-    page = write_circle_report(source, out).page
+    found = list(closed.gates)
     if options.json:
-        print(json.dumps(as_object(source), indent=2))
+        print(json.dumps(as_object(closed.source), indent=2))
     else:
-        _print(source, found, page)
-    if trouble:
-        raise SpoiledRunError(f"{trouble}; the model is in service in {circle.path}, the error with it is not known")
-    if found and not adopted:
+        _print(closed.source, found, closed.page)
+    if closed.trouble:
+        raise keeps_no_rate(closed.trouble)
+    if found and not closed.adopted:
         print(f"fffo-drive close-the-loop: {refusal(found)}", file=sys.stderr)
         return EXIT_NOT_ADOPTED
     return 0
 
 
-# -- before anything moves --------------------------------------------------------------------------------------------
-
-
-def _require(plan: Plan, options: argparse.Namespace) -> None:
-    """Every file is read once, and what cannot come to an end is refused."""
-    if options.drive:
-        read_facts(options.drive)
-    if options.sim:
-        read_simulated(options.sim)
-    if plan.profile.mode != MODE_VELOCITY:
-        raise DocumentError(
-            f"{plan.path}: profile: {plan.axis.profile.kind} has no tracking error: a velocity profile is needed"
-        )
-    on_bus = isinstance(plan.axis.drive, CanopenDriveSection)
-    if options.bus and not on_bus:
-        raise DocumentError(f"{plan.path}: drive.kind: simulated runs in process and has no bus: leave --bus out")
-
-
-def _require_empty(out: Path) -> None:
-    """Nothing of an earlier circle is overwritten."""
-    old = [out / name for name in ("axis.yaml", "before.mcap", "report.html") if (out / name).exists()]
-    if old:
-        raise DocumentError(f"{old[0]}: is there already: give another --out")
-
-
-def _shorten(path: Path) -> None:
-    """The file's profile in QUICK_S, where it has a duration."""
-    profile = read_axis(path).profile
-    if getattr(profile, "duration_s", 0.0) > QUICK_S:
-        change(path, ("profile", "duration_s"), QUICK_S)
-
-
-@contextlib.contextmanager
-def _drive_process(plan: Plan, bus: str | None, sim: Path | None, out: Path) -> Iterator[None]:
-    """The simulated drive on the bus for as long as the circle takes, where it was asked for."""
-    section = plan.axis.drive
-    if sim is None or not isinstance(section, CanopenDriveSection):
-        yield
-        return
-    with SimulatedProcess(write_simulated(sim, out), bus or section.bus):
-        yield
-
-
-def _identify(plan: Plan, quick: bool) -> dict[str, Any]:
-    """An identification current that the axis can follow inside its envelope, by the model in service."""
-    break_away_a = plan.model.friction.static_nm.value / plan.model.torque_constant_nm_per_a
-    ratio = BREAK_AWAY_RATIO
-    quick_s = min(QUICK_S, plan.profile.duration_s)
-    while ratio > LEAST_BREAK_AWAY_RATIO:
-        currents = {"high_a": ratio * break_away_a, "low_a": 0.3 * ratio * break_away_a}
-        profile = IDENTIFY | currents | {"duration_s": quick_s if quick else IDENTIFY_S}
-        axis = changed(plan.axis, profile=profile)
-        if not motion_problems(axis, build_profile(axis.profile, axis.loop.period_s), plan.model):
-            return profile
-        ratio *= SHORTER
-    raise DocumentError(
-        f"{plan.path}: envelope: no current that breaks the axis away stays inside it by the model: record by hand "
-        "and use `fffo-drive diagnose` and `fffo-drive adopt`"
-    )
-
-
-def _recipe(plan: Plan) -> dict[str, Any]:
-    """The recipe inside the axis' limits."""
-    return RECIPE | {"high_rps": min(14.0, 0.6 * plan.axis.envelope.speed_limit_rps)}
-
-
-def _other_reference(plan: Plan) -> dict[str, Any]:
-    """Another reference of the same kind where the profile has a seed, else the same."""
-    profile = plan.axis.profile.model_dump()
-    return profile | ({"seed": profile["seed"] + OTHER_SEED} if "seed" in profile else {})
-
-
-def _write_facts(plan: Plan, out: Path, simulated: bool) -> Path:
-    """What the axis file declares about the drive. The simulated drive's angle is the same in every run."""
-    facts = facts_of_axis(plan.axis, plan.model, True if simulated else None)
-    path = out / "facts.yaml"
-    path.write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
-    return path
-
-
-# -- diagnosis and adoption -------------------------------------------------------------------------------------------
-
-
 def _diagnose(
-    facts: Path, fit: Sequence[Path], held_out: Sequence[Path], out: Path, quiet: bool, without: Sequence[str]
+    quiet: bool, facts: Path, fit: Sequence[Path], held_out: Sequence[Path], out: Path, without: Sequence[str]
 ) -> None:
     """`fffo-drive diagnose` on the recorded runs; what it prints goes to stderr, or nowhere."""
     from . import diagnose
@@ -261,83 +100,6 @@ def _diagnose(
         code = diagnose.execute(parser.parse_args(words))
     if code not in (0, EXIT_NOTHING_CARRIES_OVER):
         raise DocumentError(f"{out}: the diagnosis ended with exit code {code}")
-
-
-def _adopt(
-    axis_path: Path, model_path: Path, model: ModelFile | None, report: dict[str, Any] | None
-) -> tuple[bool, list[Gate]]:
-    """Adopt what was found on the circle's own axis file. The observer's gain follows the refitted friction.
-
-    No model: nothing carries over to the held-out run, which is the gate that refuses.
-    """
-    if model is None:
-        return False, [held_out_gate(report)]
-    if not model.effects:
-        return False, []
-    axis = read_axis(axis_path)
-    gain = _needed_gain(axis_path, axis, model)
-    if gain is not None:
-        change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
-        axis = read_axis(axis_path)
-    found = gates(axis, model_of(axis_path, axis), model, report, None)
-    weak = refused_effects(model, found)
-    if weak and set(compensated_names(axis, model)) - set(weak):
-        change(axis_path, ("controller", "effects", "out_of_service"), weak)
-        axis = read_axis(axis_path)
-        found = [gate for gate in found if gate.name.rpartition(": ")[0] in weak and not gate.passed]
-        found = [Gate(gate.name, True, f"left out of service: {gate.text}") for gate in found]
-        found += gates(axis, model_of(axis_path, axis), model, report, None)
-    if not all(gate.passed for gate in found):
-        return False, found
-    put_in_service(axis_path, model_path, found)
-    return True, found
-
-
-def _second_surface_is_unstable(model: ModelFile, found: Sequence[Gate]) -> bool:
-    """Whether the stability gate refuses a model of two surfaces: its first has a large B, which asks for a large L."""
-    refused = any(gate.name == STABILITY and not gate.passed for gate in found)
-    return refused and any(effect.name == SECOND_SURFACE for effect in model.effects)
-
-
-def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | None:
-    """A larger L where the refitted B asks for it by (14); None where the file's is enough."""
-    observer_on = axis.controller.observer.toggle != "off"
-    plan = checked_plan(axis_path, axis, model_of(axis_path, axis), (TOGGLE_OFF,))
-    left = slope_margin(axis, model, plan.profile, observer_on).condition_14_nm_per_rev
-    if not observer_on or left >= 0.0:
-        return None
-    return round(GAIN_ROOM * (axis.controller.observer.gain_nm_per_rev - left), 3)
-
-
-# -- what came of it --------------------------------------------------------------------------------------------------
-
-
-def _source(
-    circle: Circle, plan: Plan, model: ModelFile | None, report: dict[str, Any] | None, found: Sequence[Gate],
-    fit: Sequence[Run], after: Run | None,
-) -> CircleSource:  # fmt: skip
-    """Everything that the report is made of."""
-    before = fit[0]
-    runs = {run.path.stem: run for run in (*fit, *([after] if after else []))}
-    files = [source_file(run.path.name, run.path.read_bytes()) for run in runs.values()]
-    served = services(circle.axis, model) if model else []
-    shown = [circle.path, *([circle.out / "simulated.yaml"] if (circle.out / "simulated.yaml").exists() else [])]
-    files += [source_file(path.name, path.read_bytes(), text=True) for path in shown]
-    return CircleSource(
-        axis=plan.axis.name,
-        verdict=str((report or {}).get("verdict", "none")),
-        effects=tuple(effect.name for effect in model.effects) if model else (),
-        unexplained_rest=str(((report or {}).get("unexplained_rest") or {}).get("sentence", "")),
-        not_compensated={s.effect.name: s.reason for s in served if s.reason is not None},
-        gates=tuple(gate._asdict() for gate in found),
-        model_error={key: (report or {}).get(key) for key in ("before", "after")},
-        tracking=tracking_of(before.rows, after.rows if after else None, 1.0 / before.rate_hz, before.samples),
-        runs=tuple(
-            CircleRun(name, run.rate_hz, run.health.ticks, run.health.lost_share, run.health.longest_s)
-            for name, run in runs.items()
-        ),
-        provenance=provenance(files, {"axis": plan.axis.name, "rate": f"{before.rate_hz} Hz"}),
-    )
 
 
 def _print(source: CircleSource, found: list[Gate], page: Path) -> None:

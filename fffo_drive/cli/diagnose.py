@@ -21,28 +21,23 @@ import argparse
 import difflib
 import json
 import sys
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding
 from ..documents import DocumentError
-from ..identification.coverage import coverage_lines, coverage_of
-from ..identification.dataset import load_records
+from ..identification.coverage import Coverage, coverage_lines
+from ..identification.dataset import Record
+from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
-from ..model.parameters import read_model, write_model
-from ..report.coverage import coverage_section
-from ..report.diagnose import KIND, DiagnosisSource, doubts, unproven, write_diagnosis_report
+from ..report.diagnose import doubts, unproven
 from ..report.diagnose_figures import ROTARY, Words, words_of
-from ..report.document import SourceFile, provenance, source_file
-from ..report.page import JSON_NAME, refuse_other_report
-from ..workflows.diagnose import diagnose
-from ..workflows.recorded_facts import facts_for
+from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
 
-MODEL_NAME = "model.yaml"
 CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
     "torque": ("a {0} from {1} to {2}", "Nm"), "friction": ("friction from {1} to {2}", "Nm"),
     "viscous": ("from {1} to {2}", "Nm/rps"), "response": ("shares from {1} to {2} of the motor {0}", ""),
@@ -71,52 +66,39 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
 
-    facts = facts_for(options.drive, [*options.fit, *options.held_out])
     out = Path(options.out)
     _require(options, out)
-    settings = DiagnosisSettings(without=frozenset(options.without))
+    settings = DiagnosisSettings()
     if options.alpha is not None:
         settings = settings._replace(false_alarm_rate=options.alpha)
-    model = read_model(options.model) if options.model else None
-    records = load_records([*options.fit, *options.held_out], facts)
-    fit, held_out = records[: len(options.fit)], records[len(options.fit) :]
-    for record in records:
-        for warning in record.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-    coverage = coverage_of(fit)
-    if not options.json:
-        print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
-    with progress_bar("diagnose", options.json) as bar:
-        found = diagnose(fit, held_out, facts, model, settings, bar)
-    name = options.name or out.resolve().name
-    out.mkdir(parents=True, exist_ok=True)
-    files = _files([*filter(None, (options.drive, options.model)), *options.fit, *options.held_out])
-    model_path = out / MODEL_NAME
-    if found.model_after is not None:
-        write_model(model_path, found.model_after.model_copy(update={"name": name}))
-    elif model_path.exists():
-        model_path.unlink()
-        print(f"{model_path}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
-    written = str(model_path) if found.model_after is not None else ""
-    data = coverage_section(fit, coverage, facts.units == "linear")
-    source = DiagnosisSource(name, provenance(files, {"units": facts.units}), written, data)
-    paths = write_diagnosis_report(source, found, out)
+
+    def told(records: list[Record], coverage: Coverage, facts: DriveFacts) -> None:
+        for record in records:
+            for warning in record.warnings:
+                print(f"warning: {warning}", file=sys.stderr)
+        if not options.json:
+            print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
+
+    done = diagnose_recordings(
+        options.fit, options.held_out, out, facts_file=Path(options.drive) if options.drive else None,
+        model_file=Path(options.model) if options.model else None, name=options.name, settings=settings,
+        without=options.without, told=told, bar=partial(progress_bar, quiet=options.json),
+    )  # fmt: skip
+    if done.removed is not None:
+        print(f"{done.removed}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
     if options.json:
-        print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8")), indent=2))
+        print(json.dumps(json.loads(done.report.read_text(encoding="utf-8")), indent=2))
     else:
-        _print(found)
-        if written:
-            print(written)
-        print(paths.page)
-    return EXIT_NOTHING_CARRIES_OVER if found.verdict == "nothing_carries_over" else 0
+        _print(done.diagnosis)
+        if done.model is not None:
+            print(done.model)
+        print(done.page)
+    return EXIT_NOTHING_CARRIES_OVER if done.diagnosis.verdict == "nothing_carries_over" else 0
 
 
 def _require(options: argparse.Namespace, out: Path) -> None:
     """Refuse what cannot be meant, before anything is computed."""
-    refuse_other_report(out, KIND)
     model_path = out / MODEL_NAME
-    if model_path.exists() and not (out / JSON_NAME).exists():
-        raise DocumentError(f"{model_path}: no diagnosis wrote it (no {JSON_NAME} beside it): give another --out")
     if options.model and Path(options.model).resolve() == model_path.resolve():
         raise DocumentError(f"--model: {model_path} is where the result is written: give another --out")
     shared = {Path(path).resolve() for path in options.fit} & {Path(path).resolve() for path in options.held_out}
@@ -148,10 +130,6 @@ def searched_names() -> list[str]:
     tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
     both = [*curves, *tables]
     return list(dict.fromkeys([*laws, *(curve.name for curve in both), *(kind_of_curve(curve) for curve in both)]))
-
-
-def _files(paths: Sequence[str]) -> list[SourceFile]:
-    return [source_file(Path(path).name, Path(path).read_bytes()) for path in paths]
 
 
 def _print(found: Diagnosis) -> None:

@@ -1,20 +1,40 @@
-"""Recorded runs to what the model lacks: the diagnosis, and what the declared weight of the load says about it."""
+"""Recorded runs to what the model lacks: the diagnosis, what the declared weight of the load says of it, its files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..diagnosis.results import Diagnosis
-from ..identification.coverage import coverage_of
-from ..identification.dataset import Record
+from ..documents import DocumentError
+from ..identification.coverage import Coverage, coverage_of
+from ..identification.dataset import Record, load_records
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
-from ..model.parameters import ModelFile
+from ..model.parameters import ModelFile, read_model, write_model
+from ..report.coverage import coverage_section
+from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
+from ..report.document import provenance, source_file
+from ..report.page import JSON_NAME, refuse_other_report
+from .progress import Bar, no_bar
+from .recorded_facts import facts_for
 
 if TYPE_CHECKING:
     from ..diagnosis.diagnose import DiagnosisSettings
+
+MODEL_NAME = "model.yaml"
+
+
+class Diagnosed(NamedTuple):
+    """A diagnosis and its files."""
+
+    diagnosis: Diagnosis
+    page: Path
+    report: Path  # JSON, which an adoption reads
+    model: Path | None  # None where nothing carries over to the held-out runs
+    removed: Path | None  # model of an earlier diagnosis, which these runs do not carry
 
 
 def diagnose(
@@ -33,3 +53,60 @@ def diagnose(
     accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
     remarks = weight_remarks(facts, accepted, coverage_of(list(fit)).travel_rev)
     return replace(found, cautions=(*found.cautions, *remarks))
+
+
+def diagnose_recordings(
+    fit: Sequence[str | Path], held_out: Sequence[str | Path], out: Path, *, facts_file: Path | None = None,
+    model_file: Path | None = None, name: str | None = None, settings: DiagnosisSettings | None = None,
+    without: Sequence[str] = (), told: Callable[[list[Record], Coverage, DriveFacts], None] | None = None,
+    bar: Bar = no_bar,
+) -> Diagnosed:  # fmt: skip
+    """`diagnose` on files, written to `out` as page, report and model.
+
+    `facts_file`: what is declared about the drive (None: recordings carry it). `without`: what the search leaves out.
+    `told` gets the records and what they cover before the search begins. Raises DocumentError, DataError.
+    """
+    from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
+
+    facts = facts_for(None if facts_file is None else str(facts_file), [*fit, *held_out])
+    require_place(out)
+    settings = settings or DiagnosisSettings()
+    settings = settings._replace(without=settings.without | frozenset(without))
+    model = None if model_file is None else read_model(model_file)
+    records = load_records([*fit, *held_out], facts)
+    if told is not None:
+        told(records, coverage_of(records[: len(fit)]), facts)
+    with bar("diagnose") as progress:
+        found = diagnose(records[: len(fit)], records[len(fit) :], facts, model, settings, progress)
+    files = [Path(file) for file in (facts_file, model_file, *fit, *held_out) if file is not None]
+    return write_diagnosis(found, records[: len(fit)], facts, files, out, name)
+
+
+def require_place(out: Path) -> None:
+    """A diagnosis writes over an earlier one alone. Raises DocumentError."""
+    refuse_other_report(out, KIND)
+    model_path = out / MODEL_NAME
+    if model_path.exists() and not (out / JSON_NAME).exists():
+        raise DocumentError(f"{model_path}: no diagnosis wrote it (no {JSON_NAME} beside it): give another --out")
+
+
+def write_diagnosis(
+    found: Diagnosis, fit: Sequence[Record], facts: DriveFacts, files: Iterable[Path], out: Path, name: str | None
+) -> Diagnosed:  # fmt: skip
+    """Page, report and model in `out`; `files`: what it rests on. `name`: of the model (None: the directory's)."""
+    name = name or out.resolve().name
+    out.mkdir(parents=True, exist_ok=True)
+    model_path = out / MODEL_NAME
+    written, removed = found.model_after is not None, False
+    if found.model_after is not None:
+        write_model(model_path, found.model_after.model_copy(update={"name": name}))
+    elif model_path.exists():
+        model_path.unlink()
+        removed = True
+    sources = provenance([source_file(path.name, path.read_bytes()) for path in files], {"units": facts.units})
+    data = coverage_section(list(fit), coverage_of(list(fit)), facts.units == "linear")
+    source = DiagnosisSource(name, sources, str(model_path) if written else "", data)
+    paths = write_diagnosis_report(source, found, out)
+    return Diagnosed(
+        found, paths.page, paths.json, model_path if written else None, model_path if removed else None
+    )  # fmt: skip

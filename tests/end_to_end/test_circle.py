@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
@@ -13,11 +12,11 @@ from report.test_diagnose_command import NOTHING
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
-from fffo_drive.cli.circle_runs import MOST_LOST, Circle, SpoiledRunError, health_of, write_axis
 from fffo_drive.config.axis import read_axis
 from fffo_drive.diagnosis import diagnose as engine
 from fffo_drive.recording.reader import read_run
 from fffo_drive.signals import ROW
+from fffo_drive.workflows.circle_runs import MOST_LOST, Circle, CircleWish, SpoiledRunError, health_of, write_axis
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SHORT = {"kind": "paper", "duration_s": 10}
@@ -202,9 +201,8 @@ def test_all_runs_are_made_again_at_a_lower_rate_on_the_simulated_drive_alone(tm
 
         return runs
 
-    given = argparse.Namespace(sim=SIM, rate=None, uncommissioned=False, json=True, bus=None)
     own = write_axis(CONFIGS / "axis_bench.yaml", tmp_path, Path(SIM), None)
-    circle = Circle(given, own, said.append)
+    circle = Circle(CircleWish(sim=Path(SIM)), own, said.append)
     assert circle.at_a_rate_it_keeps(spoiled_above(500)) == ()
     assert tried == [2000, 1000, 500]
     assert said == [f"before: 40.0 % of the ticks skipped: all runs again at {rate} Hz" for rate in (1000, 500)]
@@ -216,7 +214,6 @@ def test_all_runs_are_made_again_at_a_lower_rate_on_the_simulated_drive_alone(tm
 
     hardware = tmp_path / "hardware"
     hardware.mkdir()
-    given.sim = None
     own = write_axis(CONFIGS / "axis_bench.yaml", hardware, None, None)
-    assert Circle(given, own, said.append).rates() == [2000]
+    assert Circle(CircleWish(), own, said.append).rates() == [2000]
     assert read_axis(own).envelope == read_axis(CONFIGS / "axis_bench.yaml").envelope

@@ -8,7 +8,6 @@ file's, and a spoiled run is an error.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,11 +24,11 @@ from ..drive.port import DriveError
 from ..evaluation.metrics import Rows
 from ..identification.gaps import LONGEST_FILL_S
 from ..runtime.runs import RunOutcome, simulated_ring_rows
-from ..workflows.errors import DriveFaultError, RecordingGapError
-from ..workflows.plan import Plan, checked_plan, open_drive, toggle_name
-from ..workflows.record import record_run
-from ..workflows.recordings import claim, recorded_rows
-from .progress import progress_bar
+from .errors import DriveFaultError, RecordingGapError
+from .plan import Plan, checked_plan, open_drive, toggle_name
+from .progress import Bar, no_bar
+from .record import record_run
+from .recordings import claim, recorded_rows
 
 LOWER_RATES_HZ = (1000, 500)
 TRIES = 2  # at one rate
@@ -44,6 +43,15 @@ PATIENT_DRIVE = {"heartbeat_timeout_ms": 5000, "command_timeout_ms": 5000}
 PATIENT_LIMITS = {"heartbeat_timeout_s": 10.0, "following_error_s": 1.0}
 PATIENT_S = {"feedback_missing_ticks": 2.0, "status_missing_ticks": 4.0}  # in seconds
 PATIENT_NODE = {"sync_loss_tolerance_ms": 5000}
+
+
+class CircleWish(NamedTuple):
+    """How the runs of a circle are made; by itself as the axis file says."""
+
+    sim: Path | None = None  # file of a simulated drive of its own, in process or on the bus
+    bus: str | None = None  # instead of the file's
+    rate_hz: int | None = None  # instead of the file's
+    uncommissioned: bool = False  # enable a drive on a bus without its record
 
 
 class SpoiledRunError(Exception):
@@ -91,11 +99,11 @@ class Run(NamedTuple):
 class Circle:
     """The circle's own axis file in its directory, and the runs with it."""
 
-    def __init__(self, options: argparse.Namespace, own_path: Path, say: Callable[[str], None]) -> None:
-        """`say` is told what is done, and why again."""
+    def __init__(self, wish: CircleWish, own_path: Path, say: Callable[[str], None], bar: Bar = no_bar) -> None:
+        """`say` is told what is done, and why again; `bar` shows how far a run is."""
         self.path, self.out = own_path, own_path.parent
         self.say = say
-        self._options = options
+        self._wish, self._bar = wish, bar
 
     @property
     def axis(self) -> AxisFile:
@@ -105,12 +113,12 @@ class Circle:
     @property
     def forgiving(self) -> bool:
         """A simulated drive on a bus: a spoiled run may be made again, at another rate too."""
-        return self._options.sim is not None and isinstance(self.axis.drive, CanopenDriveSection)
+        return self._wish.sim is not None and isinstance(self.axis.drive, CanopenDriveSection)
 
     def rates(self) -> list[int]:
         """Loop rates to try, the file's first, as far as the law is proven with them."""
         own = self.axis.loop.rate_hz
-        lower = [rate for rate in LOWER_RATES_HZ if rate < own] if self.forgiving and not self._options.rate else []
+        lower = [rate for rate in LOWER_RATES_HZ if rate < own] if self.forgiving and not self._wish.rate_hz else []
         return [own, *(rate for rate in lower if self._proven(rate))]
 
     def set_rate(self, rate_hz: int) -> None:
@@ -166,12 +174,12 @@ class Circle:
         if path.exists():
             _put_aside(path)  # of a spoiled run
         claim(path)
-        uncommissioned = self._options.uncommissioned or self._options.sim is not None
+        uncommissioned = self._wish.uncommissioned or self._wish.sim is not None
         given = permission(plan.path, plan.axis, plan.model, uncommissioned)
         ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s, SPARE_RING_S)
-        drive = open_drive(plan, self._options.bus)
+        drive = open_drive(plan, self._wish.bus)
         try:
-            with progress_bar(f"{plan.axis.name} {toggle_name(plan.toggle)}", self._options.json) as progress:
+            with self._bar(f"{plan.axis.name} {toggle_name(plan.toggle)}") as progress:
                 outcome = record_run(plan, drive, plan.toggle, path, given, progress, ring_rows)
         except DriveError as error:
             if self.forgiving:
