@@ -9,6 +9,7 @@ file's, and a spoiled run is an error.
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -171,8 +172,8 @@ class Circle:
         ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s, SPARE_RING_S)
         drive = open_drive(plan, self._options.bus)
         try:
-            with progress_bar(f"{plan.axis.name} {toggle_name(plan.toggle)}", self._options.json) as progress:
-                outcome = record_run(plan, drive, plan.toggle, path, given, progress, ring_rows)
+            shown = functools.partial(progress_bar, f"{plan.axis.name} {toggle_name(plan.toggle)}", self._options.json)
+            outcome = record_run(plan, drive, plan.toggle, path, given, shown, ring_rows)
         except DriveError as error:
             if self.forgiving:
                 raise SpoiledRunError(f"{name}: {error}") from error
