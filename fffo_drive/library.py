@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 
 Floats = np.ndarray[Any, np.dtype[Any]]
 Source = str | Path | Mapping[str, Any]
-SHOWN = (("reference_rps", "violet"), ("velocity_rps", "blue"))
+SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))
 
 
 @dataclass(frozen=True)
