@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 Floats = np.ndarray[Any, np.dtype[Any]]
 Source = str | Path | Mapping[str, Any]
-SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))  # signal, colour of the palette
+SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ Everything is checked before anything moves. The run is written as one MCAP file
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import time
 from collections.abc import Sequence
@@ -59,8 +60,8 @@ def execute(options: argparse.Namespace) -> int:
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    with progress_bar(f"{plan.axis.name} {toggle_name(toggle)}", options.json or not drive.realtime) as progress:
-        outcome = record_run(plan, drive, toggle, out, given, progress)
+    shown = functools.partial(progress_bar, f"{plan.axis.name} {toggle_name(toggle)}", options.json)
+    outcome = record_run(plan, drive, toggle, out, given, shown)
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))

@@ -102,9 +102,9 @@ def library(scripts: Path) -> str:
         "",
     ]
     for path in sorted(scripts.glob("*.py")):
-        title = path.stem.replace("_", " ")
+        title = path.read_text(encoding="utf-8").partition(":")[0].lstrip('"')  # of its first line
         lines += [
-            f"## {title[:1].upper()}{title[1:]}",
+            f"## {title}",
             "",
             f"```{{literalinclude}} ../scripts/{path.name}",
             ":language: python",

@@ -8,6 +8,7 @@ file's, and a spoiled run is an error.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -179,8 +180,8 @@ class Circle:
         ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s, SPARE_RING_S)
         drive = open_drive(plan, self._wish.bus)
         try:
-            with self._bar(f"{plan.axis.name} {toggle_name(plan.toggle)}") as progress:
-                outcome = record_run(plan, drive, plan.toggle, path, given, progress, ring_rows)
+            shown = functools.partial(self._bar, f"{plan.axis.name} {toggle_name(plan.toggle)}")
+            outcome = record_run(plan, drive, plan.toggle, path, given, shown, ring_rows)
         except DriveError as error:
             if self.forgiving:
                 raise SpoiledRunError(f"{name}: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,16 @@ from ..runtime.session import Session
 from .plan import Plan, connect, effect_monitor, plan_session, run_header, toggle_name
 from .recordings import recorded_rows, recorder_hooks
 
+Shown = Callable[[], AbstractContextManager[Callable[[float], None] | None]]
+
 
 def record_run(
     plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission,
-    progress: Callable[[float], None] | None = None, ring_rows: int | None = None,
+    shown: Shown | None = None, ring_rows: int | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError.
 
-    `progress` gets the share done (0 to 1) of a run in real time.
+    `shown` is entered when a run in real time begins; what it gives is told the share done (0 to 1).
     """
     identity = connect(drive, given)
     header = run_header(plan, identity, toggle, given)
@@ -37,7 +40,8 @@ def record_run(
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
         monitor = effect_monitor(plan)
-        return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
+        with nullcontext() if shown is None else shown() as progress:
+            return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
 
 
 def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
