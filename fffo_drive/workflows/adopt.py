@@ -26,6 +26,11 @@ class Adopted(NamedTuple):
     entry: Adoption | None  # of the axis' history; None where the model was not put in service
     refused_effects: tuple[str, ...]  # that would have to be left out of service
 
+    def __repr__(self) -> str:
+        against = ", ".join(gate.name for gate in self.gates if not gate.passed)
+        state = f"refused by {against}" if against else "in service" if self.entry is not None else "not yet in service"
+        return f"Adopted({state}; {len(self.gates)} gates)"
+
     @property
     def passed(self) -> bool:
         """True where no gate speaks against the model."""

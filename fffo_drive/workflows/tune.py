@@ -24,6 +24,14 @@ class Tuned(NamedTuple):
     axis: LinearAxis
     design: Design
 
+    def __repr__(self) -> str:
+        gains, margins = self.design.gains, self.design.margins_observer
+        return (
+            f"Tuned(Kp {gains.proportional_a_per_rps:.4g} A/rps, Ki {gains.integral_a_per_rev:.4g} A/rev, "
+            f"L {gains.observer_nm_per_rev:.4g} Nm/rev: phase margin {margins.phase_deg:.1f} deg, gain margin "
+            f"{margins.gain:.2f}, crossover {margins.crossover_hz:.1f} Hz)"
+        )
+
     def section(self, current_limit_a: float) -> dict[str, Any]:
         """The `controller:` section of an axis file."""
         return controller_section(self.design, current_limit_a)

@@ -14,8 +14,10 @@ from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
 from fffo_drive.config.axis import read_axis
 from fffo_drive.diagnosis import diagnose as engine
+from fffo_drive.documents import DocumentError
 from fffo_drive.recording.reader import read_run
 from fffo_drive.signals import ROW
+from fffo_drive.workflows.circle import close_the_loop
 from fffo_drive.workflows.circle_runs import MOST_LOST, Circle, CircleWish, SpoiledRunError, health_of, write_axis
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -81,6 +83,21 @@ def test_what_does_not_carry_over_to_the_run_that_was_held_out_is_not_adopted(tm
     assert not (out / "diagnosis" / "model.yaml").exists()
     assert "diagnosis" not in read_axis(out / "axis.yaml").model
     assert "carries over" in json.loads((out / "report.json").read_text())["verdict"]["headline"]
+
+
+@pytest.mark.slow
+def test_the_circle_as_a_function_says_nothing_unless_it_is_listened_to(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(engine, "diagnose", lambda *given: NOTHING)
+    axis = Path(changed(tmp_path, "axis_undeclared.yaml", lambda axis: axis.update(profile=SHORT)))
+    said: list[str] = []
+    wish = CircleWish(sim=Path(SIM))
+    closed = close_the_loop(axis, tmp_path / "out", wish, quick=True, say=said.append)
+    assert (closed.adopted, closed.trouble, len(closed.gates)) == (False, "", 1)
+    assert closed.source.verdict == "nothing_carries_over"
+    assert [text.split(" ")[0] for text in said] == ["run", "diagnose"]
+    assert capsys.readouterr() == ("", "")
+    with pytest.raises(DocumentError, match="another --out"):
+        close_the_loop(axis, tmp_path / "out", wish, quick=True)
 
 
 @pytest.mark.long

@@ -187,7 +187,44 @@ def test_the_command_line_finds_the_same_numbers(recorded, tmp_path, capsys):
     model = fd.read_model(tmp_path / "out" / "model.yaml")
     assert main(["tune", str(tmp_path / "out" / "model.yaml"), "--out", str(tmp_path / "tuned"), "--json"]) == 0
     gains = json.loads(capsys.readouterr().out)["gains"]
-    assert gains == fd.tune(model).design.gains._asdict()
+    tuned = fd.tune(model)
+    assert gains == tuned.design.gains._asdict()
+    assert f"Kp {gains['proportional_a_per_rps']:.4g} A/rps" in repr(tuned)
+    assert len(repr(tuned)) < 150
+
+
+COGGING_NM = 0.0075  # configs/simulated_undeclared.yaml, order 6
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_arrays_are_diagnosed_and_what_is_found_is_adopted_as_on_the_command_line(tmp_path, capsys):
+    axis_text = (CONFIGS / "axis_undeclared.yaml").read_text()
+    axis = tmp_path / "axis.yaml"
+    axis.write_text(axis_text.replace("file: sim", f"file: {CONFIGS}/sim").replace("model: m", f"model: {CONFIGS}/m"))
+    runs = []
+    for seed in (1, 2, 3):
+        profile = tmp_path / f"{seed}.yaml"
+        profile.write_text(f"profile: {{kind: paper, duration_s: 12, seed: {seed}}}\n")
+        runs.append(arrays_of(fd.simulate(axis, profile=profile, seed=seed), f"run {seed}"))
+    found = fd.diagnose(runs[:2], runs[2], out=tmp_path / "found")
+    cogging = next(finding for finding in found.findings if finding.name == "cogging")
+    numbers = {number.name: number.value for number in cogging.parameters}
+    assert cogging.accepted
+    assert numbers["order"] == pytest.approx(6.0, rel=1e-3)  # fitted: the arrays declare no resolver
+    assert np.hypot(numbers["cos_nm"], numbers["sin_nm"]) == pytest.approx(COGGING_NM, rel=0.1)
+
+    model = tmp_path / "found" / "model.yaml"
+    looked = fd.adopt(model, axis, dry_run=True)
+    assert main(["adopt", str(model), "--axis", str(axis), "--dry-run", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [gate._asdict() for gate in looked.gates] == said["gates"]
+    assert looked.passed
+    assert repr(looked) == f"Adopted(not yet in service; {len(looked.gates)} gates)"
+    before = axis.read_text()
+    assert fd.adopt(model, axis).entry is not None
+    assert before != axis.read_text()
+    assert fd.read_axis(axis).model.effects[0].name == "cogging"
 
 
 @pytest.fixture(scope="module")
