@@ -20,7 +20,7 @@ from ..drive.port import ExchangeCounts
 from ..model.effects.registry import name_error
 from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError, RecordingGapError
-from ..workflows.plan import Plan, make_plan, open_drive, toggle_name
+from ..workflows.plan import Plan, make_plan, open_drive
 from ..workflows.record import record_run, summarise
 from ..workflows.recordings import claim
 from .progress import progress_bar
@@ -60,8 +60,7 @@ def execute(options: argparse.Namespace) -> int:
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    shown = functools.partial(progress_bar, f"{plan.axis.name} {toggle_name(toggle)}", options.json)
-    outcome = record_run(plan, drive, toggle, out, given, shown)
+    outcome = record_run(plan, drive, toggle, out, given, functools.partial(progress_bar, quiet=options.json))
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))

@@ -48,16 +48,20 @@ class Crossing(NamedTuple):
     slow_error_mrps: float  # mean of |error|, 1e-3 rev/s
 
 
+def magnitude_at(reversals: Reversals, values: Floats, period_s: float) -> Floats:
+    """Magnitude of samples (n,) at the moments of reversals (m,)."""
+    return np.abs(np.interp(reversals.time_s / period_s, np.arange(values.size), values))
+
+
 def crossing_error(reference_rps: Floats, error_rps: Floats, period_s: float) -> Crossing:
     """The error (n,) at the reversals of the reference (n,), by its slope there.
 
     A lag is an error over a slope: where the reference creeps through zero it says more about the slope than about the
     axis, so slow reversals are told by the error itself.
     """
-    places = find_reversals(reference_rps, period_s).time_s / period_s
-    samples = np.arange(reference_rps.size)
-    error = np.abs(np.interp(places, samples, error_rps))
-    slope = np.abs(np.interp(places, samples, np.gradient(reference_rps, period_s)))
+    reversals = find_reversals(reference_rps, period_s)
+    error = magnitude_at(reversals, error_rps, period_s)
+    slope = magnitude_at(reversals, np.gradient(reference_rps, period_s), period_s)
     fast = slope >= FAST_RPS2
     lag_ms = float(np.mean(1e3 * error[fast] / slope[fast])) if fast.any() else float("nan")
     slow_mrps = float(np.mean(1e3 * error[~fast])) if (~fast).any() else float("nan")

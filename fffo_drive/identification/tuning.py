@@ -13,6 +13,7 @@ plant: Kp and Ki are scaled until the margin on that spring holds too.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ GAIN_MARGIN = 2.5
 SHORTEST_DELAY_S = 1e-4
 BANDWIDTHS = 41
 SLOWEST_SHARE = 0.01  # of the fastest crossover: slower than that is no velocity loop
-OBSERVER_STEPS = 12  # halvings: L to a thousandth of the most
+HALVINGS = 14  # of the range of a gain: to a ten-thousandth of the most
 STEP_POINTS = 4000
 
 
@@ -44,6 +45,10 @@ class Wish(NamedTuple):
     damping_ratio: float = DAMPING_RATIO
     phase_margin_deg: float = PHASE_MARGIN_DEG
     gain_margin: float = GAIN_MARGIN
+
+    def is_met(self, margins: Margins) -> bool:
+        """Both margins are as wanted."""
+        return margins.phase_deg >= self.phase_margin_deg and margins.gain >= self.gain_margin
 
 
 class Gains(NamedTuple):
@@ -141,8 +146,7 @@ def gains_in_motion(axis: LinearAxis, wish: Wish) -> tuple[float, float, float]:
 
 
 def _holds(axis: LinearAxis, proportional: float, integral: float, observer: float, wish: Wish) -> bool:
-    margins = loop_margins(axis, proportional, integral, observer)
-    return margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin
+    return wish.is_met(loop_margins(axis, proportional, integral, observer))
 
 
 def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tuple[float, float]:
@@ -156,10 +160,15 @@ def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tu
 def observer_gain(axis: LinearAxis, proportional: float, integral: float, wish: Wish) -> float:
     """The largest L (Nm/rev) with the wanted margins, which hold without it; 0 where none has them."""
     most = proportional * axis.torque_constant_nm_per_a / max(axis.delay_s, SHORTEST_DELAY_S)  # as fast as the delay
+    return largest_that(most, lambda gain: _holds(axis, proportional, integral, gain, wish))
+
+
+def largest_that(most: float, holds: Callable[[float], bool]) -> float:
+    """The largest value up to `most` that holds, where smaller ones do; 0 where none does."""
     least = 0.0
-    for _ in range(OBSERVER_STEPS):
+    for _ in range(HALVINGS):
         middle = 0.5 * (least + most)
-        if _holds(axis, proportional, integral, middle, wish):
+        if holds(middle):
             least = middle
         else:
             most = middle

@@ -8,7 +8,6 @@ file's, and a spoiled run is an error.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ from ..evaluation.metrics import Rows
 from ..identification.gaps import LONGEST_FILL_S
 from ..runtime.runs import RunOutcome, simulated_ring_rows
 from .errors import DriveFaultError, RecordingGapError
-from .plan import Plan, checked_plan, open_drive, toggle_name
+from .plan import Plan, checked_plan, open_drive
 from .progress import Bar, no_bar
 from .record import record_run
 from .recordings import claim, recorded_rows
@@ -180,8 +179,7 @@ class Circle:
         ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s, SPARE_RING_S)
         drive = open_drive(plan, self._wish.bus)
         try:
-            shown = functools.partial(self._bar, f"{plan.axis.name} {toggle_name(plan.toggle)}")
-            outcome = record_run(plan, drive, plan.toggle, path, given, shown, ring_rows)
+            outcome = record_run(plan, drive, plan.toggle, path, given, self._bar, ring_rows)
         except DriveError as error:
             if self.forgiving:
                 raise SpoiledRunError(f"{name}: {error}") from error

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +13,17 @@ from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows
 from ..runtime.session import Session
 from .plan import Plan, connect, effect_monitor, plan_session, run_header, toggle_name
+from .progress import Bar, no_bar
 from .recordings import recorded_rows, recorder_hooks
-
-Shown = Callable[[], AbstractContextManager[Callable[[float], None] | None]]
 
 
 def record_run(
     plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission,
-    shown: Shown | None = None, ring_rows: int | None = None,
+    bar: Bar = no_bar, ring_rows: int | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError.
 
-    `shown` is entered when a run in real time begins; what it gives is told the share done (0 to 1).
+    `bar` appears when a run in real time begins.
     """
     identity = connect(drive, given)
     header = run_header(plan, identity, toggle, given)
@@ -40,7 +37,7 @@ def record_run(
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
         monitor = effect_monitor(plan)
-        with nullcontext() if shown is None else shown() as progress:
+        with bar(f"{plan.axis.name} {toggle_name(toggle)}") as progress:
             return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
 
 

@@ -17,6 +17,7 @@ from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.stability import LinearAxis, loop_margins
 from fffo_drive.evaluation.campaign import simulate
+from fffo_drive.evaluation.measures import START_S
 from fffo_drive.evaluation.peers import disturbance_observer as dob
 from fffo_drive.evaluation.peers.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
 from fffo_drive.evaluation.peers.design import observer_gains, observer_margins
@@ -37,7 +38,7 @@ from fffo_drive.evaluation.peers.laws import (
 )
 from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
 from fffo_drive.evaluation.peers.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
-from fffo_drive.evaluation.peers.measures import NOT_FINITE, START_S, measure_peer
+from fffo_drive.evaluation.peers.measures import NOT_FINITE, measure_peer
 from fffo_drive.evaluation.trace import Trace, trace_of
 from fffo_drive.identification.tuning import Wish
 from fffo_drive.packing import pack

@@ -160,20 +160,27 @@ def test_another_root_is_no_reason_to_talk_to_this_systemd(tmp_path, monkeypatch
     assert [command.words[0] for command in after_install(Path("/"))] == ["systemd-sysusers", "systemctl"]
 
 
-@pytest.mark.slow
-def test_the_wheel_brings_all_files(tmp_path):
-    """The wheel, built as pip builds it, unpacked to a place without the source tree, installs the same files."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The wheel, built as pip builds it, unpacked to a place without the source tree."""
+    place = tmp_path_factory.mktemp("wheel")
     subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)],
         cwd=SOURCE, check=True, capture_output=True,
     )  # fmt: skip
-    (wheel,) = tmp_path.glob("*.whl")
+    (wheel,) = place.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(tmp_path / "site")
+        archive.extractall(place / "site")
+    return place / "site"
+
+
+@pytest.mark.slow
+def test_the_wheel_brings_all_files(site, tmp_path):
+    """The wheel installs the same files as the source tree."""
     root = tmp_path / "root"
     root.mkdir()
     words = ["-m", "fffo_drive", "install", "--root", str(root), "--program", PROGRAM, "--json"]
-    environment = dict(os.environ, PYTHONPATH=str(tmp_path / "site"))
+    environment = dict(os.environ, PYTHONPATH=str(site))
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert done.stderr == ""
     expected = {file.path: file.content for file in sf.service_files(Path(PROGRAM))}
@@ -182,18 +189,11 @@ def test_the_wheel_brings_all_files(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(400)
-def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(tmp_path):
+def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(site, tmp_path):
     """No source tree, no file of it: examples, a run, a model, gains, a comparison, the library."""
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
-        cwd=SOURCE, check=True, capture_output=True,
-    )  # fmt: skip
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(tmp_path / "site")
     place = tmp_path / "place"
     place.mkdir()
-    environment = dict(os.environ, PYTHONPATH=str(tmp_path / "site"), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    environment = dict(os.environ, PYTHONPATH=str(site), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
 
     def typed(*words: str) -> str:
         done = subprocess.run([sys.executable, *words], capture_output=True, text=True, cwd=place, env=environment)
@@ -202,7 +202,7 @@ def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(tmp_path):
 
     program = ("-m", "fffo_drive")
     where = typed("-c", "import fffo_drive; print(fffo_drive.__file__)")
-    assert where.startswith(str(tmp_path / "site"))
+    assert where.startswith(str(site))
     typed(*program, "init")
     (place / "short.yaml").write_text("profile: {kind: paper, duration_s: 15, seed: 3}\n")
     assert "ok" in typed(*program, "config", "check", "configs/axis_simulated.yaml")
@@ -212,6 +212,6 @@ def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(tmp_path):
     typed(*program, "identify", "a.mcap", "--out", "model")
     typed(*program, "tune", "model/model.yaml", "--axis", "configs/axis_simulated.yaml", "--out", "tuned")
     assert (place / "tuned" / "report.html").is_file()
-    assert "".join(typed(*program, "bench", "--help").split()).count(str(tmp_path / "site")) == 2  # files of the wheel
+    assert "".join(typed(*program, "bench", "--help").split()).count(str(site)) == 2  # files of the wheel
     library = "import fffo_drive as fd; print(fd.replay('a.mcap').exact)"
     assert typed("-c", library).strip() == "True"

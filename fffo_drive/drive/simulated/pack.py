@@ -15,7 +15,7 @@ from .effects.registry import EFFECTS
 from .noise import RANDOM_WORDS, seed_words
 from .parameters import PlantConfig, delay_budget
 from .state import STEP_S, Floats, Integers, PlantParameters, PlantState
-from .surfaces import KINDS, FrictionConfig, Lugre, MaxwellSlip, SingleSurface
+from .surfaces import KINDS, FrictionConfig, StribeckLevel
 
 FRICTION_KINDS = dict(
     zip(KINDS, (friction.FIVE_SURFACES, friction.SINGLE_2SEP, friction.LUGRE, friction.MAXWELL_SLIP), strict=True)
@@ -90,7 +90,7 @@ def _friction_table(config: FrictionConfig) -> Floats:
 
 
 def _rows(
-    one: SingleSurface | Lugre | MaxwellSlip,
+    one: StribeckLevel,
     parts: list[tuple[float, float]],
     damping: float = 0.0,
     memory: float = 0.0,

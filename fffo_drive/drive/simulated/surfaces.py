@@ -42,27 +42,28 @@ FIVE_SURFACES: tuple[Surface, ...] = (
 
 
 @dataclass(frozen=True)
-class SingleSurface:
-    """The paper's single two-state surface (Table I), at the motor shaft."""
+class StribeckLevel:
+    """Level and viscous friction of a contact that is one, at the motor shaft."""
 
     coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level Fc")
     stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed, Fs")
-    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient sigma")
+    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient")
     stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity Vs")
     stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the (falling) Stribeck curve")
+
+
+@dataclass(frozen=True)
+class SingleSurface(StribeckLevel):
+    """The paper's single two-state surface (Table I), at the motor shaft."""
+
     stiffness_per_rev: float = key(778.0, "1/rev", 1.0, 1e7, "stiffness K of presliding")
     attraction_nm_per_rev: float = key(2.33, "Nm/rev", 1e-3, 1e6, "B: how fast friction follows S(w)")
 
 
 @dataclass(frozen=True)
-class Lugre:
+class Lugre(StribeckLevel):
     """Bristles (LuGre), at the motor shaft."""
 
-    coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level")
-    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed")
-    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient s2")
-    stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity")
-    stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the Stribeck curve")
     stiffness_nm_per_rev: float = key(20.0, "Nm/rev", 1e-3, 1e9, "stiffness s0 of the bristles")
     damping_nm_per_rps: float = key(0.005, "Nm/rps", 0.0, 1e5, "damping s1 of the bristles; it fades with speed")
 
@@ -86,14 +87,9 @@ SLIP_ELEMENTS: tuple[SlipElement, ...] = (
 
 
 @dataclass(frozen=True)
-class MaxwellSlip:
+class MaxwellSlip(StribeckLevel):
     """Parallel elements that stick and slip (generalised Maxwell slip), at the motor shaft."""
 
-    coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level of all elements")
-    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed")
-    viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient")
-    stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity")
-    stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the Stribeck curve")
     attraction_nm_per_s: float = key(2.0, "Nm/s", 1e-3, 1e9, "how fast slipping elements follow the level")
     elements: tuple[SlipElement, ...] = SLIP_ELEMENTS
 
@@ -133,7 +129,7 @@ class FrictionConfig:
         return found
 
     @property
-    def _whole(self) -> SingleSurface | Lugre | MaxwellSlip | None:
+    def _whole(self) -> StribeckLevel | None:
         """The record of a kind that has its levels as one; None for surfaces."""
         if self.kind == "single_2sep":
             return self.single
@@ -171,7 +167,7 @@ class FrictionConfig:
         def stiction(coulomb_nm: float, stiction_nm: float) -> float:
             return level * (coulomb_nm + rise * (stiction_nm - coulomb_nm))
 
-        def levels(one: SingleSurface | Lugre | MaxwellSlip) -> dict[str, float]:
+        def levels(one: StribeckLevel) -> dict[str, float]:
             return {
                 "coulomb_nm": level * one.coulomb_nm,
                 "stiction_nm": stiction(one.coulomb_nm, one.stiction_nm),

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...control.stability import LinearAxis, Margins, margins_of, sweep_rad_per_s
-from ...identification.tuning import Wish
+from ...identification.tuning import Wish, largest_that
 
 SLOWEST_SHARE = 0.02  # of the crossover at which the delay takes 90 deg
 CROSSOVERS = 25
-HALVINGS = 14  # of the range of the observer's bandwidth
 LARGEST_BANDWIDTH = 4.0  # over one by the delay
 
 
@@ -50,30 +49,24 @@ def observer_margins(
 def observer_gains(axis: LinearAxis, order: int, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
     """Gains with the wanted margins and the largest integral action. Raises ValueError where there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
-    kt = axis.torque_constant_nm_per_a
-    best: ObserverGains | None = None
-    most = 0.0
-    for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS):
-        proportional = float(crossover) * axis.inertia_nm_s2_per_rev / kt
-        bandwidth = _largest_bandwidth(axis, proportional, order, wish, error_filter_s)
-        action = proportional * kt / (order / bandwidth + axis.delay_s) if bandwidth > 0.0 else 0.0
-        if action > most:
-            most = action
-            margins = observer_margins(axis, proportional, bandwidth, order, error_filter_s)
-            best = ObserverGains(proportional, bandwidth, margins)
-    if best is None:
+    found = [
+        _gains_at(axis, float(crossover), order, wish, error_filter_s)
+        for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS)
+    ]
+    held = [gains for gains in found if gains.bandwidth_rad_per_s > 0.0]
+    if not held:
         raise ValueError("no proportional gain has the wanted margins")
-    return best
+    return max(
+        held, key=lambda gains: gains.proportional_a_per_rps / (order / gains.bandwidth_rad_per_s + axis.delay_s)
+    )
 
 
-def _largest_bandwidth(axis: LinearAxis, proportional: float, order: int, wish: Wish, error_filter_s: float) -> float:
-    """In rad/s; 0 where none has the margins."""
-    low, high = 0.0, LARGEST_BANDWIDTH / axis.delay_s
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        margins = observer_margins(axis, proportional, middle, order, error_filter_s)
-        if margins.phase_deg >= wish.phase_margin_deg and margins.gain >= wish.gain_margin:
-            low = middle
-        else:
-            high = middle
-    return low
+def _gains_at(axis: LinearAxis, crossover: float, order: int, wish: Wish, error_filter_s: float) -> ObserverGains:
+    """At a crossover (rad/s) of P alone, with the largest bandwidth that has the margins; 0 where none has."""
+    proportional = crossover * axis.inertia_nm_s2_per_rev / axis.torque_constant_nm_per_a
+
+    def margins(bandwidth: float) -> Margins:
+        return observer_margins(axis, proportional, bandwidth, order, error_filter_s)
+
+    bandwidth = largest_that(LARGEST_BANDWIDTH / axis.delay_s, lambda bandwidth: wish.is_met(margins(bandwidth)))
+    return ObserverGains(proportional, bandwidth, margins(bandwidth))

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..metrics import Floats, error_metrics
-from ..reversal import Reversals, find_reversals, reversal_lag
+from ..measures import START_S
+from ..metrics import error_metrics
+from ..reversal import find_reversals, magnitude_at, reversal_lag
 from ..trace import Trace
-
-START_S = 2.0  # of the record: estimates begin at zero while the reference may already move
 
 
 class PeerMeasures(NamedTuple):
@@ -43,6 +42,7 @@ def measure_peer(trace: Trace) -> PeerMeasures:
     start_rps = error_rps[: round(START_S / trace.period_s)]
     start_ise = float(start_rps @ start_rps) * trace.period_s
     reference = find_reversals(trace.reference_rps, trace.period_s)
+    crossing_rps = magnitude_at(reference, error_rps, trace.period_s)
     return PeerMeasures(
         true.ise,
         true.mae,
@@ -50,15 +50,7 @@ def measure_peer(trace: Trace) -> PeerMeasures:
         measured.ise,
         start_ise,
         true.ise - start_ise,
-        crossing_error_rps(reference, error_rps, trace.period_s),
+        float(crossing_rps.mean()) if crossing_rps.size else math.nan,
         reversal_lag(reference, find_reversals(trace.true_rps, trace.period_s)).mean_absolute_ms,
         float(np.sqrt(np.mean(np.diff(trace.command_a) ** 2))) if trace.command_a.size > 1 else 0.0,
     )
-
-
-def crossing_error_rps(reference: Reversals, error_rps: Floats, period_s: float) -> float:
-    """Mean magnitude of an error (n,) at the moments of reversals. Unlike a lag it does not depend on the slope."""
-    if reference.time_s.size == 0:
-        return float("nan")
-    at = np.interp(reference.time_s, np.arange(error_rps.size) * period_s, error_rps)
-    return float(np.abs(at).mean())
