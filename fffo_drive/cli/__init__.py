@@ -27,7 +27,7 @@ COMMANDS = {
     "close-the-loop": ("close_the_loop", "run, record, diagnose, adopt, run again: the error before and after"),
     "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
     "serve": ("serve", "serve an axis as a daemon: supervise, record, listen on a Unix socket"),
-    "init": ("init", "lay the example files down: axes, drives, models, profiles, scenarios"),
+    "init": ("init", "write the example files: axes, drives, models, profiles, scenarios"),
     "ctl": ("ctl", "control a daemon: status, enable, start, toggle, stop, set, record, events"),
     "scope": ("scope", "say where a daemon serves its scope page for a browser, and open it"),
     "top": ("top", "watch a daemon in the terminal: state, ticks, error, current, recorder"),

@@ -1,12 +1,13 @@
-"""Lay the example files down: axis files, drives, models, profiles, scenarios, layouts, with comments on every key.
+"""Write the example files: axis files, drives, models, profiles, scenarios and layouts, with comments.
 
-They go to DIR/configs, so that the manual's lines work in DIR as they stand. Files that are there and differ are named
-and nothing is written; --force replaces them.
+They go to DIR/configs, so that you can copy the manual's commands and run them in DIR. If a file exists and differs
+from its example, nothing is written; --force replaces it.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from pathlib import Path
 
 from ..documents import DocumentError
@@ -17,9 +18,9 @@ FOLDER = "configs"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("directory", metavar="DIR", nargs="?", default=".", help="where (default: here)")
-    parser.add_argument("--force", action="store_true", help="replace files that are there")
-    parser.add_argument("--list", action="store_true", help="say what there is, write nothing")
+    parser.add_argument("directory", metavar="DIR", nargs="?", default=".", help="where to write (default: here)")
+    parser.add_argument("--force", action="store_true", help="replace existing files")
+    parser.add_argument("--list", action="store_true", help="list the files, write nothing")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -33,7 +34,10 @@ def execute(options: argparse.Namespace) -> int:
     changed = [name for name, content in files.items() if _differs(target / name, content)]
     if changed and not options.force:
         names = "\n".join(f"  {target / name}" for name in changed)
-        raise DocumentError(f"there already, and not as laid down:\n{names}\nanother DIR, or --force replaces them")
+        raise DocumentError(
+            f"these files exist and differ from the examples:\n{names}\n"
+            "choose another DIR, or replace them with --force"
+        )
     for name, content in files.items():
         path = target / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -42,8 +46,10 @@ def execute(options: argparse.Namespace) -> int:
     if Path(options.directory) != Path():
         print(f"cd {options.directory}")
     print(f"fffo-drive run {FOLDER}/axis_simulated.yaml        # one profile on the simulated drive")
-    print(f"fffo-drive close-the-loop {FOLDER}/axis_undeclared.yaml   # find an undeclared effect, and compensate it")
-    print("fffo-drive manual                                  # the tutorial, from here on")
+    print(
+        f"fffo-drive close-the-loop {FOLDER}/axis_undeclared.yaml   # find an undeclared effect and compensate for it"
+    )
+    print("fffo-drive manual                                  # the tutorial")
     return 0
 
 
@@ -52,6 +58,6 @@ def _differs(path: Path, content: bytes) -> bool:
 
 
 def _meaning(content: bytes) -> str:
-    """The first sentence of a file's first comment."""
-    first = content.decode("utf-8", "replace").partition("\n")[0]
-    return first.lstrip("# ").partition(". ")[0].rstrip(".:") if first.startswith("#") else ""
+    """The first sentence of the comment at a file's head."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), content.decode("utf-8", "replace").splitlines())
+    return " ".join(line.lstrip("# ") for line in lines).partition(". ")[0].rstrip(".:")
