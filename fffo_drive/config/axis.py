@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from .. import formats
 from ..control import envelope as env
+from ..control.adaptation import NO_ADAPTATION, AdaptationConfig
 from ..control.controller import ControllerConfig, RestConfig
 from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
@@ -32,6 +33,7 @@ from ..identification.excitation import (
     identification_sequence,
     separating_recipe,
 )
+from ..model.friction import FrictionConfig
 from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
@@ -43,6 +45,7 @@ from .drive_profile import with_profile
 from .drive_section import CanopenDriveSection, SimulatedDriveSection
 from .effects import compensation_table
 from .sections import (
+    AdaptationSection,
     ControllerSection,
     DaemonSection,
     DecideProfile,
@@ -140,6 +143,19 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         error_share(section.error_filter_s, axis.loop.period_s),
         rest_config(section.at_rest, axis.loop.period_s),
         velocity_config(axis, model),
+        adaptation_config(section.adaptation, friction, axis.loop.period_s),
+    )
+
+
+def adaptation_config(section: AdaptationSection, friction: FrictionConfig, period_s: float) -> AdaptationConfig:
+    """What is learned in service, and within which bounds."""
+    if not section.enabled:
+        return NO_ADAPTATION
+    return AdaptationConfig(
+        True,
+        period_s / section.time_s,
+        section.bound_share * friction.coulomb_nm,
+        section.bound_share * friction.viscous_nm_per_rps,
     )
 
 

@@ -28,7 +28,16 @@ from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, m
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
-from .sections import FeedforwardSection, PaperProfile, ProfileSection, RestSection, VelocitySection, length_problems
+from .sections import (
+    ONE_LEARNS,
+    AdaptationSection,
+    FeedforwardSection,
+    PaperProfile,
+    ProfileSection,
+    RestSection,
+    VelocitySection,
+    length_problems,
+)
 from .simulated import read_simulated
 
 FRICTION_KEYS = (
@@ -63,6 +72,13 @@ class ControllerVariant(Record):
     clamp_ratio: Annotated[float | None, Field(ge=1, le=10)] = None
     feedback_band_rps: Annotated[float | None, Field(ge=0, le=10)] = None
     velocity: VelocitySection | None = None
+    adaptation: AdaptationSection = AdaptationSection()
+
+    @model_validator(mode="after")
+    def _one_learns(self) -> ControllerVariant:
+        if self.adaptation.enabled and self.learns_in != "integral":
+            raise ValueError(ONE_LEARNS)
+        return self
 
 
 class MismatchSection(Record):
@@ -174,6 +190,7 @@ def axis_of(scenario: Scenario, name: str) -> AxisFile:
         **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest", "velocity"),
         "observer": section.observer.model_copy(update=observer),
         "feedforward": variant.feedforward,
+        "adaptation": variant.adaptation,
     }
     return scenario.axis.model_copy(update={"controller": section.model_copy(update=changed)})
 

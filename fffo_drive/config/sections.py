@@ -102,6 +102,36 @@ class VelocitySection(Record):
         return self.source == "estimated"
 
 
+class AdaptationSection(Record):
+    """Slow change of offset, Coulomb and viscous friction, learned in service from what the feedback has to add."""
+
+    enabled: Annotated[
+        bool,
+        Field(
+            description="learn and apply while friction is computed from the reference (toggle ff); needs "
+            "observer.learns_in: integral"
+        ),
+    ] = False
+    time_s: Annotated[
+        float, Field(ge=5, le=3600, description="time constant, in motion; far longer than any time of the loop")
+    ] = 30.0
+    bound_share: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=1,
+            description="bound of each, of the model's Coulomb (also for the offset) and viscous friction; "
+            "nothing changes faster than by its bound in time_s",
+        ),
+    ] = 0.5
+
+
+ONE_LEARNS = (
+    "adaptation.enabled: it learns from the integral, and what goes into the friction estimate is hidden from it: "
+    "set learns_in: integral"
+)
+
+
 class ControllerSection(Record):
     """PI with friction observer."""
 
@@ -121,6 +151,13 @@ class ControllerSection(Record):
         bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
     ] = False
     velocity: VelocitySection = VelocitySection()
+    adaptation: AdaptationSection = AdaptationSection()
+
+    @model_validator(mode="after")
+    def _one_learns(self) -> ControllerSection:
+        if self.adaptation.enabled and self.observer.learns_in != "integral":
+            raise ValueError(ONE_LEARNS)
+        return self
 
 
 class EnvelopeSection(Record):

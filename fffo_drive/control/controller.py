@@ -1,7 +1,8 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
 i = Kp e + Ki int(e) + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
-                                        E from the effects of the model (control/compensation)
+                                        E from the effects of the model (control/compensation), and what was
+                                        learned in service (control/adaptation)
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from ..jit import njit
 from ..model.friction import FrictionState
 from ..packing import flat_names, pack, reader
+from .adaptation import NO_ADAPTATION, AdaptationConfig
 from .feedforward import FeedforwardConfig, Reference
 from .friction_observer import (
     TOGGLE_OFF,
@@ -49,6 +51,7 @@ class ControllerConfig(NamedTuple):
     error_share: float = 1.0  # of a new error that is taken in a period; 1: the error is not filtered
     rest: RestConfig = AS_IN_MOTION
     velocity: VelocityEstimatorConfig = DRIVE_VELOCITY
+    adaptation: AdaptationConfig = NO_ADAPTATION
 
 
 class ControllerState(NamedTuple):
@@ -71,7 +74,6 @@ class ControllerTerms(NamedTuple):
     integral_a: float
     friction_nm: float
     inertia_nm: float
-    effects_nm: float
     observation_nm_per_s: float
     requested_a: float  # sum of the terms, not limited
     command_a: float  # limited
@@ -118,9 +120,9 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 @njit
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
-    effects_nm: float, followed_rps: float,
+    added_nm: float, followed_rps: float,
 ) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
-    """One period of the law; `effects_nm` is the torque for the model's effects.
+    """One period of the law; `added_nm` is fed forward beside friction and inertia: effects, and what was adapted.
 
     `velocity_rps` is the drive's own, which a friction model on feedback is driven by; the error takes `followed_rps`,
     which is the same or an estimate (control.velocity_estimator).
@@ -157,7 +159,7 @@ def controller_step(
             friction = observer_step(config.observer, friction, driven_rps, into_estimate_nm_per_s, config.period_s)
 
     inertia_nm = config.feedforward.inertia_nm_s2_per_rev * reference.ahead_derivative
-    feedforward_a = (friction.torque_nm + inertia_nm + effects_nm) / config.torque_constant_nm_per_a
+    feedforward_a = (friction.torque_nm + inertia_nm + added_nm) / config.torque_constant_nm_per_a
     limit_a = config.current_limit_a
     gains = PiConfig(
         gain_share * config.pi.proportional_a_per_rps, gain_share * config.pi.integral_a_per_rev + learned_a_per_rev
@@ -175,7 +177,6 @@ def controller_step(
         integral_a,
         friction.torque_nm,
         inertia_nm,
-        effects_nm,
         observation_nm_per_s,
         requested_a,
         command_a,
@@ -198,6 +199,12 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
     return ControllerState(
         state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
     )
+
+
+@njit
+def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> bool:
+    """What was learned beside one model means nothing beside another, nor in other bounds."""
+    return before.adaptation != after.adaptation or before.observer.friction != after.observer.friction
 
 
 @njit

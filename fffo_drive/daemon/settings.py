@@ -26,6 +26,7 @@ LAW_KEYS = (
     "controller.feedforward.inertia",
     "controller.feedforward.preview",
     "controller.feedforward.delay_aware",
+    "controller.adaptation.enabled",
 )
 LIVE_KEYS = (*GAIN_KEYS, *LAW_KEYS)
 

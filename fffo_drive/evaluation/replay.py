@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..control.adaptation import NOTHING_ADAPTED, AdaptationState, adaptation_at_start
 from ..control.compensation import (
     SUM_NM,
     TABLE_SIZE,
@@ -25,6 +26,7 @@ from ..control.compensation import (
 from ..control.controller import (
     CONTROLLER_BLOCK_SIZE,
     ControllerState,
+    adapts_another_model,
     controller_at_rest,
     controller_step,
     unpack_controller,
@@ -66,6 +68,10 @@ from ..runtime.tick import (
     FLAG_LOOP_BEGAN,
     FLAG_NOT_OPERATIONAL,
     FLAG_REBOOT,
+    Law,
+    give_adapted,
+    learn,
+    terms_of_current,
 )
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
@@ -75,7 +81,8 @@ Integers = np.ndarray[Any, np.dtype[np.int64]]
 # what is reproduced, by the names of the row
 TERMS = (
     "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "effects_nm",
-    "observation_nm_per_s", "requested_a", "estimated_rps", "disturbance_nm",
+    "observation_nm_per_s", "requested_a", "estimated_rps", "disturbance_nm", "adapted_nm", "adapted_offset_nm",
+    "adapted_coulomb_nm", "adapted_viscous_nm_per_rps",
 )  # fmt: skip
 COMMANDS = ("limited_a", "i2t_a2s")
 WORDS = ("limits", "trip", "controlword")
@@ -106,6 +113,8 @@ class Memory(NamedTuple):
     row_number: int
     tick: int
     estimator: VelocityEstimatorState
+    learned: AdaptationState
+    adapted_nm: float  # in the row before
 
 
 class Replayed(NamedTuple):
@@ -119,7 +128,10 @@ class Replayed(NamedTuple):
 
 def memory_at_start() -> Memory:
     """Before the first row."""
-    return Memory(False, controller_at_rest(), envelope_at_rest(), 0, 0, 0, 0, 0, -1, -1, estimator_at_rest())
+    return Memory(
+        False, controller_at_rest(), envelope_at_rest(), 0, 0, 0, 0, 0, -1, -1, estimator_at_rest(),
+        adaptation_at_start(), 0.0,
+    )  # fmt: skip
 
 
 def room_for(rows: int) -> Replayed:
@@ -192,6 +204,7 @@ def replay_into(
     parameters, effects, estimator = memory.parameters, memory.effects, memory.estimator
     trip, controlword, resetting_before = memory.trip, memory.controlword, memory.resetting
     row_number, tick = memory.row_number, memory.tick
+    learned, adapted_nm = memory.learned, memory.adapted_nm
     for k in range(rows.size):
         row = rows[k]
         resetting = _int64(row["resetting"])
@@ -201,6 +214,7 @@ def replay_into(
         if _int64(row["flags"]) & FLAG_LOOP_BEGAN:
             known, controller, envelope = True, controller_at_rest(), envelope_at_rest()
             estimator = estimator_at_rest()
+            learned, adapted_nm = adaptation_at_start(), 0.0
             compensation_rest(effects_memory)
             trip, controlword, resetting_before, tick = TRIP_NONE, 0, 0, -1
         known = known and named and (follows or tick < 0)
@@ -208,6 +222,9 @@ def replay_into(
             if parameters_at[k] != parameters:
                 before, config = config, unpack_controller(in_force.parameters[parameters_at[k]])
                 controller = with_new_gains(before, config, controller)
+                if adapts_another_model(before, config):
+                    controller = with_torque_lost(config, controller, adapted_nm)
+                    learned, adapted_nm = adaptation_at_start(), 0.0
             if effects_at[k] != effects:
                 controller = with_torque_lost(config, controller, effects_memory[SUM_NM])
                 compensation_rest(effects_memory)
@@ -216,15 +233,21 @@ def replay_into(
                 envelope = envelope_after_reset(envelope)
             requested_a = 0.0
             limited = False
-            if row["mode"] == MODE_VELOCITY:
-                reference = _reference_of(row)
+            reference = _reference_of(row)
+            moves = row["mode"] == MODE_VELOCITY
+            adapted, terms = NOTHING_ADAPTED, terms_of_current(0.0)
+            if moves:
                 effects_nm = compensation_step(
                     in_force.effects[effects_at[k]], effects_memory, _int64(row["effects"]), reference,
                     row["position_rev"],
                 )  # fmt: skip
                 estimate, estimator = velocity_estimator_step(config.velocity, estimator, commands_a, _measured_in(row))
+                toggle = _int64(row["toggle"])
+                adapted, controller = give_adapted(
+                    config, learned, controller, MODE_VELOCITY, reference, toggle, True, adapted_nm
+                )
                 terms, controller = controller_step(
-                    config, controller, _int64(row["toggle"]), reference, row["velocity_rps"], effects_nm,
+                    config, controller, toggle, reference, row["velocity_rps"], effects_nm + adapted.torque_nm,
                     estimate.followed_rps,
                 )  # fmt: skip
                 requested_a, limited = terms.command_a, terms.limited
@@ -234,11 +257,15 @@ def replay_into(
                 out.terms[k, 3] = terms.integral_a
                 out.terms[k, 4] = terms.friction_nm
                 out.terms[k, 5] = terms.inertia_nm
-                out.terms[k, 6] = terms.effects_nm
+                out.terms[k, 6] = effects_nm
                 out.terms[k, 7] = terms.observation_nm_per_s
                 out.terms[k, 8] = terms.requested_a
                 out.terms[k, 9] = estimate.estimated_rps
                 out.terms[k, 10] = estimate.disturbance_nm
+                out.terms[k, 11] = adapted.torque_nm
+                out.terms[k, 12] = learned.offset_nm
+                out.terms[k, 13] = learned.coulomb_nm
+                out.terms[k, 14] = learned.viscous_nm_per_rps
             else:
                 controller, estimator = controller_at_rest(), estimator_at_rest()
                 compensation_rest(effects_memory)
@@ -249,6 +276,9 @@ def replay_into(
             command_a, limits, found, envelope = envelope_step(in_force.envelope, envelope, seen)
             if limits != 0:
                 controller = with_limited(controller, True)
+            adapted_nm = adapted.torque_nm
+            if moves:
+                _, learned = learn(config, learned, adapted, Law(MODE_VELOCITY, reference, terms), controller)
             if limited:
                 limits |= LIMIT_CONTROLLER
             if found != TRIP_NONE and trip == TRIP_NONE and resetting == 0:
@@ -262,8 +292,10 @@ def replay_into(
             out.words[k, 2] = controlword
             out.known[k] = 1
         elif named and not wanted:
-            # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says
-            known, controller, estimator = True, controller_at_rest(), estimator_at_rest()
+            # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says; what was learned does
+            # not rest, and is known from the begin of a loop alone
+            known = not unpack_controller(in_force.parameters[parameters_at[k]]).adaptation.used
+            controller, estimator = controller_at_rest(), estimator_at_rest()
             compensation_rest(effects_memory)
             envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False, 0.0)
         keep_command(commands_a, _int64(row["tick"]), row["current_command_a"])
@@ -276,7 +308,7 @@ def replay_into(
             parameters, effects = parameters_at[k], effects_at[k]
     return Memory(
         known, controller, envelope, parameters, effects, trip, controlword, resetting_before, row_number, tick,
-        estimator,
+        estimator, learned, adapted_nm,
     )  # fmt: skip
 
 

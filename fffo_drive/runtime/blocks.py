@@ -59,7 +59,8 @@ TRIP_STATUSWORD = 16  # of the tick of the trip: a moment later it shows the rea
 SET_POINT_DONE = 17  # number of the set point whose motion ended last, at standstill or aborted
 SET_POINT_LAPSED = 18  # number of the last set point that held for its time and was not renewed
 SET_POINT_BLOCKED = 19  # number of the last set point that led out of its window, and was braked
-STATUS_WORDS = 20
+ADAPTED_TO_BOUND = 20  # bits of what was adapted to its bound: control.adaptation.*_AT_BOUND
+STATUS_WORDS = 21
 
 PROFILE_ROWS = 2  # value and derivative
 

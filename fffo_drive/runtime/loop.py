@@ -9,8 +9,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..control.adaptation import NOTHING_ADAPTED, adaptation_at_start, bounds_reached
 from ..control.compensation import SUM_NM, compensation_rest, effects_in_service
-from ..control.controller import controller_at_rest, unpack_controller, with_limited, with_new_gains, with_torque_lost
+from ..control.controller import (
+    adapts_another_model,
+    controller_at_rest,
+    unpack_controller,
+    with_limited,
+    with_new_gains,
+    with_torque_lost,
+)
 from ..control.envelope import (
     LIMIT_CONTROLLER,
     REACTION_QUICK_STOP,
@@ -49,6 +57,8 @@ from .tick import (
     flags_of,
     follow_profile,
     follow_set_points,
+    give_adapted,
+    learn,
     look,
     publish_tick,
     wake,
@@ -90,6 +100,8 @@ def run_loop(
     controller_config = unpack_controller(scratch[1])
     controller = controller_at_rest()
     estimator = estimator_at_rest()
+    learned = adaptation_at_start()
+    adapted = NOTHING_ADAPTED
     effects_number = take_effects(blocks, -1)
     status[b.EFFECTS_IN_USE] = effects_number
     compensation_rest(blocks.effects_memory)
@@ -126,6 +138,9 @@ def run_loop(
             gains_before = controller_config
             controller_config = unpack_controller(scratch[1])
             controller = with_new_gains(gains_before, controller_config, controller)
+            if adapts_another_model(gains_before, controller_config):
+                controller = with_torque_lost(controller_config, controller, adapted.torque_nm)
+                learned, adapted = adaptation_at_start(), NOTHING_ADAPTED
         number = take_effects(blocks, effects_number)
         if number != effects_number:
             effects_number = number
@@ -179,9 +194,12 @@ def run_loop(
         estimate, estimator = estimate_velocity(
             controller_config, estimator, blocks, cursor.mode, timing, feedback, active
         )
+        adapted, controller = give_adapted(
+            controller_config, learned, controller, cursor.mode, reference, toggle, active, adapted.torque_nm
+        )
         law, controller = apply_law(
             controller_config, controller, cursor.mode, reference, feedback["velocity_rps"], toggle, active,
-            effects_nm, estimate.followed_rps,
+            effects_nm + adapted.torque_nm, estimate.followed_rps,
         )  # fmt: skip
 
         # the envelope
@@ -198,7 +216,9 @@ def run_loop(
         if trip != TRIP_NONE:
             command_a = 0.0
 
-        row = write_row(ring, head, timing, config, law, estimate, seen, feedback)
+        row = write_row(ring, head, timing, config, law, effects_nm, adapted, learned, estimate, seen, feedback)
+        adapts, learned = learn(controller_config, learned, adapted, law, controller)
+        status[b.ADAPTED_TO_BOUND] = bounds_reached(controller_config.adaptation, learned)
         goal_now = goal_in_force(envelope_config, trip, goal, seen)
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword)
         row["limited_a"] = command_a
@@ -219,7 +239,7 @@ def run_loop(
         row["set_point_number"] = live.number
         row["set_point_sample"] = live_sample
         row["set_point_rps"] = set_point_rps
-        row["flags"] = flags_of(seen, ticks_run == 0, estimate.estimated)
+        row["flags"] = flags_of(seen, ticks_run == 0, estimate.estimated, adapts)
         row["goal"] = goal
         row["resetting"] = reset_ticks
         head += 1

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
+from ..control.adaptation import NOTHING_ADAPTED, AdaptationState, Adapted, adaptation_step, adapted_torque
 from ..control.compensation import compensation_rest, compensation_step
-from ..control.controller import ControllerConfig, ControllerState, ControllerTerms, controller_at_rest, controller_step
+from ..control.controller import (
+    ControllerConfig,
+    ControllerState,
+    ControllerTerms,
+    controller_at_rest,
+    controller_step,
+    with_torque_lost,
+)
 from ..control.envelope import EnvelopeInputs
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
+from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, observer_start
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..control.set_point import (
     LiveMotion,
@@ -51,6 +61,7 @@ FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
 FLAG_LOCAL_CONTROL = 64  # statusword bit 9 is 0 where the drive serves it: it ignores the controlword
 FLAG_IGNORES_TARGET = 128  # statusword bit 12 is 0 where the drive serves it, though the axis is commanded
 FLAG_ESTIMATED_VELOCITY = 256  # the error took the estimated velocity, not the drive's
+FLAG_ADAPTS = 512  # offset and Coulomb friction are learned in this tick
 
 
 class LoopConfig(NamedTuple):
@@ -235,22 +246,59 @@ def estimate_velocity(
 
 
 @njit
+def give_adapted(
+    config: ControllerConfig, state: AdaptationState, controller: ControllerState, mode: int, reference: Reference,
+    toggle: int, active: bool, before_nm: float,
+) -> tuple[Adapted, ControllerState]:  # fmt: skip
+    """What was learned, on this tick's reference. Where friction goes to the reference or leaves it, without a bump.
+
+    `before_nm`: what was given in the last tick.
+    """
+    if not (config.adaptation.used and active) or mode == MODE_CURRENT:
+        return NOTHING_ADAPTED, controller
+    adapted = NOTHING_ADAPTED
+    if toggle == TOGGLE_FEEDFORWARD:
+        friction_nm = controller.friction.torque_nm
+        if controller.toggle == TOGGLE_OFF:
+            friction_nm = observer_start(config.observer, reference.ahead).torque_nm
+        adapted = adapted_torque(config.observer.friction, state, friction_nm, reference.ahead)
+    if toggle != controller.toggle:
+        controller = with_torque_lost(config, controller, before_nm - adapted.torque_nm)
+    return adapted, controller
+
+
+@njit
+def learn(
+    config: ControllerConfig, state: AdaptationState, adapted: Adapted, law: Law, controller: ControllerState
+) -> tuple[bool, AdaptationState]:
+    """Learn from what P and I give: in motion, on the reference, and not where the command was limited."""
+    if not config.adaptation.used or law.mode != MODE_VELOCITY or controller.toggle != TOGGLE_FEEDFORWARD:
+        return False, state
+    at_rest = law.reference.value == 0.0 and law.reference.ahead == 0.0
+    lacking_nm = config.torque_constant_nm_per_a * (law.terms.proportional_a + law.terms.integral_a)
+    if at_rest or controller.limited or not math.isfinite(lacking_nm):
+        return False, state
+    return adaptation_step(config.adaptation, state, adapted, lacking_nm)
+
+
+@njit
 def apply_law(
     config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
-    toggle: int, active: bool, effects_nm: float, followed_rps: float,
+    toggle: int, active: bool, added_nm: float, followed_rps: float,
 ) -> tuple[Law, ControllerState]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
-        return Law(MODE_IDLE, steady_reference(0.0), _terms_of_current(0.0)), controller_at_rest()
+        return Law(MODE_IDLE, steady_reference(0.0), terms_of_current(0.0)), controller_at_rest()
     if mode == MODE_CURRENT:
-        return Law(MODE_CURRENT, steady_reference(0.0), _terms_of_current(reference.value)), controller_at_rest()
-    terms, state = controller_step(config, state, toggle, reference, velocity_rps, effects_nm, followed_rps)
+        return Law(MODE_CURRENT, steady_reference(0.0), terms_of_current(reference.value)), controller_at_rest()
+    terms, state = controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps)
     return Law(MODE_VELOCITY, reference, terms), state
 
 
 @njit
-def _terms_of_current(current_a: float) -> ControllerTerms:
-    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+def terms_of_current(current_a: float) -> ControllerTerms:
+    """An open-loop current has no other terms."""
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
 
 
 @njit
@@ -306,10 +354,11 @@ def look(
 
 
 @njit
-def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool) -> int:
+def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool, adapts: bool) -> int:
     """Bits for the row."""
     flags = FLAG_LOOP_BEGAN if loop_began else 0
     flags |= FLAG_ESTIMATED_VELOCITY if estimated else 0
+    flags |= FLAG_ADAPTS if adapts else 0
     flags |= FLAG_EMERGENCY if seen.emergencies > 0 else 0
     flags |= FLAG_REBOOT if seen.reboots > 0 else 0
     flags |= FLAG_NOT_OPERATIONAL if seen.not_operational else 0
@@ -321,8 +370,8 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool) -> int:
 
 @njit
 def write_row(
-    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, estimate: VelocityEstimatorTerms,
-    seen: EnvelopeInputs, feedback: Any,
+    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, effects_nm: float, adapted: Adapted,
+    learned: AdaptationState, estimate: VelocityEstimatorTerms, seen: EnvelopeInputs, feedback: Any,
 ) -> Any:  # fmt: skip
     """Fill a row with what is known before the command is sent; the loop adds the rest and publishes it."""
     row = ring.rows[head & (ring.rows.size - 1)]
@@ -345,7 +394,11 @@ def write_row(
     row["integral_a"] = law.terms.integral_a
     row["friction_nm"] = law.terms.friction_nm
     row["inertia_nm"] = law.terms.inertia_nm
-    row["effects_nm"] = law.terms.effects_nm
+    row["effects_nm"] = effects_nm
+    row["adapted_nm"] = adapted.torque_nm
+    row["adapted_offset_nm"] = learned.offset_nm
+    row["adapted_coulomb_nm"] = learned.coulomb_nm
+    row["adapted_viscous_nm_per_rps"] = learned.viscous_nm_per_rps
     row["observation_nm_per_s"] = law.terms.observation_nm_per_s
     row["requested_a"] = law.terms.requested_a
     row["velocity_rps"] = seen.velocity_rps

@@ -47,6 +47,8 @@ def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
     if facts:
         assert facts["socket pair: estimated ticks"] == 0
         assert facts["socket pair, estimated velocity: estimated ticks"] > 900  # of 1000
+        assert facts["socket pair: ticks that learn"] == 0
+        assert facts["socket pair, adaptation: ticks that learn"] > 500
     for bus in ("socket pair", "loopback bus", "socket pair, estimated velocity") if facts else ():
         assert facts[f"{bus}: differing fields"] == []
         assert facts[f"{bus}: largest command"] > 0.1  # it did control

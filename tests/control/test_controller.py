@@ -166,7 +166,9 @@ def test_a_feed_forward_that_goes_at_once_is_handed_to_the_integrator():
     before, _ = step(CONFIG, state, TOGGLE_FEEDFORWARD, steady, 1.9, 0.02)
     after, _ = step(CONFIG, with_torque_lost(CONFIG, state, 0.02), TOGGLE_FEEDFORWARD, steady, 1.9, 0.0)
     assert abs(after.command_a - before.command_a) < 1e-12
-    assert before.effects_nm == 0.02
+    assert before.requested_a - after.proportional_a - before.integral_a == pytest.approx(
+        (before.friction_nm + 0.02) / CONFIG.torque_constant_nm_per_a
+    )
 
 
 def test_what_is_learned_in_the_integral_is_a_pi_with_l_over_kt_more_and_the_friction_is_the_model():

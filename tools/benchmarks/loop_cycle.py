@@ -25,8 +25,9 @@ from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 
 from fffo_drive.can import frame
-from fffo_drive.config.sections import VelocitySection
-from fffo_drive.control import envelope, friction_observer, reference, velocity_estimator
+from fffo_drive.config.sections import AdaptationSection, VelocitySection
+from fffo_drive.control import adaptation, envelope, friction_observer, reference, velocity_estimator
+from fffo_drive.control.adaptation import AdaptationState, Adapted
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
 from fffo_drive.control.velocity_estimator import Measured, VelocityEstimatorState, VelocityEstimatorTerms
@@ -59,6 +60,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
     (velocity_estimator, ("COMMANDS", "BRIDGED_TICKS")),
+    (adaptation, ("EXCITED_SHARE", "FOLLOWS_IN", "OFFSET_AT", "COULOMB_AT", "VISCOUS_AT")),
     (tick, ("FLAG_",)),
 )
 
@@ -148,7 +150,7 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
         made.record(record)
     for kind in (
         ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, Law,
-        VelocityEstimatorState, VelocityEstimatorTerms, Measured,
+        VelocityEstimatorState, VelocityEstimatorTerms, Measured, AdaptationState, Adapted,
     ):  # fmt: skip
         made.record(zeros(kind))
     made.unpacking("unpack_controller", zeros(ControllerConfig), CONTROLLER_NAMES)
@@ -158,6 +160,14 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
 def with_estimate(plan: Plan) -> Plan:
     """The same plan on the estimated velocity."""
     controller = plan.axis.controller.model_copy(update={"velocity": VelocitySection(source="estimated")})
+    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}))
+
+
+def with_adaptation(plan: Plan) -> Plan:
+    """The same plan with friction that is learned in service, as fast as it may be."""
+    observer = plan.axis.controller.observer.model_copy(update={"learns_in": "integral"})
+    changed = {"observer": observer, "adaptation": AdaptationSection(enabled=True, time_s=5.0)}
+    controller = plan.axis.controller.model_copy(update=changed)
     return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}))
 
 
@@ -189,16 +199,18 @@ def run() -> int:
         NAME, "One cycle of the loop (receive, compute, send, row, housekeeping), compiled by numba and by gcc -O2."
     )
     plan = make_plan(AXIS)
-    loop, estimating = Cycles(plan), Cycles(with_estimate(plan))
+    loop, estimating, adapting = Cycles(plan), Cycles(with_estimate(plan)), Cycles(with_adaptation(plan))
     buses = {
         "socket pair": (loop, socket_pair),
         "loopback bus": (loop, loopback_bus),
         "socket pair, estimated velocity": (estimating, socket_pair),
+        "socket pair, adaptation": (adapting, socket_pair),
     }
     for text, (one_loop, bus) in buses.items():
         one, other = one_loop.run("numba", bus, cycles).rows, one_loop.run("C", bus, cycles).rows
         report.facts[f"{text}: estimated ticks"] = int((one["flags"] & tick.FLAG_ESTIMATED_VELOCITY != 0).sum())
         differing = differing_fields(one, other)
+        report.facts[f"{text}: ticks that learn"] = int((one["flags"] & tick.FLAG_ADAPTS != 0).sum())
         report.facts[f"{text}: differing fields"] = differing
         report.facts[f"{text}: largest command"] = float(np.abs(one["current_command_a"]).max())
         if differing:

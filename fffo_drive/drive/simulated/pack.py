@@ -141,6 +141,7 @@ def _numbers(config: PlantConfig, transport_fraction: float) -> Floats:
     numbers[at.COOLING] = STEP_S / thermal.time_constant_s
     numbers[at.VISCOUS_PER_K] = thermal.viscous_per_k
     numbers[at.COULOMB_PER_K] = thermal.coulomb_per_k
+    numbers[at.OFFSET_NM_PER_K] = thermal.offset_nm_per_k
     return numbers
 
 

@@ -45,12 +45,13 @@ class ResolverConfig:
 
 @dataclass(frozen=True)
 class ThermalConfig:
-    """The drive warms up by the losses of winding and friction, to first order; friction follows."""
+    """The drive warms up by the losses of winding and friction, to first order; friction and an offset follow."""
 
     k_per_w: float = key(1.5, "K/W", 0.0, 1000.0, "temperature rise in the end, per watt of loss")
     time_constant_s: float = key(600.0, "s", 1.0, 1e5, "thermal time constant")
     viscous_per_k: float = key(-0.01, "1/K", -0.1, 0.1, "relative change of viscous friction")
     coulomb_per_k: float = key(0.0, "1/K", -0.1, 0.1, "relative change of the friction level")
+    offset_nm_per_k: float = key(0.0, "Nm/K", -1.0, 1.0, "constant torque that the axis takes")
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def plant_advance(parameters: PlantParameters, state: PlantState, command_a: flo
         friction_nm += _roughness(c, x, words)
         x[at.FRICTION_NM] = friction_nm
         x[at.TORQUE_NM] = torque_nm
-        sensed_rev = _move(c, x, torque_nm - friction_nm + added_nm)
+        sensed_rev = _move(c, x, torque_nm - friction_nm + added_nm - float(c[at.OFFSET_NM_PER_K] * temperature_k))
         _warm_up(c, x)
         if with_effects:
             sensed_rev = effects_on_sensor(effects, sensed_rev)

@@ -40,7 +40,8 @@ WARMING_K_PER_W = 18  # over a sub-step
 COOLING = 19  # share of the temperature rise lost in a sub-step
 VISCOUS_PER_K = 20
 COULOMB_PER_K = 21
-N_NUMBERS = 22
+OFFSET_NM_PER_K = 22
+N_NUMBERS = 23
 
 # PlantParameters.integers
 FRICTION_KIND = 0

@@ -14,7 +14,8 @@ const PICTURES = [
     { name: "integral_a", label: "integral", colour: "purple", width: 1.4, dash: [9, 3, 2, 3] },
     { name: "friction_nm", label: "friction", colour: "green", width: 1.8, dash: [3, 3], perKt: true },
     { name: "inertia_nm", label: "inertia", colour: "blue", width: 1.4, dash: [14, 4], perKt: true },
-    { name: "effects_nm", label: "effects", colour: "grey", width: 1.4, dash: [1, 4], perKt: true }] },
+    { name: "effects_nm", label: "effects", colour: "grey", width: 1.4, dash: [1, 4], perKt: true },
+    { name: "adapted_nm", label: "adapted", colour: "orange", width: 1.4, dash: [1, 2], perKt: true }] },
   { title: "Friction estimate", unit: "Nm", series: [
     { name: "friction_nm", label: "estimate", colour: "green", width: 1.8 }] },
   { title: "Ticks, largest of 20 ms", unit: "µs", series: [

@@ -144,7 +144,7 @@ static struct velocity_estimator_terms velocity_estimator_step(const struct velo
 /* ---- the law ---- */
 
 static void controller_step(const struct controller_config *c, struct controller_state *state, int64_t toggle,
-                            const struct reference *reference, double velocity_rps, double followed_rps,
+                            const struct reference *reference, double velocity_rps, double added_nm, double followed_rps,
                             struct controller_terms *terms)
 {
     if (toggle != state->toggle)
@@ -177,7 +177,7 @@ static void controller_step(const struct controller_config *c, struct controller
         }
     }
     double inertia_nm = c->feedforward.inertia_nm_s2_per_rev * reference->ahead_derivative;
-    double feedforward_a = (state->friction.torque_nm + inertia_nm + 0.0) / c->torque_constant_nm_per_a;
+    double feedforward_a = (state->friction.torque_nm + inertia_nm + added_nm) / c->torque_constant_nm_per_a;
     double limit_a = c->current_limit_a;
     double proportional_a = gain_share * c->pi.proportional_a_per_rps * driving_rps;
     double integral_a_per_rev = gain_share * c->pi.integral_a_per_rev + learned_a_per_rev;
@@ -190,10 +190,90 @@ static void controller_step(const struct controller_config *c, struct controller
     state->limited = command_a != requested_a;
     *terms = (struct controller_terms){
         .error_rps = error_rps, .filtered_error_rps = driving_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
-        .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm, .effects_nm = 0.0,
+        .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm,
         .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
         .limited = state->limited,
     };
+}
+
+/* ---- what is learned in service ---- */
+
+static struct adapted give_adapted(const struct controller_config *c, const struct adaptation_state *learned,
+                                   struct controller_state *state, int64_t mode, const struct reference *reference,
+                                   int64_t toggle, bool active, double before_nm)
+{
+    struct adapted given = {0.0, 0.0, 0.0};
+    if (!(c->adaptation.used && active) || mode == MODE_CURRENT)
+        return given;
+    if (toggle == TOGGLE_FEEDFORWARD) {
+        struct friction_state friction = state->friction;
+        if (state->toggle == TOGGLE_OFF) {
+            friction = settled_friction(&c->observer.friction, reference->ahead);
+            clamp_estimate(&c->observer, &friction);
+        }
+        double velocity_rps = reference->ahead;
+        double steady_nm = steady_friction_nm(&c->observer.friction, velocity_rps);
+        double viscous_share = c->observer.friction.viscous_nm_per_rps * fabs(velocity_rps) / steady_nm;
+        double contact = friction.torque_nm * (1.0 - viscous_share) / c->observer.friction.coulomb_nm;
+        double torque_nm = learned->offset_nm + learned->coulomb_nm * contact + learned->viscous_nm_per_rps * velocity_rps;
+        given = (struct adapted){contact, velocity_rps, torque_nm};
+    }
+    if (toggle != state->toggle)
+        state->integral_a += (before_nm - given.torque_nm) / c->torque_constant_nm_per_a;
+    return given;
+}
+
+static double moved(double value, double way, double bound, double step_share)
+{
+    double after = value + step_share * smaller(larger(way / FOLLOWS_IN, -bound), bound);
+    return smaller(larger(after, -bound), bound);
+}
+
+static bool learn(const struct controller_config *config, struct adaptation_state *s, const struct adapted *given,
+                  const struct law *law, const struct controller_state *state)
+{
+    const struct adaptation_config *a = &config->adaptation;
+    if (!a->used || law->mode != MODE_VELOCITY || state->toggle != TOGGLE_FEEDFORWARD)
+        return false;
+    bool at_rest = law->reference.value == 0.0 && law->reference.ahead == 0.0;
+    double lacking_nm = config->torque_constant_nm_per_a * (law->terms.proportional_a + law->terms.integral_a);
+    if (at_rest || state->limited || !isfinite(lacking_nm))
+        return false;
+    double contact = given->contact, velocity_rps = given->velocity_rps;
+    s->weight += a->step_share * (1.0 - s->weight);
+    double share = a->step_share / s->weight;
+    s->c += share * (contact - s->c);
+    s->c2 += share * (contact * contact - s->c2);
+    s->w += share * (velocity_rps - s->w);
+    s->cw += share * (contact * velocity_rps - s->cw);
+    s->w2 += share * (velocity_rps * velocity_rps - s->w2);
+    s->r += share * (lacking_nm - s->r);
+    s->cr += share * (contact * lacking_nm - s->cr);
+    s->wr += share * (velocity_rps * lacking_nm - s->wr);
+    double spread = s->c2 - s->c * s->c;
+    if (!(spread > EXCITED_SHARE * s->c2))
+        return false;
+    double at_zero = (s->c2 * s->w - s->c * s->cw) / spread, slope = (s->cw - s->c * s->w) / spread;
+    double rest_2 = s->w2 - at_zero * s->w - slope * s->cw;
+    double viscous_way = 0.0;
+    if (rest_2 > EXCITED_SHARE * s->w2)
+        viscous_way = (s->wr - at_zero * s->r - slope * s->cr) / rest_2;
+    double offset_way = (s->c2 * s->r - s->c * s->cr) / spread - at_zero * viscous_way;
+    double coulomb_way = (s->cr - s->c * s->r) / spread - slope * viscous_way;
+    s->offset_nm = moved(s->offset_nm, offset_way, a->torque_bound_nm, a->step_share);
+    s->coulomb_nm = moved(s->coulomb_nm, coulomb_way, a->torque_bound_nm, a->step_share);
+    s->viscous_nm_per_rps = moved(s->viscous_nm_per_rps, viscous_way, a->viscous_bound_nm_per_rps, a->step_share);
+    return true;
+}
+
+static int64_t bounds_reached(const struct adaptation_config *a, const struct adaptation_state *s)
+{
+    if (!a->used)
+        return 0;
+    int64_t bits = fabs(s->offset_nm) >= a->torque_bound_nm ? OFFSET_AT_BOUND : 0;
+    bits |= fabs(s->coulomb_nm) >= a->torque_bound_nm ? COULOMB_AT_BOUND : 0;
+    double bound = a->viscous_bound_nm_per_rps;
+    return bits | (fabs(s->viscous_nm_per_rps) >= bound && bound > 0.0 ? VISCOUS_AT_BOUND : 0);
 }
 
 /* ---- the envelope ---- */

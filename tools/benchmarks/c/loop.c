@@ -164,7 +164,7 @@ static struct velocity_estimator_terms estimate_velocity(const struct controller
 
 static struct law apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
                             const struct reference *reference, double velocity_rps, int64_t toggle, bool active,
-                            double followed_rps)
+                            double added_nm, double followed_rps)
 {
     struct law law = {.mode = MODE_IDLE};
     if (!active || mode == MODE_CURRENT) {
@@ -177,7 +177,7 @@ static struct law apply_law(const struct controller_config *config, struct contr
     }
     law.mode = MODE_VELOCITY;
     law.reference = *reference;
-    controller_step(config, state, toggle, reference, velocity_rps, followed_rps, &law.terms);
+    controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps, &law.terms);
     return law;
 }
 
@@ -216,10 +216,11 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
     };
 }
 
-static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, bool estimated)
+static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, bool estimated, bool adapts)
 {
     int64_t flags = loop_began ? FLAG_LOOP_BEGAN : 0;
     flags |= estimated ? FLAG_ESTIMATED_VELOCITY : 0;
+    flags |= adapts ? FLAG_ADAPTS : 0;
     flags |= seen->emergencies > 0 ? FLAG_EMERGENCY : 0;
     flags |= seen->reboots > 0 ? FLAG_REBOOT : 0;
     flags |= seen->not_operational ? FLAG_NOT_OPERATIONAL : 0;
@@ -230,7 +231,8 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, boo
 }
 
 static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
-                      const struct law *law, const struct velocity_estimator_terms *estimate,
+                      const struct law *law, const struct adapted *given, const struct adaptation_state *learned,
+                      const struct velocity_estimator_terms *estimate,
                       const struct envelope_inputs *seen, const struct feedback *feedback)
 {
     int64_t lateness_ns = timing->woke_ns - timing->deadline_ns;
@@ -243,7 +245,11 @@ static void write_row(struct row *row, int64_t head, const struct timing *timing
     row->estimated_rps = estimate->estimated_rps;
     row->disturbance_nm = estimate->disturbance_nm;
     row->effects = 0; /* a loop without effects */
-    row->effects_nm = law->terms.effects_nm;
+    row->effects_nm = 0.0;
+    row->adapted_nm = given->torque_nm;
+    row->adapted_offset_nm = learned->offset_nm;
+    row->adapted_coulomb_nm = learned->coulomb_nm;
+    row->adapted_viscous_nm_per_rps = learned->viscous_nm_per_rps;
     row->reference_rps = law->reference.value;
     row->reference_rps2 = law->reference.derivative;
     row->reference_ahead_rps = law->reference.ahead;
@@ -290,6 +296,8 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     unpack_controller(in_use, &controller_config);
     struct controller_state controller = {.toggle = TOGGLE_OFF};
     struct velocity_estimator_state estimator = ESTIMATOR_AT_REST;
+    struct adaptation_state learned = {0};
+    struct adapted given = {0};
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
     struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
@@ -353,8 +361,10 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         }
         struct velocity_estimator_terms estimate = estimate_velocity(&controller_config, &estimator, blocks,
                                                                      cursor.mode, &timing, feedback, active);
+        given = give_adapted(&controller_config, &learned, &controller, cursor.mode, &reference, toggle, active,
+                             given.torque_nm);
         struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
-                                   toggle, active, estimate.followed_rps);
+                                   toggle, active, given.torque_nm, estimate.followed_rps);
 
         struct envelope_inputs seen = look(feedback, config, &timing, &baseline, &law, wanted, enabled,
                                            timing.tick - tick);
@@ -373,7 +383,9 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             command_a = 0.0;
 
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
-        write_row(row, head, &timing, config, &law, &estimate, &seen, feedback);
+        write_row(row, head, &timing, config, &law, &given, &learned, &estimate, &seen, feedback);
+        bool adapts = learn(&controller_config, &learned, &given, &law, &controller);
+        status[ADAPTED_TO_BOUND] = bounds_reached(&controller_config.adaptation, &learned);
         int64_t goal_now = goal_in_force(envelope_config, trip, goal, &seen);
         controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
         row->limited_a = command_a;
@@ -393,7 +405,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         row->set_point_number = status[SET_POINT_DONE]; /* a loop without live set points */
         row->set_point_sample = -1;
         row->set_point_rps = 0.0;
-        row->flags = flags_of(&seen, ticks_run == 0, estimate.estimated);
+        row->flags = flags_of(&seen, ticks_run == 0, estimate.estimated, adapts);
         row->goal = goal;
         row->resetting = reset_ticks;
         head += 1;

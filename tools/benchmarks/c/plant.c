@@ -174,7 +174,7 @@ static void plant_advance(struct plant_parameters *p, struct plant_state *s, dou
         }
         x[FRICTION_NM] = friction_nm;
         x[TORQUE_NM] = torque_nm;
-        double next_rps = velocity_rps + c[SPEED_PER_TORQUE] * (torque_nm - friction_nm);
+        double next_rps = velocity_rps + c[SPEED_PER_TORQUE] * (torque_nm - friction_nm - c[OFFSET_NM_PER_K] * temperature_k);
         x[VELOCITY_RPS] = next_rps;
         double angle_rev = x[ANGLE_REV] + 0.5 * (velocity_rps + next_rps) * STEP_S;
         x[ANGLE_REV] = angle_rev;
