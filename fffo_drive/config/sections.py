@@ -225,8 +225,8 @@ class PaperProfile(Record):
 
     kind: Literal["paper"]
     duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")] = 60.0
-    low_rps: Annotated[float, Field(ge=0, le=1000)] = 0.2
-    high_rps: Rps = 15.0
+    low_rps: Annotated[float, Field(ge=0, le=1000, description="amplitude at the start of the record, rev/s")] = 0.2
+    high_rps: Annotated[Rps, Field(description="amplitude at the end of the record, rev/s")] = 15.0
     lowest_hz: Annotated[Hertz, Field(description="lowest frequency of the reference, Hz")] = 0.01
     highest_hz: Annotated[Hertz, Field(description="highest frequency of the reference, Hz")] = 10.0
     lines: Annotated[int, Field(ge=1, le=1000, description="number of sines in the reference")] = 31
