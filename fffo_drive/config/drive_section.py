@@ -47,7 +47,7 @@ class SdoWriteSection(Record):
 
     object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, as 0x60A9")]
     sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
-    value: Annotated[int, Field(ge=-(1 << 63), lt=1 << 64)]
+    value: Annotated[int, Field(ge=-(1 << 63), lt=1 << 64, description="value to write")]
     bytes: Annotated[Literal[1, 2, 4, 8], Field(description="size of the object in the drive")]
     when: Annotated[
         WritePhase,
@@ -80,7 +80,7 @@ class TargetSection(Record):
     """The object that is commanded with each SYNC."""
 
     object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6071")] = TARGET_TORQUE
-    sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
+    sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
     bits: Annotated[Literal[16, 32], Field(description="size of the object, signed")] = 16
     units_per_a: Annotated[
         float | None, Field(gt=0, description="of torque-forming current; null: per mille of the rated torque")
@@ -116,8 +116,8 @@ class CanopenDriveSection(Record):
 
     kind: Literal["canopen"]
     bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
-    bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
-    node_id: Annotated[int, Field(ge=1, le=127)]
+    bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")] = 1_000_000
+    node_id: Annotated[int, Field(ge=1, le=127, description="node ID of the drive")]
     master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
     counts_per_rev: Annotated[
         int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 in a revolution, any number")
@@ -137,11 +137,13 @@ class CanopenDriveSection(Record):
         Literal["mA", "mA_rms"],
         Field(description="of 0x6075 in this drive; mA_rms: the torque constant is for the amplitude of the current"),
     ] = "mA"
-    inverted: bool = False
+    inverted: Annotated[bool, Field(description="reverses the sign of velocity, position and torque together")] = False
     status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
-    heartbeat_ms: Milliseconds = 50
-    heartbeat_timeout_ms: Milliseconds = 150
-    drive_heartbeat_ms: Milliseconds = 50
+    heartbeat_ms: Annotated[Milliseconds, Field(description="period of our heartbeat, ms")] = 50
+    heartbeat_timeout_ms: Annotated[
+        Milliseconds, Field(description="the drive reacts when our heartbeat is absent for this long (0x1016), ms")
+    ] = 150
+    drive_heartbeat_ms: Annotated[Milliseconds, Field(description="period of the drive's heartbeat (0x1017), ms")] = 50
     command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
     abort_connection_option: Annotated[int, Field(ge=1, le=3, description="0x6007: 1 fault, 2 off, 3 quick stop")] = 3
     status_event: Annotated[
@@ -187,12 +189,14 @@ class CanopenDriveSection(Record):
         ModeDisplay, Field(description="when 0x6061 shows the mode: at_once, with_sync, or not_checked")
     ] = "at_once"
     device_profile: Annotated[int | None, Field(ge=0, le=0xFFFF, description="low word of 0x1000; null: any")] = 402
-    target: TargetSection = TargetSection()
-    torque_feedback: TorqueFeedbackSection = TorqueFeedbackSection()
+    target: Annotated[TargetSection, Field(description="object and scale of the torque command")] = TargetSection()
+    torque_feedback: Annotated[TorqueFeedbackSection, Field(description="object and scale of the actual torque")] = (
+        TorqueFeedbackSection()
+    )
     torque_slope: Annotated[
         int | None, Field(ge=1, lt=1 << 32, description="0x6087 in per mille a second; null: the drive's own")
     ] = None
-    pdo: PdoSection = PdoSection()
+    pdo: Annotated[PdoSection, Field(description="numbers of the PDOs used")] = PdoSection()
     silence_detection: Annotated[
         Detection,
         Field(

@@ -137,21 +137,21 @@ class ControllerSection(Record):
 
     proportional_a_per_rps: Annotated[float, Field(gt=0, le=1e4, description="Kp")]
     integral_a_per_rev: Annotated[float, Field(ge=0, le=1e6, description="Ki = Kp / Ti")]
-    current_limit_a: Amperes
+    current_limit_a: Annotated[Amperes, Field(description="bound of the controller's command, A")]
     error_filter_s: Annotated[
         float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins count it")
     ] = 0.0
-    observer: ObserverSection = ObserverSection()
-    at_rest: RestSection = RestSection()
-    feedforward: FeedforwardSection = FeedforwardSection()
-    effects: EffectsSection = EffectsSection()
+    observer: Annotated[ObserverSection, Field(description="the friction observer")] = ObserverSection()
+    at_rest: Annotated[RestSection, Field(description="gains and friction term while the axis stands")] = RestSection()
+    feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
+    effects: Annotated[EffectsSection, Field(description="compensation of the model's effects")] = EffectsSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
     gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
     accept_unproven: Annotated[
         bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
     ] = False
-    velocity: VelocitySection = VelocitySection()
-    adaptation: AdaptationSection = AdaptationSection()
+    velocity: Annotated[VelocitySection, Field(description="the velocity that the error uses")] = VelocitySection()
+    adaptation: Annotated[AdaptationSection, Field(description="slow change, learned in service")] = AdaptationSection()
 
     @model_validator(mode="after")
     def _one_learns(self) -> ControllerSection:
@@ -163,19 +163,32 @@ class ControllerSection(Record):
 class EnvelopeSection(Record):
     """Limits that stand last before the wire."""
 
-    current_limit_a: Amperes
-    slew_a_per_s: Annotated[float, Field(gt=0, le=1e7)] = 20_000.0
-    speed_limit_rps: Rps
-    continuous_current_a: Amperes
-    i2t_time_s: Annotated[float, Field(gt=0, le=600)] = 2.0
-    i2t_action: Literal["trip", "limit"] = "trip"
+    current_limit_a: Annotated[Amperes, Field(description="largest command, A")]
+    slew_a_per_s: Annotated[float, Field(gt=0, le=1e7, description="largest slope of the command, A/s")] = 20_000.0
+    speed_limit_rps: Annotated[Rps, Field(description="trips above this speed, rev/s")]
+    continuous_current_a: Annotated[Amperes, Field(description="current that may flow without end (I2t), A")]
+    i2t_time_s: Annotated[float, Field(gt=0, le=600, description="how long current_limit_a may flow from cold, s")] = (
+        2.0
+    )
+    i2t_action: Annotated[
+        Literal["trip", "limit"],
+        Field(description="when the I2t budget is used up: trip, or limit to continuous_current_a"),
+    ] = "trip"
     position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
         None
     )
-    following_error_rps: Rps
-    following_error_s: Annotated[float, Field(gt=0, le=60)] = 0.2
-    feedback_missing_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10
-    status_missing_ticks: Annotated[int, Field(ge=1, le=100_000)] = 100
+    following_error_rps: Annotated[
+        Rps, Field(description="trips when the velocity error exceeds this for longer than following_error_s, rev/s")
+    ]
+    following_error_s: Annotated[
+        float, Field(gt=0, le=60, description="time allowed beyond following_error_rps, s")
+    ] = 0.2
+    feedback_missing_ticks: Annotated[
+        int, Field(ge=1, le=10_000, description="trips after this many ticks without velocity feedback")
+    ] = 10
+    status_missing_ticks: Annotated[
+        int, Field(ge=1, le=100_000, description="trips after this many ticks without a statusword")
+    ] = 100
     heartbeat_timeout_s: Annotated[float, Field(ge=0, le=60, description="of the drive; 0: not watched")] = 0.5
     reactions: Annotated[dict[str, Reaction], Field(description="overrides, by the name of the trip")] = Field(
         default_factory=dict
@@ -198,7 +211,7 @@ class LoopSection(Record):
     late_share: Annotated[float, Field(gt=0, le=1, description="lateness of a late tick, of the period")] = 0.2
     minimum_gap_share: Annotated[float, Field(ge=0.5, le=1, description="no two SYNCs are closer")] = 0.8
     tail_s: Annotated[float, Field(ge=0, le=60, description="standstill under control after a profile")] = 0.25
-    longest_profile_s: Annotated[float, Field(gt=0, le=86_400)] = 600.0
+    longest_profile_s: Annotated[float, Field(gt=0, le=86_400, description="a longer profile is refused, s")] = 600.0
 
     @property
     def period_s(self) -> float:
@@ -221,8 +234,8 @@ Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
 class RecordingSection(Record):
     """Where runs are written, in files of what size, and how much of them is kept."""
 
-    directory: str = "runs"
-    compression: Literal["zstd", "none"] = "zstd"
+    directory: Annotated[str, Field(description="where recordings are written")] = "runs"
+    compression: Annotated[Literal["zstd", "none"], Field(description="of the recording's chunks")] = "zstd"
     flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
     fsync_interval_s: Annotated[
         float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
@@ -248,31 +261,35 @@ class PaperProfile(Record):
     """Multi-sine under a biased sigmoid envelope (Fig. 7)."""
 
     kind: Literal["paper"]
-    duration_s: Annotated[float, Field(gt=0, le=86_400)] = 60.0
-    low_rps: Annotated[float, Field(ge=0, le=1000)] = 0.2
-    high_rps: Rps = 15.0
-    lowest_hz: Hertz = 0.01
-    highest_hz: Hertz = 10.0
-    lines: Annotated[int, Field(ge=1, le=1000)] = 31
+    duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")] = 60.0
+    low_rps: Annotated[float, Field(ge=0, le=1000, description="amplitude at the start of the record, rev/s")] = 0.2
+    high_rps: Annotated[Rps, Field(description="amplitude at the end of the record, rev/s")] = 15.0
+    lowest_hz: Annotated[Hertz, Field(description="lowest frequency of the reference, Hz")] = 0.01
+    highest_hz: Annotated[Hertz, Field(description="highest frequency of the reference, Hz")] = 10.0
+    lines: Annotated[int, Field(ge=1, le=1000, description="number of sines in the reference")] = 31
     slope: Annotated[float, Field(ge=-4, le=4, description="amplitude of a line is f^slope")] = -0.5
-    seed: Annotated[int, Field(ge=0, le=2**31)] = 1
+    seed: Annotated[int, Field(ge=0, le=2**31, description="of the random phases")] = 1
 
 
 class SineProfile(Record):
     """One sine."""
 
     kind: Literal["sine"]
-    mode: Literal["velocity", "current"] = "velocity"
-    duration_s: Annotated[float, Field(gt=0, le=86_400)]
+    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+        "velocity"
+    )
+    duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")]
     amplitude: Annotated[float, Field(gt=0, le=1000, description="rps or A, by mode")]
-    frequency_hz: Annotated[float, Field(gt=0, le=1000)]
+    frequency_hz: Annotated[float, Field(gt=0, le=1000, description="frequency of the sine, Hz")]
 
 
 class PointsProfile(Record):
     """Straight lines between points: steps, ramps, staircases, dwells."""
 
     kind: Literal["points"]
-    mode: Literal["velocity", "current"] = "velocity"
+    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+        "velocity"
+    )
     points: Annotated[list[Point], Field(min_length=2, description="[time_s, rps or A] each")]
 
     @model_validator(mode="after")
@@ -287,11 +304,11 @@ class IdentifyProfile(Record):
     """The paper's identification current: a down-chirp, then an up-chirp, in a biased sigmoid envelope (Fig. 3)."""
 
     kind: Literal["identify"]
-    duration_s: Annotated[float, Field(gt=1, le=86_400)] = 60.0
+    duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 60.0
     low_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the start")] = 0.3
     high_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the end")] = 1.1
     lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
-    highest_hz: Hertz = 10.0
+    highest_hz: Annotated[Hertz, Field(description="highest frequency of the excitation, Hz")] = 10.0
 
     @model_validator(mode="after")
     def _swept(self) -> IdentifyProfile:
@@ -303,10 +320,10 @@ class FrfProfile(Record):
     """Down-chirp of current at one amplitude, for the frequency response (section IV-C)."""
 
     kind: Literal["frf"]
-    duration_s: Annotated[float, Field(gt=1, le=86_400)] = 120.0
-    amplitude_a: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 120.0
+    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="amplitude of the excitation, A")] = 1.0
     lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
-    highest_hz: Hertz = 50.0
+    highest_hz: Annotated[Hertz, Field(description="highest frequency of the excitation, Hz")] = 50.0
 
     @model_validator(mode="after")
     def _swept(self) -> FrfProfile:
@@ -418,7 +435,7 @@ class DaemonSection(Record):
         Field(description="what happens when the client that holds the axis goes away"),
     ] = "stop"
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
-    set_points: SetPointSection = SetPointSection()
+    set_points: Annotated[SetPointSection, Field(description="limits of set-points and jogging")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
         float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")

@@ -50,13 +50,17 @@ class FrictionModel(Record):
     omega: Annotated[
         Literal["clipped", "signed", "literal"], Field(description="reading of (4), see model/friction")
     ] = "clipped"
-    viscous_nm_per_rps: Quantity
-    coulomb_nm: Quantity
-    static_nm: Quantity
-    stribeck_velocity_rps: Quantity
-    stribeck_exponent: Quantity
-    stiffness_per_rev: Quantity
-    attraction_nm_per_rev: Quantity
+    viscous_nm_per_rps: Annotated[Quantity, Field(description="viscous slope sigma, Nm s/rev")]
+    coulomb_nm: Annotated[Quantity, Field(description="Coulomb level Fc, Nm")]
+    static_nm: Annotated[Quantity, Field(description="level Fs at break-away, Nm")]
+    stribeck_velocity_rps: Annotated[Quantity, Field(description="Stribeck velocity Vs, rev/s")]
+    stribeck_exponent: Annotated[Quantity, Field(description="Stribeck exponent delta")]
+    stiffness_per_rev: Annotated[
+        Quantity, Field(description="K: how fast presliding saturates after a reversal, 1/rev")
+    ]
+    attraction_nm_per_rev: Annotated[
+        Quantity, Field(description="B: how fast friction approaches its steady value, Nm/rev")
+    ]
 
 
 class EffectModel(Record):
