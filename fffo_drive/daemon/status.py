@@ -9,6 +9,7 @@ from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..drive.cia402 import state_name
 from ..drive.port import exchange_counts
 from ..runtime import blocks as b
+from ..runtime.adaptation_watch import bound_names
 from ..runtime.states import State
 from ..workflows.plan import toggle_name
 from .parameters import agreed_protocol
@@ -18,6 +19,7 @@ from .settings import LIVE_KEYS, value_of
 from .supervisor import Supervisor
 from .watch import TRIP_NAMES
 
+ADAPTED = ("offset_nm", "coulomb_nm", "viscous_nm_per_rps")  # of the row, behind adapted_
 MOTION = (
     "velocity_rps", "position_rev", "current_a", "current_command_a", "reference_rps", "error_rps", "friction_nm",
 )  # fmt: skip
@@ -82,7 +84,7 @@ def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
     session = connection.session
     feedback = connection.drive.feedback
     row = connection.last_row()
-    loop = {
+    loop: dict[str, Any] = {
         "connection": connection.number,
         "running": connection.running,
         "tick": session.status(b.TICK),
@@ -105,6 +107,9 @@ def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
     if row is None:
         return {"loop": loop, "drive": drive, "motion": None}
     motion: dict[str, Any] = {name: float(row[name]) for name in MOTION}
+    if supervisor.plan.axis.controller.adaptation.enabled:
+        adapted = {name: float(row[f"adapted_{name}"]) for name in ADAPTED}
+        loop["adaptation"] = {**adapted, "at_bound": bound_names(session.status(b.ADAPTED_TO_BOUND))}
     motion |= {"mode": MODES.get(int(row["mode"]), "idle"), "age": int(row["velocity_age"])}
     return {"loop": loop, "drive": drive, "motion": motion}
 

@@ -24,6 +24,7 @@ from ..drive.port import DriveError, DriveRefusedError
 from ..model.parameters import content_hash
 from ..recording.events import Level
 from ..runtime import blocks as b
+from ..runtime.adaptation_watch import BoundWatch
 from ..runtime.journal import Journal
 from ..runtime.runs import NOT_ENABLED, with_words
 from ..runtime.states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
@@ -75,6 +76,7 @@ class Supervisor:
         self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
         self._permission: Permission | None = None
         self._watcher: Watcher | None = None
+        self._bounds = BoundWatch()
         self._to_leave: Connection | None = None
         self._wake = asyncio.Event()
         self._hearing: asyncio.Future[None] | None = None
@@ -175,6 +177,9 @@ class Supervisor:
             self.connection.beat()
             for text in self.connection.drive.warnings():
                 self.log.add("drive", text, Level.WARNING)
+            reached = self._bounds.news(self.connection.session.status(b.ADAPTED_TO_BOUND))
+            if reached is not None:
+                self.log.add("adaptation", reached, Level.WARNING)
             trouble = self._watcher.look(now_s)
             if trouble is not None:
                 self._meet(trouble)

@@ -23,6 +23,7 @@ from ..recording.settings import RecorderHooks, RecorderSettings, RecorderStatis
 from ..recording.writer import wall_clock_offset_ns
 from ..units import NS_PER_S
 from . import blocks as b
+from .adaptation_watch import BoundWatch
 from .effect_monitor import EffectMonitor
 from .session import Session
 
@@ -112,9 +113,10 @@ def record_simulated(
     )
     counted = exchange_counts(session.drive.feedback)
     before = session.status(b.PROFILE_DONE)
+    bounds = BoundWatch()
     session.run_profile(profile, toggle)
     started = session.status(b.PROFILE_DONE) != before
-    words = _hear_out(session, recorder, started)
+    words = _hear_out(session, recorder, started, bounds)
     recorder.close(_closing_facts(session, counted))
     return _outcome(session, recorder, started, counted, words)
 
@@ -135,22 +137,24 @@ def record_live(
     counted = exchange_counts(session.drive.feedback)
     recorder.start()
     warnings: list[str] = []
+    bounds = BoundWatch()
     try:
         session.request(b.TOGGLE, toggle)
         number = session.start_profile(profile)
         session.request(b.GOAL, GOAL_ENABLED)
-        watch = _watch(session, recorder, monitor, warnings)
+        watch = _watch(session, recorder, monitor, warnings, bounds)
         started = _follow(session, profile, number, progress, watch)
-        words = _hear_out(session, recorder, started)
+        words = _hear_out(session, recorder, started, bounds)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
         ended = recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
     return _outcome(session, recorder, started, counted, words)._replace(recorder_ended=ended, warnings=tuple(warnings))
 
 
-def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
+def _hear_out(session: Session, recorder: Recorder, started: bool, bounds: BoundWatch) -> str:
     """What the drive says where a run did not end as planned: into the recording too. The drive is disabled first."""
     statusword = session.telling_statusword  # before anything is changed
+    _warn_of_bounds(session, recorder, bounds)
     session.request(b.GOAL, GOAL_DISABLED)
     trip = session.status(b.TRIP)
     if started and trip == TRIP_NONE:
@@ -160,8 +164,15 @@ def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
     return words
 
 
+def _warn_of_bounds(session: Session, recorder: Recorder, bounds: BoundWatch) -> str | None:
+    text = bounds.news(session.status(b.ADAPTED_TO_BOUND))
+    if text is not None:
+        recorder.event(Level.WARNING, "adaptation", text)
+    return text
+
+
 def _watch(
-    session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str]
+    session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str], bounds: BoundWatch
 ) -> Callable[[], None]:
     """What is looked at from time to time beside the run: what the drive warns of, whether the model's effects help."""
 
@@ -169,6 +180,9 @@ def _watch(
         for text in session.drive.warnings():
             warnings.append(text)
             recorder.event(Level.WARNING, "drive", text)
+        reached = _warn_of_bounds(session, recorder, bounds)
+        if reached is not None:
+            warnings.append(reached)
 
     if monitor is None:
         return listen

@@ -19,7 +19,7 @@ from fffo_drive.drive.cia402 import GOAL_ENABLED
 from fffo_drive.evaluation.replay import TERMS, WORDS, Replay, law_in_force
 from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b
-from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
+from fffo_drive.runtime.tick import FLAG_ADAPTS, FLAG_ESTIMATED_VELOCITY
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -50,6 +50,21 @@ def test_a_run_is_reproduced_bit_for_bit(axis_file, tmp_path, toggle, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["exact"]
     assert report["rows"] > 12_000
+
+
+@pytest.mark.slow
+def test_a_run_that_adapts_is_reproduced_bit_for_bit(axis_file, tmp_path, capsys):
+    adapting = axis_file.with_name("adapting.yaml")
+    text = axis_file.read_text().replace("controller:\n", "controller:\n  adaptation: {enabled: true, time_s: 5}\n")
+    adapting.write_text(text.replace("  observer:\n", "  observer:\n    learns_in: integral\n"))
+    run = tmp_path / "run.mcap"
+    assert main(["run", str(adapting), "--toggle", "ff", "--out", str(run), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(run), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["exact"]
+    rows = read_run(run).rows
+    assert (rows["flags"] & FLAG_ADAPTS != 0).mean() > 0.5
+    assert np.abs(rows["adapted_coulomb_nm"]).max() > 1e-4
 
 
 @pytest.mark.slow

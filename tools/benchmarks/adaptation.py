@@ -1,0 +1,271 @@
+"""Adaptation over a warm-up: PI+FFFO+ with the morning's model, with adaptation, and with a model fitted each minute.
+
+  .venv/bin/python tools/benchmarks/adaptation.py [--minutes N] [--seeds N]
+
+A day of warm-up in half an hour: the drive's thermal time constant is ten minutes instead of hours, so that friction
+changes faster than on a machine. After a third of it the load falls, after two thirds it returns. What a minute leaves
+is compared with the same minute under a model whose level and viscous friction were fitted by least squares to the rows
+of that minute. Writes results/adaptation.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import RESULTS, ROOT, commit, machine, progress_bar
+
+from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis, session_config
+from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, PaperProfile, RestSection
+from fffo_drive.config.simulated import read_simulated
+from fffo_drive.control.adaptation import EXCITED_SHARE, adaptation_at_start, adapted_torque
+from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS
+from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
+from fffo_drive.control.reference import MODE_VELOCITY, Profile
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.drive.simulated.parameters import PlantConfig, ThermalConfig
+from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.model.parameters import ModelFile
+from fffo_drive.recording.ring_reader import RingReader
+from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.runs import simulated_ring_rows
+from fffo_drive.runtime.session import Session
+
+AXIS = ROOT / "configs" / "axis_simulated.yaml"
+KINDS = {"five surfaces": "five_surfaces", "single surface": "single_2sep"}
+TIMES_S = (10.0, 30.0, 100.0)
+THERMAL = ThermalConfig(
+    k_per_w=16.0, time_constant_s=600.0, viscous_per_k=-0.03, coulomb_per_k=-0.02, offset_nm_per_k=0.0001
+)
+MINUTE_S = 60.0
+RATE_HZ = 2000
+FAST_RPS, SLOW_RPS = 15.0, 6.0
+SKIPPED_S = 3.0  # of a minute: it begins with a jump of the reference in one loop, and from rest in the other
+BEGUN = 3  # minutes that are reported apart: nothing can have been learned
+ASKED = 1.2
+
+
+class Hour(NamedTuple):
+    """One axis and seed."""
+
+    kind: str
+    seed: int
+    minutes: int
+
+
+class Found(NamedTuple):
+    """Mean squared true error of each minute, (minutes,), rps^2; and what was learned at the end."""
+
+    fitted: np.ndarray[Any, Any]
+    morning: np.ndarray[Any, Any]
+    adapted: dict[float, np.ndarray[Any, Any]]  # by T
+    learned: dict[float, tuple[float, float, float]]  # offset, Coulomb (Nm), viscous (Nm/rps)
+    change: tuple[float, float]  # fitted at the end over the model: level, viscous
+
+
+def axis_with(adaptation: AdaptationSection) -> AxisFile:
+    """PI+FFFO+ as in the scenario."""
+    axis = read_axis(AXIS)
+    changed = {
+        "observer": axis.controller.observer.model_copy(update={"learns_in": "integral"}),
+        "at_rest": RestSection(gain_share=0.5, release_friction=True),
+        "feedforward": FeedforwardSection(inertia=True, preview=True, delay_aware=True),
+        "error_filter_s": 0.0002,
+        "adaptation": adaptation,
+    }
+    return axis.model_copy(update={"controller": axis.controller.model_copy(update=changed)})
+
+
+def minutes_of(hour: Hour, period_s: float) -> list[Profile]:
+    """A profile for each minute."""
+    made: dict[float, Profile] = {}
+    for high_rps in (FAST_RPS, SLOW_RPS):
+        section = PaperProfile(kind="paper", duration_s=MINUTE_S, high_rps=high_rps, slope=0.0, seed=hour.seed)
+        made[high_rps] = build_profile(section, period_s)
+    slow = range(hour.minutes // 3, 2 * hour.minutes // 3)
+    return [made[SLOW_RPS if k in slow else FAST_RPS] for k in range(hour.minutes)]
+
+
+def plant_of(axis: AxisFile, hour: Hour) -> PlantConfig:
+    """The axis' plant, which warms up."""
+    plant = read_simulated(beside(AXIS, axis.drive.file)).plant  # type: ignore[union-attr]
+    friction = replace(plant.friction, kind=KINDS[hour.kind])
+    return replace(plant, friction=friction, thermal=THERMAL, seed=hour.seed)
+
+
+def squared_error(rows: Any) -> float:
+    """Mean squared true error of a minute without its beginning."""
+    acting = rows[(rows["mode"] == MODE_VELOCITY) & (rows["profile_sample"] >= 0)]
+    acting = acting[acting["tick"] > acting["tick"][0] + SKIPPED_S * RATE_HZ]
+    return float(np.mean((acting["reference_rps"] - acting["true_velocity_rps"]) ** 2))
+
+
+def in_one_loop(hour: Hour, adaptation: AdaptationSection, model: ModelFile) -> list[Any]:
+    """Rows of each minute of one uninterrupted loop. Raises RuntimeError for a trip."""
+    axis = axis_with(adaptation)
+    minutes = minutes_of(hour, axis.loop.period_s)
+    whole = minutes[0]._replace(
+        values=np.concatenate([one.values for one in minutes]),
+        derivatives=np.concatenate([one.derivatives for one in minutes]),
+    )
+    drive = SimulatedDrive(plant_of(axis, hour))
+    drive.connect()
+    rows = simulated_ring_rows(whole, axis.loop.tail_s)
+    with Session(drive, session_config(axis, model, whole.values.size, rows)) as session:
+        session.run_profile(whole, TOGGLE_FEEDFORWARD)
+        if session.status(b.TRIP) != TRIP_NONE:
+            raise RuntimeError(f"{hour}: {TRIP_TEXTS[session.status(b.TRIP)]}")
+        rows = RingReader(session.ring).read().rows
+    running = rows[rows["profile_sample"] >= 0]
+    edges = np.cumsum([one.values.size for one in minutes])
+    return [running[end - one.values.size : end] for end, one in zip(edges, minutes, strict=True)]
+
+
+def fitted_model(model: ModelFile, rows: Any) -> ModelFile:
+    """Level and viscous friction by least squares on what P and I gave in these rows."""
+    acting = rows[rows["mode"] == MODE_VELOCITY]
+    friction, start = model.friction_config(), adaptation_at_start()
+    shape = [
+        adapted_torque(friction, start, float(row["friction_nm"]), float(row["reference_ahead_rps"])).contact
+        for row in acting[::10]
+    ]
+    part = acting[::10]
+    design = np.column_stack((np.ones(part.size), shape, part["reference_ahead_rps"]))
+    lacking_nm = model.torque_constant_nm_per_a * (part["proportional_a"] + part["integral_a"])
+    _, coulomb_nm, viscous = np.linalg.lstsq(design, lacking_nm, rcond=None)[0]
+    level = 1.0 + coulomb_nm / model.friction.coulomb_nm.value
+    factors = {"coulomb_nm": level, "static_nm": level}
+    factors["viscous_nm_per_rps"] = 1.0 + viscous / model.friction.viscous_nm_per_rps.value
+    changed = {
+        name: getattr(model.friction, name).model_copy(update={"value": factor * getattr(model.friction, name).value})
+        for name, factor in factors.items()
+    }
+    return model.model_copy(update={"friction": model.friction.model_copy(update=changed), "content_hash": None})
+
+
+def under_fitted(hour: Hour, models: list[ModelFile]) -> np.ndarray[Any, Any]:
+    """The same hour, each minute under its own model: the plant lives on, the law begins anew."""
+    axis = axis_with(AdaptationSection())
+    minutes = minutes_of(hour, axis.loop.period_s)
+    drive = SimulatedDrive(plant_of(axis, hour))
+    drive.connect()
+    found = []
+    ring = simulated_ring_rows(minutes[0], axis.loop.tail_s)
+    first = session_config(axis, models[0], minutes[0].values.size, ring)
+    with Session(drive, first) as session:
+        reader = RingReader(session.ring)
+        for model, minute in zip(models, minutes, strict=True):
+            session.set_controller(session_config(axis, model, minute.values.size, ring).controller)
+            session.run_profile(minute, TOGGLE_FEEDFORWARD)
+            if session.status(b.TRIP) != TRIP_NONE:
+                raise RuntimeError(f"{hour}: {TRIP_TEXTS[session.status(b.TRIP)]}")
+            found.append(squared_error(reader.read().rows))
+    return np.array(found)
+
+
+def measured(hour: Hour) -> Found:
+    """All variants of one hour."""
+    model = model_of(AXIS, read_axis(AXIS))
+    morning = in_one_loop(hour, AdaptationSection(), model)
+    models = [fitted_model(model, rows) for rows in morning]
+    last = models[-1].friction
+    change = (
+        last.coulomb_nm.value / model.friction.coulomb_nm.value,
+        last.viscous_nm_per_rps.value / model.friction.viscous_nm_per_rps.value,
+    )
+    in_the_morning = np.array([squared_error(rows) for rows in morning])
+    del morning
+    fitted = under_fitted(hour, models)
+    adapted, learned = {}, {}
+    for time_s in TIMES_S:
+        minutes = in_one_loop(hour, AdaptationSection(enabled=True, time_s=time_s, bound_share=0.8), model)
+        adapted[time_s] = np.array([squared_error(rows) for rows in minutes])
+        row = minutes[-1][-1]
+        learned[time_s] = (
+            float(row["adapted_offset_nm"]),
+            float(row["adapted_coulomb_nm"]),
+            float(row["adapted_viscous_nm_per_rps"]),
+        )
+    return Found(fitted, in_the_morning, adapted, learned, change)
+
+
+def excited_shares() -> list[tuple[str, float, float]]:
+    """(motion, share of c that an offset leaves, share of w_r that offset and c leave), steady friction, c = sgn w."""
+    phase = np.linspace(0.0, 1.0, 20_001)[1:]
+    trapezoid = np.clip(4.0 * np.abs((phase % 1.0) - 0.5) - 1.0, -0.8, 0.8)
+    motions = {
+        "sine about zero": np.sin(2.0 * np.pi * phase),
+        "multi-sine": np.random.default_rng(1).normal(size=20_000),
+        "to and fro, 80 % at one speed": np.clip(10.0 * (4.0 * np.abs(phase - 0.5) - 1.0), -1.0, 1.0),
+        "to and fro, 20 % of the time ramps up to half": trapezoid,
+        "one way, with 1 % of the time back": np.where(phase < 0.99, 1.0, -1.0) * (1.0 + 0.3 * np.sin(20.0 * phase)),
+    }
+    found = []
+    for name, w in motions.items():
+        c = np.sign(w)
+        design = np.column_stack((np.ones_like(c), c))
+        rest = w - design @ np.linalg.lstsq(design, w, rcond=None)[0]
+        found.append((name, float(np.var(c) / np.mean(c**2)), float(np.mean(rest**2) / np.mean(w**2))))
+    return found
+
+
+def table(hours: list[Hour], found: list[Found]) -> list[str]:
+    """Lines of the result."""
+    lines = [
+        "| axis, seed | level, viscous fitted last over the model's | morning's model | "
+        + " | ".join(f"T = {time_s:g} s" for time_s in TIMES_S)
+        + " |",
+        "| --- | --- | --- |" + " --- |" * len(TIMES_S),
+    ]
+    for hour, one in zip(hours, found, strict=True):
+        cells = []
+        for squared in (one.morning, *one.adapted.values()):
+            ratio = np.sqrt(squared / one.fitted)[BEGUN:]
+            cells.append(f"{np.median(ratio):.2f}, {ratio.max():.2f}")
+        lines.append(
+            f"| {hour.kind}, {hour.seed} | {one.change[0]:.2f}, {one.change[1]:.2f} | " + " | ".join(cells) + " |"
+        )
+    return lines
+
+
+def run() -> int:
+    """The command."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--minutes", type=int, default=30)
+    options.add_argument("--seeds", type=int, default=2)
+    options.add_argument("--workers", type=int, default=None, help="processes (default: one a core)")
+    chosen = options.parse_args()
+    hours = [Hour(kind, seed, chosen.minutes) for kind in KINDS for seed in range(1, chosen.seeds + 1)]
+    with progress_bar("adaptation") as progress:
+        done = None if progress is None else (lambda number: progress(number / len(hours)))
+        found = over_cores(measured, hours, progress=done, workers=chosen.workers)
+    worst = max(float(np.sqrt(one.adapted[30.0] / one.fitted)[BEGUN:].max()) for one in found)
+    lines = [
+        "# adaptation",
+        "",
+        f"RMS of the true error in a minute over that under a model fitted to that minute: median and largest of the "
+        f"minutes {BEGUN + 1} to {chosen.minutes}. Asked: {ASKED:g} at most. Seen with T = 30 s: {worst:.2f}.",
+        "",
+        *table(hours, found),
+        "",
+        "What a motion excites: share of c that an offset leaves, share of w_r that offset and c leave; "
+        f"EXCITED_SHARE = {EXCITED_SHARE:g} adapts viscous friction on the first two, Coulomb friction and offset on "
+        "all but the last.",
+        "",
+        "| motion | c | w_r |",
+        "| --- | --- | --- |",
+        *(f"| {name} | {c:.3f} | {w:.3f} |" for name, c, w in excited_shares()),
+        "",
+        f"{THERMAL}. The first {BEGUN} minutes are left out, and the first {SKIPPED_S:g} s of each. "
+        f"Made by `tools/benchmarks/adaptation.py` on {commit()}, {machine()}.",
+    ]
+    text = "\n".join(lines) + "\n"
+    (RESULTS / "adaptation.md").write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run())
