@@ -147,6 +147,7 @@ def record_live(
         words = _hear_out(session, recorder, started, bounds)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
+        _let_go(session)
         ended = recorder.stop(_closing_facts(session, counted), DISK_TIMEOUT_S)
     return _outcome(session, recorder, started, counted, words)._replace(recorder_ended=ended, warnings=tuple(warnings))
 
