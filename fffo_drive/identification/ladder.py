@@ -27,7 +27,6 @@ from .rows import CONSTANT, Rows, least_squares, rigid_columns, rows_at, stretch
 Floats = npt.NDArray[np.float64]
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
-RUNGS = ("constant torque", "direction", "gravity", "waves")
 LARGEST_P = 0.01  # over all that was tried
 LEAST_SHARE = 0.02  # of the squared residual
 MOST_EFFECTS = 6

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import NamedTuple
 
@@ -111,11 +110,3 @@ def time_scale(unit: str | None) -> float | None:
     """Seconds of a unit of time; None for any other."""
     name = None if unit is None else unit_of(unit)
     return UNITS[name].factor if name is not None and UNITS[name].measures == TIME else None
-
-
-def factor_between(unit: str, counts_per_turn: float | None) -> float:
-    """How many of ours (rev, rps, s, A, ...) one of `unit` is; counts by the counts of a turn, else NaN."""
-    known = UNITS[unit]
-    if known.measures == COUNT:
-        return 1.0 / counts_per_turn if counts_per_turn else math.nan
-    return known.factor

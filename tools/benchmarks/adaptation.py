@@ -250,9 +250,8 @@ def run() -> int:
         "",
         *table(hours, found),
         "",
-        "What a motion excites: share of c that an offset leaves, share of w_r that offset and c leave; "
-        f"EXCITED_SHARE = {EXCITED_SHARE:g} adapts viscous friction on the first two, Coulomb friction and offset on "
-        "all but the last.",
+        "What a motion excites: share of c that an offset leaves (offset and Coulomb friction are adapted above "
+        f"EXCITED_SHARE = {EXCITED_SHARE:g}), share of w_r that offset and c leave (viscous friction is).",
         "",
         "| motion | c | w_r |",
         "| --- | --- | --- |",

@@ -27,7 +27,7 @@ from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveRefusedError
 from .service_queue import ServiceQueue
 
-NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x82
+NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x80, 0x82
 STATE_BOOT_UP, STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 SDO_ABORT = 0x80  # command byte; the only request that is not answered
 ABSENT = (0x06020000, 0x06090011)  # abort codes: no such object, no such sub-index

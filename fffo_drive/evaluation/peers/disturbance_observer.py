@@ -21,7 +21,6 @@ FIRST_NM = OWN  # estimate through the first low-pass
 VELOCITY_RPS = OWN + 1  # of the last period
 SECOND_NM = OWN + 2  # estimate through the second low-pass
 HISTORY = OWN + 3  # commands, the last one first
-LONGEST_DELAY_TICKS = MEMORY_SLOTS - HISTORY - 2
 
 
 class ObserverLoop(NamedTuple):
