@@ -46,6 +46,7 @@ from fffo_drive.workflows.plan import Plan, make_plan, plan_session
 NAME = "loop_cycle"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"
 TARGET = 1.10
+REVERSING_HZ = 20.0
 AHEAD_NS = 1_000_000_000  # the first deadline lies far ahead, so that no cycle is late and none is skipped
 CLOCK_FIELDS = ("deadline_ns", "lateness_ns", "turnaround_ns", "busy_ns", "heartbeat_age_ns", "late")
 CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
@@ -164,11 +165,13 @@ def with_estimate(plan: Plan) -> Plan:
 
 
 def with_adaptation(plan: Plan) -> Plan:
-    """The same plan with friction that is learned in service, as fast as it may be."""
+    """The same plan with friction that is learned in service, as fast as it may be, on a sine that reverses at once."""
     observer = plan.axis.controller.observer.model_copy(update={"learns_in": "integral"})
     changed = {"observer": observer, "adaptation": AdaptationSection(enabled=True, time_s=5.0)}
     controller = plan.axis.controller.model_copy(update=changed)
-    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}))
+    loop = plan.axis.loop
+    profile = reference.sine("reversing", reference.MODE_VELOCITY, 10.0, loop.period_s, 5.0, REVERSING_HZ)
+    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}), profile=profile)
 
 
 def zeros(kind: type) -> Any:
