@@ -103,32 +103,30 @@ class VelocitySection(Record):
 
 
 class AdaptationSection(Record):
-    """Slow change of offset, Coulomb and viscous friction, learned in service from what the feedback has to add."""
+    """Adaptation to slow change of offset, Coulomb and viscous friction, from the torque that the feedback adds."""
 
     enabled: Annotated[
         bool,
         Field(
-            description="learn and apply while friction is computed from the reference (toggle ff); needs "
+            description="adapt while friction is computed from the reference (toggle ff); requires "
             "observer.learns_in: integral"
         ),
     ] = False
-    time_s: Annotated[
-        float, Field(ge=5, le=3600, description="time constant, in motion; far longer than any time of the loop")
-    ] = 30.0
+    time_s: Annotated[float, Field(ge=5, le=3600, description="time constant, counted in motion only")] = 30.0
     bound_share: Annotated[
         float,
         Field(
             gt=0,
             le=1,
-            description="bound of each, of the model's Coulomb (also for the offset) and viscous friction; "
-            "nothing changes faster than by its bound in time_s",
+            description="bound of each: of the model's Coulomb friction (for offset and Coulomb friction) and of its "
+            "viscous friction; none changes by more than its bound in time_s",
         ),
     ] = 0.5
 
 
 ONE_LEARNS = (
-    "adaptation.enabled: it learns from the integral, and what goes into the friction estimate is hidden from it: "
-    "set learns_in: integral"
+    "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the friction "
+    "estimate learns is hidden from it"
 )
 
 
@@ -142,7 +140,7 @@ class ControllerSection(Record):
         float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins count it")
     ] = 0.0
     observer: Annotated[ObserverSection, Field(description="the friction observer")] = ObserverSection()
-    at_rest: Annotated[RestSection, Field(description="gains and friction term while the axis stands")] = RestSection()
+    at_rest: Annotated[RestSection, Field(description="gains and friction term at standstill")] = RestSection()
     feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
     effects: Annotated[EffectsSection, Field(description="compensation of the model's effects")] = EffectsSection()
     phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
@@ -150,8 +148,8 @@ class ControllerSection(Record):
     accept_unproven: Annotated[
         bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
     ] = False
-    velocity: Annotated[VelocitySection, Field(description="the velocity that the error uses")] = VelocitySection()
-    adaptation: Annotated[AdaptationSection, Field(description="slow change, learned in service")] = AdaptationSection()
+    velocity: Annotated[VelocitySection, Field(description="velocity feedback of the error")] = VelocitySection()
+    adaptation: Annotated[AdaptationSection, Field(description="adaptation to slow change")] = AdaptationSection()
 
     @model_validator(mode="after")
     def _one_learns(self) -> ControllerSection:
@@ -164,9 +162,9 @@ class EnvelopeSection(Record):
     """Limits that stand last before the wire."""
 
     current_limit_a: Annotated[Amperes, Field(description="largest command, A")]
-    slew_a_per_s: Annotated[float, Field(gt=0, le=1e7, description="largest slope of the command, A/s")] = 20_000.0
+    slew_a_per_s: Annotated[float, Field(gt=0, le=1e7, description="largest slew rate of the command, A/s")] = 20_000.0
     speed_limit_rps: Annotated[Rps, Field(description="trips above this speed, rev/s")]
-    continuous_current_a: Annotated[Amperes, Field(description="current that may flow without end (I2t), A")]
+    continuous_current_a: Annotated[Amperes, Field(description="largest current that may flow indefinitely (I2t), A")]
     i2t_time_s: Annotated[float, Field(gt=0, le=600, description="how long current_limit_a may flow from cold, s")] = (
         2.0
     )
@@ -435,7 +433,7 @@ class DaemonSection(Record):
         Field(description="what happens when the client that holds the axis goes away"),
     ] = "stop"
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
-    set_points: Annotated[SetPointSection, Field(description="limits of set-points and jogging")] = SetPointSection()
+    set_points: Annotated[SetPointSection, Field(description="limits of live set points and jogs")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
         float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")

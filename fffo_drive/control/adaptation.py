@@ -70,11 +70,10 @@ class Adapted(NamedTuple):
     """What a tick gives."""
 
     contact: float  # c
-    velocity_rps: float  # w_r, read ahead
     torque_nm: float  # A; 0 where the law is not on the reference
 
 
-NOTHING_ADAPTED = Adapted(0.0, 0.0, 0.0)
+NOTHING_ADAPTED = Adapted(0.0, 0.0)
 
 
 @njit
@@ -92,7 +91,7 @@ def adapted_torque(
     viscous_share = friction.viscous_nm_per_rps * abs(velocity_rps) / steady_nm
     contact = friction_nm * (1.0 - viscous_share) / friction.coulomb_nm
     torque_nm = state.offset_nm + state.coulomb_nm * contact + state.viscous_nm_per_rps * velocity_rps
-    return Adapted(contact, velocity_rps, torque_nm)
+    return Adapted(contact, torque_nm)
 
 
 @njit
@@ -104,10 +103,9 @@ def _moved(value: float, way: float, bound: float, step_share: float) -> float:
 
 @njit
 def adaptation_step(
-    config: AdaptationConfig, state: AdaptationState, adapted: Adapted, lacking_nm: float
+    config: AdaptationConfig, state: AdaptationState, contact: float, velocity_rps: float, lacking_nm: float
 ) -> tuple[bool, AdaptationState]:
-    """One tick in motion. `lacking_nm`: torque of P and I. Returns (whether offset and Coulomb learn, state)."""
-    contact, velocity_rps = adapted.contact, adapted.velocity_rps
+    """One tick in motion, with c and w_r. `lacking_nm`: torque of P and I. Returns (whether it was learned, state)."""
     weight = state.weight + config.step_share * (1.0 - state.weight)
     share = config.step_share / weight  # of this tick in the means: they begin with it, not with zero
     c = state.c + share * (contact - state.c)

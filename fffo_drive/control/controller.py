@@ -15,7 +15,7 @@ from ..jit import njit
 from ..model.friction import FrictionState
 from ..packing import flat_names, pack, reader
 from .adaptation import NO_ADAPTATION, AdaptationConfig
-from .feedforward import FeedforwardConfig, Reference
+from .feedforward import FeedforwardConfig, Reference, stands_still
 from .friction_observer import (
     TOGGLE_OFF,
     ObserverConfig,
@@ -137,7 +137,7 @@ def controller_step(
     error_rps = reference.expected - followed_rps
     driving_rps = filtered_error_rps(config, state.filtered_error_rps, error_rps)
 
-    at_rest = reference.value == 0.0 and reference.ahead == 0.0
+    at_rest = stands_still(reference)
     rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
     gain_share = 1.0 - rest * (1.0 - config.rest.gain_share)
 

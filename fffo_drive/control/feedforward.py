@@ -50,6 +50,12 @@ def steady_reference(value: float) -> Reference:
 
 
 @njit
+def stands_still(reference: Reference) -> bool:
+    """The reference is zero, now and where torque is computed."""
+    return reference.value == 0.0 and reference.ahead == 0.0
+
+
+@njit
 def read_samples(samples: Any, length: int, position: float) -> float:
     """Samples (n,) at a position between them, straight lines in between; 0 before the first and after the last."""
     below = math.floor(position)

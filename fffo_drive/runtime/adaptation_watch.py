@@ -1,4 +1,4 @@
-"""What was adapted has reached its bound: a warning, once for each of offset, Coulomb and viscous friction."""
+"""A warning when the adaptation of offset, Coulomb or viscous friction reaches its bound."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ def bound_names(bits: int) -> list[str]:
 
 
 class BoundWatch:
-    """Follows one loop's status word; what has left its bound and reaches it again is news again."""
+    """Follows one loop's status word. A bound that was left and is reached again is reported again."""
 
     def __init__(self) -> None:
         self._known = 0
 
     def news(self, bits: int) -> str | None:
-        """A sentence for what has reached its bound since the last call."""
+        """A sentence for what has reached its bound since the last call; None for nothing. `bits`: ADAPTED_TO_BOUND."""
         names = bound_names(bits & ~self._known)
         self._known = bits
         if not names:
             return None
         return (
-            f"{' and '.join(names)} adapted to the bound: the axis has changed by more than "
+            f"adaptation of {' and '.join(names)} has reached its bound: the axis has changed by more than "
             "controller.adaptation.bound_share allows; identify it again"
         )

@@ -16,7 +16,7 @@ from ..control.controller import (
     with_torque_lost,
 )
 from ..control.envelope import EnvelopeInputs
-from ..control.feedforward import FeedforwardConfig, Reference, read_reference, steady_reference
+from ..control.feedforward import FeedforwardConfig, Reference, read_reference, stands_still, steady_reference
 from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, observer_start
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..control.set_point import (
@@ -274,11 +274,10 @@ def learn(
     """Learn from what P and I give: in motion, on the reference, and not where the command was limited."""
     if not config.adaptation.used or law.mode != MODE_VELOCITY or controller.toggle != TOGGLE_FEEDFORWARD:
         return False, state
-    at_rest = law.reference.value == 0.0 and law.reference.ahead == 0.0
     lacking_nm = config.torque_constant_nm_per_a * (law.terms.proportional_a + law.terms.integral_a)
-    if at_rest or controller.limited or not math.isfinite(lacking_nm):
+    if stands_still(law.reference) or controller.limited or not math.isfinite(lacking_nm):
         return False, state
-    return adaptation_step(config.adaptation, state, adapted, lacking_nm)
+    return adaptation_step(config.adaptation, state, adapted.contact, law.reference.ahead, lacking_nm)
 
 
 @njit

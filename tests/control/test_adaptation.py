@@ -63,7 +63,7 @@ def learned_over(contact, velocity_rps, truth=TRUTH, config=CONFIG):
     state, found, learns = adaptation_at_start(), [], []
     for c, w in zip(contact, velocity_rps, strict=True):
         missing = truth - np.array(state[:3])
-        now, state = adaptation_step(config, state, Adapted(c, w, 0.0), float(missing @ [1.0, c, w]))
+        now, state = adaptation_step(config, state, c, w, float(missing @ [1.0, c, w]))
         found.append(state[:3])
         learns.append(now)
     return np.array(found), np.array(learns)
@@ -90,7 +90,7 @@ def test_the_step_response_is_that_of_two_lags_of_t_and_two_t():
     state, found = adaptation_at_start(), []
     for k in range(contact.size):
         missing = (0.004 if k >= n else 0.0) - state.offset_nm
-        _, state = adaptation_step(CONFIG, state, Adapted(contact[k], velocity_rps[k], 0.0), missing)
+        _, state = adaptation_step(CONFIG, state, contact[k], velocity_rps[k], missing)
         found.append(state.offset_nm)
     time = np.arange(n) * PERIOD_S / TIME_S
     expected = 1.0 - np.exp(-0.5 * time) * (np.cos(0.5 * time) + np.sin(0.5 * time))
@@ -121,12 +121,12 @@ def test_bounds_hold_for_the_value_and_for_its_rate():
     assert bounds_reached(CONFIG._replace(used=False), state) == 0
 
 
-def test_a_bound_that_is_reached_is_told_once_and_again_after_it_was_left():
+def test_a_bound_is_reported_when_it_is_reached_and_again_after_it_was_left():
     watch = BoundWatch()
     assert watch.news(0) is None
-    assert "Coulomb friction adapted to the bound" in watch.news(COULOMB_AT_BOUND)
+    assert "adaptation of Coulomb friction has reached its bound" in watch.news(COULOMB_AT_BOUND)
     assert watch.news(COULOMB_AT_BOUND) is None
-    assert watch.news(COULOMB_AT_BOUND | OFFSET_AT_BOUND).startswith("offset adapted")
+    assert watch.news(COULOMB_AT_BOUND | OFFSET_AT_BOUND).startswith("adaptation of offset has")
     assert watch.news(0) is None
     assert watch.news(COULOMB_AT_BOUND) is not None
 
@@ -174,7 +174,7 @@ def test_the_command_does_not_jump_where_the_toggle_changes(before, after):
 def test_nothing_is_learned_at_rest_where_limited_with_another_toggle_or_from_what_is_no_number():
     controller = controller_at_rest()._replace(toggle=TOGGLE_FEEDFORWARD)
     terms = terms_of_current(0.0)._replace(integral_a=0.1)
-    given = Adapted(1.0, 5.0, 0.0)
+    given = Adapted(1.0, 0.0)
 
     def learns(law_terms=terms, value=5.0, config=LAW, memory=controller):
         law = Law(MODE_VELOCITY, steady_reference(value), law_terms)

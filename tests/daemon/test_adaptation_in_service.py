@@ -38,7 +38,7 @@ def test_it_is_switched_on_live_shown_and_warns_at_its_bound(tmp_path):
         rig.run_until(client, lambda _: rig.events("adaptation"))
         event = rig.events("adaptation")[0]
         assert event["level"] == "warning"
-        assert "adapted to the bound" in event["text"]
+        assert "has reached its bound" in event["text"]
 
 
 def test_it_is_refused_where_the_friction_estimate_learns(tmp_path):
@@ -47,5 +47,5 @@ def test_it_is_refused_where_the_friction_estimate_learns(tmp_path):
     for name in (AXIS, DRIVE, MODEL):
         (tmp_path / name).write_text(read_text(FILES / name))
     plan = make_plan(tmp_path / AXIS)
-    with pytest.raises(DocumentError, match="set learns_in: integral"):
+    with pytest.raises(DocumentError, match=r"learns_in must be 'integral'"):
         settings.with_value(plan, plan.toggle, KEY, True)

@@ -40,14 +40,13 @@ THERMAL = ThermalConfig(
     k_per_w=16.0, time_constant_s=600.0, viscous_per_k=-0.03, coulomb_per_k=-0.02, offset_nm_per_k=0.0001
 )
 MINUTE_S = 60.0
-RATE_HZ = 2000
 FAST_RPS, SLOW_RPS = 15.0, 6.0
 SKIPPED_S = 3.0  # of a minute: it begins with a jump of the reference in one loop, and from rest in the other
-BEGUN = 3  # minutes that are reported apart: nothing can have been learned
+BEGUN = 3  # minutes that are left out: nothing can have been learned yet
 ASKED = 1.2
 
 
-class Hour(NamedTuple):
+class WarmUp(NamedTuple):
     """One axis and seed."""
 
     kind: str
@@ -56,12 +55,11 @@ class Hour(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Mean squared true error of each minute, (minutes,), rps^2; and what was learned at the end."""
+    """Mean squared true error of each minute, (minutes,), rps^2."""
 
     fitted: np.ndarray[Any, Any]
     morning: np.ndarray[Any, Any]
     adapted: dict[float, np.ndarray[Any, Any]]  # by T
-    learned: dict[float, tuple[float, float, float]]  # offset, Coulomb (Nm), viscous (Nm/rps)
     change: tuple[float, float]  # fitted at the end over the model: level, viscous
 
 
@@ -78,45 +76,45 @@ def axis_with(adaptation: AdaptationSection) -> AxisFile:
     return axis.model_copy(update={"controller": axis.controller.model_copy(update=changed)})
 
 
-def minutes_of(hour: Hour, period_s: float) -> list[Profile]:
+def minutes_of(warm_up: WarmUp, period_s: float) -> list[Profile]:
     """A profile for each minute."""
     made: dict[float, Profile] = {}
     for high_rps in (FAST_RPS, SLOW_RPS):
-        section = PaperProfile(kind="paper", duration_s=MINUTE_S, high_rps=high_rps, slope=0.0, seed=hour.seed)
+        section = PaperProfile(kind="paper", duration_s=MINUTE_S, high_rps=high_rps, slope=0.0, seed=warm_up.seed)
         made[high_rps] = build_profile(section, period_s)
-    slow = range(hour.minutes // 3, 2 * hour.minutes // 3)
-    return [made[SLOW_RPS if k in slow else FAST_RPS] for k in range(hour.minutes)]
+    slow = range(warm_up.minutes // 3, 2 * warm_up.minutes // 3)
+    return [made[SLOW_RPS if k in slow else FAST_RPS] for k in range(warm_up.minutes)]
 
 
-def plant_of(axis: AxisFile, hour: Hour) -> PlantConfig:
+def plant_of(axis: AxisFile, warm_up: WarmUp) -> PlantConfig:
     """The axis' plant, which warms up."""
     plant = read_simulated(beside(AXIS, axis.drive.file)).plant  # type: ignore[union-attr]
-    friction = replace(plant.friction, kind=KINDS[hour.kind])
-    return replace(plant, friction=friction, thermal=THERMAL, seed=hour.seed)
+    friction = replace(plant.friction, kind=KINDS[warm_up.kind])
+    return replace(plant, friction=friction, thermal=THERMAL, seed=warm_up.seed)
 
 
-def squared_error(rows: Any) -> float:
+def squared_error(rows: Any, rate_hz: int) -> float:
     """Mean squared true error of a minute without its beginning."""
     acting = rows[(rows["mode"] == MODE_VELOCITY) & (rows["profile_sample"] >= 0)]
-    acting = acting[round(SKIPPED_S * RATE_HZ) : round(MINUTE_S * RATE_HZ)]  # without braking at its end
+    acting = acting[round(SKIPPED_S * rate_hz) : round(MINUTE_S * rate_hz)]  # without braking at its end
     return float(np.mean((acting["reference_rps"] - acting["true_velocity_rps"]) ** 2))
 
 
-def in_one_loop(hour: Hour, adaptation: AdaptationSection, model: ModelFile) -> list[Any]:
+def in_one_loop(warm_up: WarmUp, adaptation: AdaptationSection, model: ModelFile) -> list[Any]:
     """Rows of each minute of one uninterrupted loop. Raises RuntimeError for a trip."""
     axis = axis_with(adaptation)
-    minutes = minutes_of(hour, axis.loop.period_s)
+    minutes = minutes_of(warm_up, axis.loop.period_s)
     whole = minutes[0]._replace(
         values=np.concatenate([one.values for one in minutes]),
         derivatives=np.concatenate([one.derivatives for one in minutes]),
     )
-    drive = SimulatedDrive(plant_of(axis, hour))
+    drive = SimulatedDrive(plant_of(axis, warm_up))
     drive.connect()
     rows = simulated_ring_rows(whole, axis.loop.tail_s)
     with Session(drive, session_config(axis, model, whole.values.size, rows)) as session:
         session.run_profile(whole, TOGGLE_FEEDFORWARD)
         if session.status(b.TRIP) != TRIP_NONE:
-            raise RuntimeError(f"{hour}: {TRIP_TEXTS[session.status(b.TRIP)]}")
+            raise RuntimeError(f"{warm_up}: {TRIP_TEXTS[session.status(b.TRIP)]}")
         rows = RingReader(session.ring).read().rows
     running = rows[rows["profile_sample"] >= 0]
     edges = np.cumsum([one.values.size for one in minutes])
@@ -145,11 +143,11 @@ def fitted_model(model: ModelFile, rows: Any) -> ModelFile:
     return model.model_copy(update={"friction": model.friction.model_copy(update=changed), "content_hash": None})
 
 
-def under_fitted(hour: Hour, models: list[ModelFile]) -> np.ndarray[Any, Any]:
-    """The same hour, each minute under its own model: the plant lives on, the law begins anew."""
+def under_fitted(warm_up: WarmUp, models: list[ModelFile]) -> np.ndarray[Any, Any]:
+    """The same warm-up, each minute under its own model: the plant lives on, the law begins anew."""
     axis = axis_with(AdaptationSection())
-    minutes = minutes_of(hour, axis.loop.period_s)
-    drive = SimulatedDrive(plant_of(axis, hour))
+    minutes = minutes_of(warm_up, axis.loop.period_s)
+    drive = SimulatedDrive(plant_of(axis, warm_up))
     drive.connect()
     found = []
     ring = simulated_ring_rows(minutes[0], axis.loop.tail_s)
@@ -160,35 +158,30 @@ def under_fitted(hour: Hour, models: list[ModelFile]) -> np.ndarray[Any, Any]:
             session.set_controller(session_config(axis, model, minute.values.size, ring).controller)
             session.run_profile(minute, TOGGLE_FEEDFORWARD)
             if session.status(b.TRIP) != TRIP_NONE:
-                raise RuntimeError(f"{hour}: {TRIP_TEXTS[session.status(b.TRIP)]}")
-            found.append(squared_error(reader.read().rows))
+                raise RuntimeError(f"{warm_up}: {TRIP_TEXTS[session.status(b.TRIP)]}")
+            found.append(squared_error(reader.read().rows, axis.loop.rate_hz))
     return np.array(found)
 
 
-def measured(hour: Hour) -> Found:
-    """All variants of one hour."""
-    model = model_of(AXIS, read_axis(AXIS))
-    morning = in_one_loop(hour, AdaptationSection(), model)
+def measured(warm_up: WarmUp) -> Found:
+    """All variants of one warm-up."""
+    axis = read_axis(AXIS)
+    model, rate_hz = model_of(AXIS, axis), axis.loop.rate_hz
+    morning = in_one_loop(warm_up, AdaptationSection(), model)
     models = [fitted_model(model, rows) for rows in morning]
     last = models[-1].friction
     change = (
         last.coulomb_nm.value / model.friction.coulomb_nm.value,
         last.viscous_nm_per_rps.value / model.friction.viscous_nm_per_rps.value,
     )
-    in_the_morning = np.array([squared_error(rows) for rows in morning])
+    in_the_morning = np.array([squared_error(rows, rate_hz) for rows in morning])
     del morning
-    fitted = under_fitted(hour, models)
-    adapted, learned = {}, {}
+    fitted = under_fitted(warm_up, models)
+    adapted = {}
     for time_s in TIMES_S:
-        minutes = in_one_loop(hour, AdaptationSection(enabled=True, time_s=time_s, bound_share=0.8), model)
-        adapted[time_s] = np.array([squared_error(rows) for rows in minutes])
-        row = minutes[-1][-1]
-        learned[time_s] = (
-            float(row["adapted_offset_nm"]),
-            float(row["adapted_coulomb_nm"]),
-            float(row["adapted_viscous_nm_per_rps"]),
-        )
-    return Found(fitted, in_the_morning, adapted, learned, change)
+        minutes = in_one_loop(warm_up, AdaptationSection(enabled=True, time_s=time_s, bound_share=0.8), model)
+        adapted[time_s] = np.array([squared_error(rows, rate_hz) for rows in minutes])
+    return Found(fitted, in_the_morning, adapted, change)
 
 
 def excited_shares() -> list[tuple[str, float, float]]:
@@ -211,7 +204,7 @@ def excited_shares() -> list[tuple[str, float, float]]:
     return found
 
 
-def table(hours: list[Hour], found: list[Found]) -> list[str]:
+def table(warm_ups: list[WarmUp], found: list[Found]) -> list[str]:
     """Lines of the result."""
     lines = [
         "| axis, seed | level, viscous fitted last over the model's | morning's model | "
@@ -219,13 +212,13 @@ def table(hours: list[Hour], found: list[Found]) -> list[str]:
         + " |",
         "| --- | --- | --- |" + " --- |" * len(TIMES_S),
     ]
-    for hour, one in zip(hours, found, strict=True):
+    for warm_up, one in zip(warm_ups, found, strict=True):
         cells = []
         for squared in (one.morning, *one.adapted.values()):
             ratio = np.sqrt(squared / one.fitted)[BEGUN:]
             cells.append(f"{np.median(ratio):.2f}, {ratio.max():.2f}")
         lines.append(
-            f"| {hour.kind}, {hour.seed} | {one.change[0]:.2f}, {one.change[1]:.2f} | " + " | ".join(cells) + " |"
+            f"| {warm_up.kind}, {warm_up.seed} | {one.change[0]:.2f}, {one.change[1]:.2f} | " + " | ".join(cells) + " |"
         )
     return lines
 
@@ -237,10 +230,10 @@ def run() -> int:
     options.add_argument("--seeds", type=int, default=2)
     options.add_argument("--workers", type=int, default=None, help="processes (default: one a core)")
     chosen = options.parse_args()
-    hours = [Hour(kind, seed, chosen.minutes) for kind in KINDS for seed in range(1, chosen.seeds + 1)]
+    warm_ups = [WarmUp(kind, seed, chosen.minutes) for kind in KINDS for seed in range(1, chosen.seeds + 1)]
     with progress_bar("adaptation") as progress:
-        done = None if progress is None else (lambda number: progress(number / len(hours)))
-        found = over_cores(measured, hours, progress=done, workers=chosen.workers)
+        done = None if progress is None else (lambda number: progress(number / len(warm_ups)))
+        found = over_cores(measured, warm_ups, progress=done, workers=chosen.workers)
     worst = max(float(np.sqrt(one.adapted[30.0] / one.fitted)[BEGUN:].max()) for one in found)
     lines = [
         "# adaptation",
@@ -248,7 +241,7 @@ def run() -> int:
         f"RMS of the true error in a minute over that under a model fitted to that minute: median and largest of the "
         f"minutes {BEGUN + 1} to {chosen.minutes}. Asked: {ASKED:g} at most. Seen with T = 30 s: {worst:.2f}.",
         "",
-        *table(hours, found),
+        *table(warm_ups, found),
         "",
         "What a motion excites: share of c that an offset leaves (offset and Coulomb friction are adapted above "
         f"EXCITED_SHARE = {EXCITED_SHARE:g}), share of w_r that offset and c leave (viscous friction is).",

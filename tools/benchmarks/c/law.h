@@ -202,7 +202,7 @@ static struct adapted give_adapted(const struct controller_config *c, const stru
                                    struct controller_state *state, int64_t mode, const struct reference *reference,
                                    int64_t toggle, bool active, double before_nm)
 {
-    struct adapted given = {0.0, 0.0, 0.0};
+    struct adapted given = {0.0, 0.0};
     if (!(c->adaptation.used && active) || mode == MODE_CURRENT)
         return given;
     if (toggle == TOGGLE_FEEDFORWARD) {
@@ -216,7 +216,7 @@ static struct adapted give_adapted(const struct controller_config *c, const stru
         double viscous_share = c->observer.friction.viscous_nm_per_rps * fabs(velocity_rps) / steady_nm;
         double contact = friction.torque_nm * (1.0 - viscous_share) / c->observer.friction.coulomb_nm;
         double torque_nm = learned->offset_nm + learned->coulomb_nm * contact + learned->viscous_nm_per_rps * velocity_rps;
-        given = (struct adapted){contact, velocity_rps, torque_nm};
+        given = (struct adapted){contact, torque_nm};
     }
     if (toggle != state->toggle)
         state->integral_a += (before_nm - given.torque_nm) / c->torque_constant_nm_per_a;
@@ -239,7 +239,7 @@ static bool learn(const struct controller_config *config, struct adaptation_stat
     double lacking_nm = config->torque_constant_nm_per_a * (law->terms.proportional_a + law->terms.integral_a);
     if (at_rest || state->limited || !isfinite(lacking_nm))
         return false;
-    double contact = given->contact, velocity_rps = given->velocity_rps;
+    double contact = given->contact, velocity_rps = law->reference.ahead;
     s->weight += a->step_share * (1.0 - s->weight);
     double share = a->step_share / s->weight;
     s->c += share * (contact - s->c);
