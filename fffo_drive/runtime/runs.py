@@ -113,12 +113,13 @@ def record_simulated(
     )
     counted = exchange_counts(session.drive.feedback)
     before = session.status(b.PROFILE_DONE)
-    bounds = BoundWatch()
+    warnings: list[str] = []
     session.run_profile(profile, toggle)
     started = session.status(b.PROFILE_DONE) != before
-    words = _hear_out(session, recorder, started, bounds)
+    _warn_of_bounds(session, recorder, BoundWatch(), warnings)
+    words = _hear_out(session, recorder, started)
     recorder.close(_closing_facts(session, counted))
-    return _outcome(session, recorder, started, counted, words)
+    return _outcome(session, recorder, started, counted, words)._replace(warnings=tuple(warnings))
 
 
 def record_live(
@@ -137,14 +138,13 @@ def record_live(
     counted = exchange_counts(session.drive.feedback)
     recorder.start()
     warnings: list[str] = []
-    bounds = BoundWatch()
     try:
         session.request(b.TOGGLE, toggle)
         number = session.start_profile(profile)
         session.request(b.GOAL, GOAL_ENABLED)
-        watch = _watch(session, recorder, monitor, warnings, bounds)
+        watch = _watch(session, recorder, monitor, warnings)
         started = _follow(session, profile, number, progress, watch)
-        words = _hear_out(session, recorder, started, bounds)
+        words = _hear_out(session, recorder, started)
     finally:
         session.request(b.GOAL, GOAL_DISABLED)
         _let_go(session)
@@ -152,10 +152,9 @@ def record_live(
     return _outcome(session, recorder, started, counted, words)._replace(recorder_ended=ended, warnings=tuple(warnings))
 
 
-def _hear_out(session: Session, recorder: Recorder, started: bool, bounds: BoundWatch) -> str:
+def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
     """What the drive says where a run did not end as planned: into the recording too. The drive is disabled first."""
     statusword = session.telling_statusword  # before anything is changed
-    _warn_of_bounds(session, recorder, bounds)
     session.request(b.GOAL, GOAL_DISABLED)
     trip = session.status(b.TRIP)
     if started and trip == TRIP_NONE:
@@ -165,25 +164,24 @@ def _hear_out(session: Session, recorder: Recorder, started: bool, bounds: Bound
     return words
 
 
-def _warn_of_bounds(session: Session, recorder: Recorder, bounds: BoundWatch) -> str | None:
+def _warn_of_bounds(session: Session, recorder: Recorder, bounds: BoundWatch, warnings: list[str]) -> None:
     text = bounds.news(session.status(b.ADAPTED_TO_BOUND))
     if text is not None:
+        warnings.append(text)
         recorder.event(Level.WARNING, "adaptation", text)
-    return text
 
 
 def _watch(
-    session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str], bounds: BoundWatch
+    session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str]
 ) -> Callable[[], None]:
-    """What is looked at from time to time beside the run: what the drive warns of, whether the model's effects help."""
+    """What is looked at from time to time beside the run: warnings, and whether the model's effects help."""
+    bounds = BoundWatch()
 
     def listen() -> None:
         for text in session.drive.warnings():
             warnings.append(text)
             recorder.event(Level.WARNING, "drive", text)
-        reached = _warn_of_bounds(session, recorder, bounds)
-        if reached is not None:
-            warnings.append(reached)
+        _warn_of_bounds(session, recorder, bounds, warnings)
 
     if monitor is None:
         return listen

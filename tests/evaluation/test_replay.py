@@ -55,16 +55,21 @@ def test_a_run_is_reproduced_bit_for_bit(axis_file, tmp_path, toggle, capsys):
 @pytest.mark.slow
 def test_a_run_that_adapts_is_reproduced_bit_for_bit(axis_file, tmp_path, capsys):
     adapting = axis_file.with_name("adapting.yaml")
-    text = axis_file.read_text().replace("controller:\n", "controller:\n  adaptation: {enabled: true, time_s: 5}\n")
+    text = axis_file.read_text().replace(
+        "controller:\n", "controller:\n  adaptation: {enabled: true, time_s: 5, bound_share: 0.001}\n"
+    )
     adapting.write_text(text.replace("  observer:\n", "  observer:\n    learns_in: integral\n"))
     run = tmp_path / "run.mcap"
     assert main(["run", str(adapting), "--toggle", "ff", "--out", str(run), "--json"]) == 0
-    capsys.readouterr()
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert [text for text in warnings if "has reached its bound" in text]
     assert main(["replay", str(run), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["exact"]
-    rows = read_run(run).rows
+    content = read_run(run)
+    assert [event.text for event in content.events if event.source == "adaptation"] == warnings
+    rows = content.rows
     assert (rows["flags"] & FLAG_ADAPTS != 0).mean() > 0.5
-    assert np.abs(rows["adapted_coulomb_nm"]).max() > 1e-4
+    assert np.abs(rows["adapted_coulomb_nm"]).max() > 1e-6
 
 
 @pytest.mark.slow
