@@ -1,4 +1,4 @@
-"""Adaptation over a warm-up: PI+FFFO+ with the morning's model, with adaptation, and with a model fitted each minute.
+"""Adaptation over a warm-up: PI+FFFO+ with the initial model, with adaptation, and with a model fitted to each minute.
 
   .venv/bin/python tools/benchmarks/adaptation.py [--minutes N] [--seeds N]
 
@@ -58,7 +58,7 @@ class Found(NamedTuple):
     """Mean squared true error of each minute, (minutes,), rps^2."""
 
     fitted: np.ndarray[Any, Any]
-    morning: np.ndarray[Any, Any]
+    initial: np.ndarray[Any, Any]
     adapted: dict[float, np.ndarray[Any, Any]]  # by T
     change: tuple[float, float]  # fitted at the end over the model: level, viscous
 
@@ -167,21 +167,21 @@ def measured(warm_up: WarmUp) -> Found:
     """All variants of one warm-up."""
     axis = read_axis(AXIS)
     model, rate_hz = model_of(AXIS, axis), axis.loop.rate_hz
-    morning = in_one_loop(warm_up, AdaptationSection(), model)
-    models = [fitted_model(model, rows) for rows in morning]
+    minutes = in_one_loop(warm_up, AdaptationSection(), model)
+    models = [fitted_model(model, rows) for rows in minutes]
     last = models[-1].friction
     change = (
         last.coulomb_nm.value / model.friction.coulomb_nm.value,
         last.viscous_nm_per_rps.value / model.friction.viscous_nm_per_rps.value,
     )
-    in_the_morning = np.array([squared_error(rows, rate_hz) for rows in morning])
-    del morning
+    initial = np.array([squared_error(rows, rate_hz) for rows in minutes])
+    del minutes
     fitted = under_fitted(warm_up, models)
     adapted = {}
     for time_s in TIMES_S:
         minutes = in_one_loop(warm_up, AdaptationSection(enabled=True, time_s=time_s, bound_share=0.8), model)
         adapted[time_s] = np.array([squared_error(rows, rate_hz) for rows in minutes])
-    return Found(fitted, in_the_morning, adapted, change)
+    return Found(fitted, initial, adapted, change)
 
 
 def excited_shares() -> list[tuple[str, float, float]]:
@@ -191,9 +191,9 @@ def excited_shares() -> list[tuple[str, float, float]]:
     motions = {
         "sine about zero": np.sin(2.0 * np.pi * phase),
         "multi-sine": np.random.default_rng(1).normal(size=20_000),
-        "to and fro, 80 % at one speed": np.clip(10.0 * (4.0 * np.abs(phase - 0.5) - 1.0), -1.0, 1.0),
-        "to and fro, 20 % of the time ramps up to half": trapezoid,
-        "one way, with 1 % of the time back": np.where(phase < 0.99, 1.0, -1.0) * (1.0 + 0.3 * np.sin(20.0 * phase)),
+        "to and fro, 90 % of the time at one speed": np.clip(10.0 * (4.0 * np.abs(phase - 0.5) - 1.0), -1.0, 1.0),
+        "to and fro, 20 % of the time at one speed, else ramps": trapezoid,
+        "one way, 1 % of the time back": np.where(phase < 0.99, 1.0, -1.0) * (1.0 + 0.3 * np.sin(20.0 * phase)),
     }
     found = []
     for name, w in motions.items():
@@ -207,14 +207,14 @@ def excited_shares() -> list[tuple[str, float, float]]:
 def table(warm_ups: list[WarmUp], found: list[Found]) -> list[str]:
     """Lines of the result."""
     lines = [
-        "| axis, seed | level, viscous fitted last over the model's | morning's model | "
+        "| axis, seed | friction level, viscous friction at the end, relative to the model | initial model | "
         + " | ".join(f"T = {time_s:g} s" for time_s in TIMES_S)
         + " |",
         "| --- | --- | --- |" + " --- |" * len(TIMES_S),
     ]
     for warm_up, one in zip(warm_ups, found, strict=True):
         cells = []
-        for squared in (one.morning, *one.adapted.values()):
+        for squared in (one.initial, *one.adapted.values()):
             ratio = np.sqrt(squared / one.fitted)[BEGUN:]
             cells.append(f"{np.median(ratio):.2f}, {ratio.max():.2f}")
         lines.append(
@@ -238,15 +238,16 @@ def run() -> int:
     lines = [
         "# adaptation",
         "",
-        f"RMS of the true error in a minute over that under a model fitted to that minute: median and largest of the "
-        f"minutes {BEGUN + 1} to {chosen.minutes}. Asked: {ASKED:g} at most. Seen with T = 30 s: {worst:.2f}.",
+        f"RMS of the true error in each minute, relative to that with a model fitted to the minute: median and largest "
+        f"of minutes {BEGUN + 1} to {chosen.minutes}. Asked: {ASKED:g} at most. Seen with T = 30 s: {worst:.2f}.",
         "",
         *table(warm_ups, found),
         "",
-        "What a motion excites: share of c that an offset leaves (offset and Coulomb friction are adapted above "
-        f"EXCITED_SHARE = {EXCITED_SHARE:g}), share of w_r that offset and c leave (viscous friction is).",
+        f"Excitation of typical motions. Above EXCITED_SHARE = {EXCITED_SHARE:g} of c left by a constant, offset "
+        "and Coulomb friction are adapted; above it of w_r left by a constant and c, viscous friction too. Shares of "
+        "power.",
         "",
-        "| motion | c | w_r |",
+        "| motion | c left | w_r left |",
         "| --- | --- | --- |",
         *(f"| {name} | {c:.3f} | {w:.3f} |" for name, c, w in excited_shares()),
         "",
