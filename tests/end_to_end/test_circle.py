@@ -21,6 +21,9 @@ from fffo_drive.workflows.circle import close_the_loop
 from fffo_drive.workflows.circle_runs import MOST_LOST, Circle, CircleWish, SpoiledRunError, health_of, write_axis
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+# phase margin 55 degrees at 3.2 ms of delay, 35 at 6.4 ms: a shared machine may answer late and the margins still hold
+SLOWER_GAINS = {"proportional_a_per_rps": 0.7, "integral_a_per_rev": 7}
+SLOWER_OBSERVER = {"gain_nm_per_rev": 2, "learns_in": "integral"}
 SHORT = {"kind": "paper", "duration_s": 10}
 KEEPS_NO_RATE = 70
 CURRENT = {"kind": "sine", "mode": "current", "duration_s": 5, "amplitude": 0.2, "frequency_hz": 1}
@@ -38,7 +41,7 @@ def the_loop_is_closed(result, out):
     """The effect that nobody declared was found, adopted, and tracking is better with it; everything says so alike."""
     assert result["verdict"] == "effects_found"
     assert result["effects"][0] == "cogging"
-    assert result["adopted"]
+    assert result["adopted"], [gate["text"] for gate in result["gates"] if not gate["passed"]]
     errors = result["tracking"]
     ratio = errors["after"]["measured"]["ise"] / errors["before"]["measured"]["ise"]
     assert errors["ratio"]["measured"]["ise"]["value"] == pytest.approx(ratio)
@@ -111,7 +114,7 @@ def test_in_real_time_on_a_bus(tmp_path, capsys):
     machine as well: that is asserted in process.
     """
     bus = f"loopback:{free_loopback_port()}"
-    axis = changed(tmp_path, "axis_bench.yaml", lambda axis: axis.update(profile=SHORT))
+    axis = changed(tmp_path, "axis_bench.yaml", with_room_for_delay)
     out = tmp_path / "out"
     code = main(["close-the-loop", axis, "--sim", SIM, "--bus", bus, "--out", str(out), "--quick", "--json"])
     captured = capsys.readouterr()
@@ -154,6 +157,12 @@ def test_the_health_of_a_run():
     assert not found.sound
     assert found.lost_share > MOST_LOST
     assert not health_of(rows[:0], 0.0005).sound
+
+
+def with_room_for_delay(axis):
+    axis["profile"] = SHORT
+    axis["controller"] |= SLOWER_GAINS
+    axis["controller"]["observer"] |= SLOWER_OBSERVER
 
 
 def changed(tmp_path, name, change):
