@@ -22,7 +22,7 @@ import numpy as np
 
 from .config.axis import TOGGLES, AxisFile, loop_axis, model_of
 from .config.axis import read_axis as read_axis_file
-from .config.commissioning import permission
+from .config.commissioning import commissioned_delay_s, permission
 from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
@@ -317,10 +317,13 @@ def tune(
 ) -> Tuned:  # fmt: skip
     """Gains with the largest integral action within the margins (deg, factor). `bandwidth_hz`: a wanted crossover.
 
-    `axis`: its rate and its source of velocity count; None: `rate_hz` and the drive's velocity. Raises DocumentError.
+    `axis`: its rate, its source of velocity and the delay in its commissioning record count; None: `rate_hz` and the
+    drive's velocity. Raises DocumentError.
     """
     linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
-    return tuning.tune(model, linear, Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin))
+    measured_s = None if axis is None else commissioned_delay_s(axis.path, axis.file)
+    wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)
+    return tuning.tune(model, linear, wish, measured_s)
 
 
 def diagnose(

@@ -18,6 +18,7 @@ from typing import Any
 import yaml
 
 from ..config.axis import loop_axis, read_axis
+from ..config.commissioning import commissioned_delay_s
 from ..control.stability import linear_axis
 from ..documents import parse, read_text
 from ..identification.tuning import Design, Wish
@@ -63,7 +64,8 @@ def execute(options: argparse.Namespace) -> int:
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
     axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
-    tuned = tune(model, axis, wish)
+    measured_s = commissioned_delay_s(options.axis, axis_file) if axis_file else None
+    tuned = tune(model, axis, wish, measured_s)
     found = tuned.design
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
@@ -78,7 +80,7 @@ def execute(options: argparse.Namespace) -> int:
         written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands)
-    page = tune_report(source, Tuning(axis, found, wish, model.friction_config()), result)
+    page = tune_report(source, Tuning(tuned.axis, found, wish, model.friction_config()), result)
     paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -117,8 +119,9 @@ def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -
     observer = dict(kept.get("observer", {})) | section["observer"]
     data["controller"] = kept | section | {"observer": observer}
     data["model"] = os.path.relpath(model.resolve(), out.resolve())
-    if data["drive"].get("file"):
-        data["drive"]["file"] = os.path.relpath((source.parent / data["drive"]["file"]).resolve(), out.resolve())
+    for place, key in ((data["drive"], "file"), (data, "commissioning")):
+        if place.get(key):
+            place[key] = os.path.relpath((source.parent / place[key]).resolve(), out.resolve())
     target = out / source.name
     target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     read_axis(target)

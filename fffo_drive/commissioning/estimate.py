@@ -27,7 +27,10 @@ LARGEST_AGE_S = 0.02
 SLIDING_SHARE = 0.3  # of a pulse's peak speed: above, friction changes little
 FAST_SHARE = 0.5
 SHORTEST_STRETCH = 8  # rows
-LARGEST_UNEXPLAINED = 0.1  # of the variance: beyond, the axis does not slide as the equation says
+# of the variance of the velocity that one rigid inertia leaves: beyond the first, gain and delay are rough (backlash,
+# elasticity, strong cogging); beyond the second they are wrong, an axis that is held (results/chain.md, its axes)
+RIGID_UNEXPLAINED = 0.1
+LARGEST_UNEXPLAINED = 0.5
 
 
 class HeldCurrent(NamedTuple):
@@ -51,6 +54,7 @@ class GainFit(NamedTuple):
     delay_s: float  # from the tick that computes a command to the velocity that shows it, without the hold
     friction_a: float  # kinetic friction in terms of current
     error_rps: float  # root mean square of the residual
+    unexplained: float  # share of the velocity's variance that the fit leaves
 
 
 def _search(cost: Callable[[float], float], low: float, high: float, step: float) -> float:
@@ -151,7 +155,7 @@ def fit_gain(motion: Motion) -> GainFit | None:
     unexplained = rest / float(target @ target)
     if gain <= 0.0 or unexplained > LARGEST_UNEXPLAINED:
         return None
-    return GainFit(gain, delay_s, float(coefficients[1]) / gain, float(np.sqrt(rest / target.size)))
+    return GainFit(gain, delay_s, float(coefficients[1]) / gain, float(np.sqrt(rest / target.size)), unexplained)
 
 
 def update_interval_s(motion: Motion, period_s: float) -> float:

@@ -11,11 +11,12 @@ from ..control.envelope import LIMIT_CURRENT, TRIP_TEXTS
 from .estimate import fall_rate_rps2
 from .judge import Range, graded, not_done, told
 from .motion import Motion, pulse_windows, responses
-from .motion_checks import MOVED_REV
+from .motion_checks import MOVED_REV, NOISE_SIGMAS
 from .record import FAILED, OK, WARNING, CheckRecord
 
 QUIET_SHARE = 0.05  # of the highest speed: below, the axis counts as stopped
 QUIET_RPS = 0.05
+STAND_S = 0.1  # at the end: an axis that has not moved in it stands, however noisy its velocity is
 LEAVE_S = 0.1  # for the drive to leave Operation Enabled after a trip
 HIGH, LOW = 0.85, 0.35  # of the speed at which braking begins: between them decelerations are compared
 BRAKES_OK, BRAKES_WARNING = 1.3, 1.1
@@ -66,9 +67,12 @@ def stop_after_trip(
     after = motion.part(np.arange(motion.size) >= row)
     left = np.flatnonzero(~after.enabled)
     left_s = float(after.time_s[left[0]] - after.time_s[0]) if left.size else math.nan
-    moving = np.flatnonzero(np.abs(after.velocity_rps) > max(QUIET_RPS, QUIET_SHARE * peak_rps))
+    quiet_rps = max(QUIET_RPS, QUIET_SHARE * peak_rps)
+    end = after.part(after.time_s >= after.time_s[-1] - STAND_S)
+    stands = abs(end.position_rev[-1] - end.position_rev[0]) <= quiet_rps * STAND_S
+    noise_rps = float(np.std(end.velocity_rps))
+    moving = np.flatnonzero(np.abs(after.velocity_rps) > max(quiet_rps, NOISE_SIGMAS * noise_rps))
     stop_s = float(after.time_s[moving[-1]] - after.time_s[0]) if moving.size else 0.0
-    stands = not moving.size or moving[-1] < after.size - 1
     way_rev = float(np.abs(after.position_rev - after.position_rev[0]).max())
     numbers = {
         "limit": limit,

@@ -27,6 +27,7 @@ from ..runtime.session import SessionConfig
 from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
 from .estimate import (
+    RIGID_UNEXPLAINED,
     HeldCurrent,
     ScaleFit,
     coasting_s,
@@ -40,7 +41,7 @@ from .judge import CHECKS, not_done, told
 from .motion import Motion, Response, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
 from .objects import PERMILLE, NamePlate, ObjectSource, read_name_plate, read_number
-from .record import FAILED, OK, CheckRecord, DeclaredFacts
+from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
 from .rig import Rig, Run, Runner, TimeBoundError, position_at_rest
 
 LISTEN_S = 0.5
@@ -315,6 +316,8 @@ class _Procedure:
         if gain is None:
             self._did_not_slide(probe, bool(suspected))
             return
+        if gain.unexplained > RIGID_UNEXPLAINED:
+            self._is_not_rigid(gain.unexplained)
         self.add(motion_checks.delay(gain.delay_s, period_s, beliefs))
         self.add(motion_checks.torque_per_inertia(self._trusted_gain(gain.gain_rps2_per_a, scale), beliefs))
         self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
@@ -323,9 +326,22 @@ class _Procedure:
         """Nothing can be said of gain and delay; unless the scales explain it, the axis is held by something."""
         text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but it does not slide freely under them"
         if not scale_suspected:
-            remedy = "is the brake released and the axis free? If it needs more, give a larger --current"
+            remedy = (
+                "is the brake released and the axis free, or does a load swing on an elastic coupling? If it needs "
+                "more, give a larger --current"
+            )
             self.add(told("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
         raise _SurpriseError(text)
+
+    def _is_not_rigid(self, unexplained: float) -> None:
+        """It slides, but not as one inertia: a warning, the rest is measured all the same."""
+        moved = self.found["motion"]
+        text = f"{moved.text}; one rigid inertia leaves {100.0 * unexplained:.0f} % of the velocity's variance"
+        remedy = (
+            "backlash, an elastic coupling or strong cogging? The torque per inertia and the delay below are rough; "
+            "identify and diagnose the axis before its gains are raised"
+        )
+        self.add(told("motion", WARNING, text, remedy, moved.numbers | {"unexplained_share": unexplained}))
 
     def _trusted_gain(self, by_velocity: float, scale: ScaleFit) -> float:
         """Acceleration per ampere by the word whose scale is right."""

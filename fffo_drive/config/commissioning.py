@@ -90,6 +90,14 @@ def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissione
     return Permission(file, record, f"{record.verdict}: {file.name} of {record.date}, SHA-256 {record.content_hash}")
 
 
+def commissioned_delay_s(path: str | Path, axis: AxisFile) -> float | None:
+    """Delay from command to measured velocity, without the hold, that the record of this axis has; None without one."""
+    if axis.commissioning is None:
+        return None
+    record = read_record(beside(path, axis.commissioning))
+    return next((check.measured for check in record.checks if check.name == "delay"), None)
+
+
 def require_identity(given: Permission, identity: DriveIdentity) -> None:
     """Raise DriveRefusedError when the drive on the bus is not the one of the record."""
     if given.record is None:

@@ -146,8 +146,11 @@ def feedback_lag_s(model: ModelFile, estimated: bool) -> float:
 
 
 def loop_delay_s(model: ModelFile, period_s: float, estimated: bool = False) -> float:
-    """The whole delay: command to torque, lag of the velocity that the error takes, and half a period of hold."""
-    to_position_s = model.delay_s.value - model.sensor_delay_s.value
+    """The whole delay: command to torque, lag of the velocity that the error takes, and half a period of hold.
+
+    A command acts with the SYNC after the one it answers to: less than a period to the position is an error of a fit.
+    """
+    to_position_s = max(period_s, model.delay_s.value - model.sensor_delay_s.value)
     return to_position_s + feedback_lag_s(model, estimated) + 0.5 * period_s
 
 

@@ -41,10 +41,22 @@ class Tuned(NamedTuple):
         return summarise(self.design, self.axis)
 
 
-def tune(model: ModelFile, axis: LinearAxis, wish: Wish) -> Tuned:
-    """Choose gains for the linear axis of a model. Raises DocumentError where none has the wanted margins."""
+def tune(model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None) -> Tuned:
+    """Choose gains for the linear axis of a model. Raises DocumentError where none has the wanted margins.
+
+    `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
+    fitted delay too short; the longer of the two is designed for.
+    """
+    longer_s = max(0.0, (commissioned_delay_s or 0.0) - model.delay_s.value)
+    axis = axis._replace(delay_s=axis.delay_s + longer_s)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
     refuse_unstable(found, axis, wish, model)
+    if longer_s > 0.0:
+        text = (
+            f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
+            f"{1e3 * model.delay_s.value:.2f} ms"
+        )
+        found = found._replace(warnings=(*found.warnings, text))
     return Tuned(axis, found)
 
 

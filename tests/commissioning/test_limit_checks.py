@@ -72,6 +72,15 @@ def test_a_stop_after_a_trip_is_judged_by_what_the_axis_does():
     assert "current was commanded" in judge(late).text
 
 
+def test_a_noisy_velocity_is_no_motion():
+    velocity, top = rise_and_fall(2.0, 100.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.15, velocity.size)
+    noisy = motion(velocity, 0.5, top)._replace(velocity_rps=velocity + noise)
+    check = stop_after_trip("speed_limit", noisy, TRIP_OVERSPEED, 2.0, 1.9, "rps")
+    assert check.verdict == "ok"
+    assert check.numbers["stopped_after_s"] == pytest.approx(0.015, abs=5e-3)
+
+
 def test_braking_is_compared_with_coasting_through_the_same_speeds():
     free, top = rise_and_fall(2.0, 40.0)
     coast = motion(free, np.where(np.arange(free.size) < top, 0.5, 0.0))

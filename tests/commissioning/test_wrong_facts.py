@@ -10,6 +10,7 @@ import pytest
 from commissioning.misdeclared import HIGHEST_A, HIGHEST_REV, HIGHEST_RPS, LOWEST_REV, MisdeclaredDrive, TalkingDrive
 
 from fffo_drive.commissioning.bounds import BoundsError, make_bounds
+from fffo_drive.commissioning.estimate import LARGEST_UNEXPLAINED, RIGID_UNEXPLAINED
 from fffo_drive.commissioning.judge import CHECKS
 from fffo_drive.commissioning.procedure import commission
 from fffo_drive.commissioning.record import DeclaredFacts, overall
@@ -132,6 +133,17 @@ def test_a_velocity_that_is_computed_seldom_is_a_warning_and_makes_the_delay_lon
     assert checks["velocity_age"].measured == pytest.approx(0.0007 + 0.0005, abs=1.5e-4)  # mean age of a held word
     checks = checks_of(MisdeclaredDrive(hold=10))
     assert "velocity_update" in failed(checks)
+
+
+def test_an_axis_with_play_is_no_rigid_inertia_and_is_commissioned_all_the_same():
+    play = EffectConfig("backlash", {"gap_rev": 0.01, "load_share": 0.5})
+    checks = checks_of(MisdeclaredDrive(**of_plant(effects=(play,))))
+    assert not failed(checks)
+    assert {"motion", "delay"} <= warned(checks)
+    assert "backlash" in checks["motion"].remedy
+    share = checks["motion"].numbers["unexplained_share"]
+    assert RIGID_UNEXPLAINED < share < LARGEST_UNEXPLAINED
+    assert 0.0 < checks["delay"].measured < 0.00275  # play hides a part of it, which is why a model's longer one counts
 
 
 def test_a_smooth_axis_is_an_ok_one_but_not_the_one_of_the_model():

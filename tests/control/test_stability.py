@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from fffo_drive.control.stability import (
     LinearAxis,
     condition_14_nm_per_rev,
     impedance_nm_per_rps,
+    loop_delay_s,
     loop_margins,
 )
+from fffo_drive.model.parameters import Quantity, read_model
 
+TABLE_1 = Path(__file__).resolve().parents[2] / "configs" / "models" / "table1.yaml"
 KT = 0.148
 DAMPING = KT / 26.17
 PAPER = LinearAxis(0.166 * DAMPING, DAMPING, 0.003, KT)
@@ -61,6 +65,14 @@ def test_an_elastic_load_is_the_whole_inertia_below_and_the_motors_above_its_res
     resonance, antiresonance = (np.array([2j * math.pi * f]) for f in (50.0, 50.0 * math.sqrt(0.6)))
     assert abs(impedance_nm_per_rps(axis, resonance)[0]) < 1e-9
     assert abs(impedance_nm_per_rps(axis, antiresonance * (1 + 1e-9))[0]) > 1e3
+
+
+def test_a_loop_has_no_less_delay_than_its_period_and_half_of_one():
+    model = read_model(TABLE_1)
+    assert loop_delay_s(model, 0.0005) == pytest.approx(0.00275 + 0.00025)
+    fitted = model.model_copy(update={"delay_s": Quantity(value=0.0008)})  # 0.0007 of it the sensor's
+    assert loop_delay_s(fitted, 0.0005) == pytest.approx(0.0005 + 0.0007 + 0.00025)
+    assert loop_delay_s(fitted, 0.0005, estimated=True) == pytest.approx(0.0005 + 0.00025)
 
 
 def test_condition_14_fails_for_pi_alone_and_holds_from_l_of_3_2():

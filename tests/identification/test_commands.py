@@ -7,11 +7,15 @@ import json
 import numpy as np
 import pytest
 import yaml
+from commissioning.test_command import IDENTITY
+from commissioning.test_record import NAME, axis_file, record_for
 from identification.rig import TABLE_1
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 from identification.test_dataset import write_csv
 
 from fffo_drive.cli import main
+from fffo_drive.commissioning.judge import CHECKS, told
+from fffo_drive.commissioning.record import read_record, write_record
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.checks import law_problems
 from fffo_drive.model.parameters import read_model
@@ -67,3 +71,21 @@ def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     result = json.loads((tmp_path / "report.json").read_text())["results"]
     assert len(result["root_locus"]) > 50
     assert result["condition_14_nm_per_rev"] >= 0.0
+
+
+def test_tune_designs_for_the_longer_delay_of_model_and_commissioning_and_keeps_the_record(tmp_path, capsys):
+    axis = axis_file(tmp_path)
+    gains = {}
+    for measured_s in (0.0020, 0.0040):  # the model's is 2.75 ms
+        checks = [told(name, "ok", "fine") for name in CHECKS if name != "delay"]
+        delay = told("delay", "ok", "").model_copy(update={"measured": measured_s})
+        write_record(tmp_path / NAME, record_for(axis, IDENTITY, [*checks, delay]))
+        out = tmp_path / f"{measured_s:g}"
+        assert main(["tune", str(TABLE_1), "--out", str(out), "--axis", str(axis), "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        gains[measured_s] = result["gains"]["proportional_a_per_rps"]
+        assert result["axis"]["delay_s"] == pytest.approx(max(measured_s, 0.00275) + 0.00025)
+        assert any("commissioning" in text for text in result["warnings"]) == (measured_s > 0.00275)
+        written = out / str(read_axis(out / axis.name).commissioning)
+        assert read_record(written) == read_record(tmp_path / NAME)
+    assert gains[0.0040] < 0.8 * gains[0.0020]
