@@ -11,7 +11,6 @@ import argparse
 import json
 import os
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.box import SIMPLE
@@ -19,29 +18,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from .. import __version__
-from ..commissioning.bounds import Bounds, BoundsError, make_bounds
-from ..commissioning.procedure import Outcome, commission
-from ..commissioning.record import (
-    FAILED,
-    NOT_DONE,
-    OK,
-    WARNING,
-    BoundsRecord,
-    CheckRecord,
-    CommissioningRecord,
-    DriveRecord,
-    overall,
-    write_record,
-)
-from ..config.axis import beside, build_profile, model_of, read_axis
-from ..config.checks import bus_problems, require
-from ..config.commissioning import declared_facts
+from ..commissioning.record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, CommissioningRecord
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
-from ..model.parameters import content_hash
+from ..workflows.commission import bounds_of, commission_axis, commissioning_plan, record_path
 from ..workflows.errors import DriveFaultError
-from ..workflows.plan import Plan, open_drive, plan_session
+from ..workflows.plan import Plan
 from .exits import UnconfirmedError
 
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}
@@ -66,15 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    plan = _plan(Path(options.config))
-    out = Path(options.out) if options.out else _default_path(plan)
-    session = plan_session(plan)
-    try:
-        bounds = make_bounds(session.envelope, options.current, options.speed, options.travel)
-    except BoundsError as error:
-        require(plan.path, [f"envelope: {error}"])
-        raise
-    _claim(out)
+    plan = commissioning_plan(Path(options.config))
+    out = Path(options.out) if options.out else record_path(plan)
+    bounds = bounds_of(plan, options.current, options.speed, options.travel)
     console = Console(stderr=True, quiet=options.json)
     for line in resolution_lines(plan.axis, plan.model):
         console.print(line, soft_wrap=True, highlight=False)
@@ -88,16 +64,9 @@ def execute(options: argparse.Namespace) -> int:
     if not _may_move(plan, options):
         console.print("nothing was moved")
         return 0
-    drive = open_drive(plan, options.bus)
-    try:
-        outcome = commission(
-            drive, session, plan.model, declared_facts(plan.axis, plan.model), bounds,
-            lambda text: console.print(f"  {text}", soft_wrap=True, highlight=False),
-        )  # fmt: skip
-    except BoundsError as error:
-        require(plan.path, [f"envelope.position_window_rev: {error}"])
-        raise
-    record = write_record(out, make_record(plan, outcome, bounds, options.bus))
+    record = commission_axis(
+        plan, bounds, out, options.bus, lambda text: console.print(f"  {text}", soft_wrap=True, highlight=False)
+    )
     if options.json:
         print(json.dumps(record.model_dump(mode="json"), indent=2))
     else:
@@ -117,44 +86,6 @@ def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
             "commission moves the axis, and here nobody can be asked: see that it may, and give --yes"
         )
     return input("may it move? [y/N] ").strip().lower() in ("y", "yes")
-
-
-def _plan(path: Path) -> Plan:
-    """The axis file, as far as commissioning needs it: law and profile may still be unfinished."""
-    axis = read_axis(path)
-    model = model_of(path, axis)
-    require(path, bus_problems(axis, model))
-    return Plan(path, axis, model, build_profile(axis.profile, axis.loop.period_s))
-
-
-def _default_path(plan: Plan) -> Path:
-    return beside(plan.path, plan.axis.commissioning or f"{plan.axis.name}.commissioning.yaml")
-
-
-def _claim(out: Path) -> None:
-    """See that the record can be written before anything moves. Raises OSError."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(out.parent, os.W_OK):
-        raise PermissionError(13, "no record can be written here", str(out.parent))
-
-
-def make_record(plan: Plan, outcome: Outcome, bounds: Bounds, bus: str | None = None) -> CommissioningRecord:
-    """The record of what was found."""
-    section = plan.axis.drive
-    facts = declared_facts(plan.axis, plan.model)
-    return CommissioningRecord(
-        axis=plan.axis.name,
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        tool=f"fffo_drive {__version__}",
-        bus=(bus or section.bus) if isinstance(section, CanopenDriveSection) else "in process",
-        drive=DriveRecord.of(outcome.identity),
-        facts=facts,
-        facts_hash=facts.digest,
-        model=f"{plan.model.name}, SHA-256 {content_hash(plan.model)}",
-        bounds=BoundsRecord(**bounds._asdict()),
-        verdict=overall(outcome.checks),
-        checks=outcome.checks,
-    )
 
 
 def verdict_line(record: CommissioningRecord) -> str:

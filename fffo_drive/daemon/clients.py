@@ -22,10 +22,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from ..runtime.states import Epoch
 from . import rpc
 from .one_client import CONTROL_LIMITS, WATCH_LIMITS, Budget, Client, Handler, Line
 from .rpc import RpcError
+from .states import Epoch
 
 READ_BYTES = 256 * 1024  # more than the kernel keeps for a Unix socket: one read empties it
 WATCH_READ_BYTES = 8 * 1024

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..recording.events import Level, utc_text
-from ..runtime.journal import Journal
+from .journal import Journal
 
 KEPT = 1000
 # kinds that clients can cause as often as they like, and how many are told in a second; more are counted. They are kept

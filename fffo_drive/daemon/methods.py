@@ -42,12 +42,12 @@ from typing import Any, Protocol
 from .. import __version__
 from ..config.axis import TOGGLES
 from ..recording.events import Level
-from ..runtime.states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
 from ..workflows.plan import YAML_TYPE, Plan, toggle_name
 from . import parameters as p
 from . import set_points, settings
 from .profiles import chosen_profile
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
+from .states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
 from .status import info_of, status_of
 from .supervisor import Supervisor
 from .worker import Worker

@@ -20,7 +20,6 @@ from pydantic import BaseModel, ValidationError
 from ..documents import DocumentError, wrong_parameters
 from ..drive.port import DriveError
 from ..recording.events import Level
-from ..runtime.states import RefusedError
 from . import rpc
 from .clients import ENDING, Clients
 from .methods import Api
@@ -29,6 +28,7 @@ from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
 from .sockets import CONTROL_MODE, WATCH_MODE, bound, give_to
+from .states import RefusedError
 
 
 class _Asked(NamedTuple):

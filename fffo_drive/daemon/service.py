@@ -16,15 +16,15 @@ from .. import __version__
 from ..config.axis import realtime_request
 from ..documents import DocumentError
 from ..recording.events import Level
-from ..runtime.journal import Journal
-from ..runtime.notify import Notifier
 from ..runtime.realtime import require_realtime
-from ..runtime.states import AT_REST, Event
 from ..workflows.plan import Plan, make_plan
 from .connection import require_served
+from .journal import Journal
 from .methods import Api
+from .notify import Notifier
 from .places import recordings_directory, socket_directory
 from .server import Server
+from .states import AT_REST, Event
 from .status import line_of
 from .supervisor import TURN_S, Supervisor
 from .worker import Worker

@@ -11,8 +11,8 @@ from ..config.axis import TOGGLES, AxisFile
 from ..config.sections import ControllerSection
 from ..documents import DocumentError, check
 from ..model.parameters import ModelFile, content_hash, read_model
-from ..runtime.states import Change
 from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems
+from .states import Change
 
 GAIN_KEYS = (
     "controller.proportional_a_per_rps",

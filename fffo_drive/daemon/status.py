@@ -10,12 +10,12 @@ from ..drive.cia402 import state_name
 from ..drive.port import exchange_counts
 from ..runtime import blocks as b
 from ..runtime.adaptation_watch import bound_names
-from ..runtime.states import State
 from ..workflows.plan import toggle_name
 from .parameters import agreed_protocol
 from .profiles import profile_names
 from .set_points import latency_s
 from .settings import LIVE_KEYS, value_of
+from .states import State
 from .supervisor import Supervisor
 from .watch import TRIP_NAMES
 

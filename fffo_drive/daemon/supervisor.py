@@ -1,4 +1,4 @@
-"""Owns the drive, the loop and the recorder, and moves them by the table of `runtime.states`.
+"""Owns the drive, the loop and the recorder, and moves them by the table of `daemon.states`.
 
 All of it runs in one thread on one asyncio loop. `turn` looks at the loop 25 times a second; what waits for the bus or
 the disk (bring-up, leaving, files) is done on other threads and awaited. Nothing here touches the tick: requests reach
@@ -25,16 +25,16 @@ from ..model.parameters import content_hash
 from ..recording.events import Level
 from ..runtime import blocks as b
 from ..runtime.adaptation_watch import BoundWatch
-from ..runtime.journal import Journal
 from ..runtime.runs import NOT_ENABLED, with_words
-from ..runtime.states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
 from ..workflows.plan import Plan
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
 from .event_log import EventLog
+from .journal import Journal
 from .motion import Motion
 from .record_keeper import RecordKeeper, Sources
 from .set_points import JOG, AskedSetPoint, longest_stop_s
+from .states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
 from .worker import Worker
 

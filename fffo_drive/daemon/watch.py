@@ -13,10 +13,10 @@ from ..drive.cia402 import (
     state_of,
 )
 from ..runtime import blocks as b
-from ..runtime.states import Event
 from ..runtime.tick import in_local_control
 from ..workflows.plan import Plan
 from .connection import Connection
+from .states import Event
 
 RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05

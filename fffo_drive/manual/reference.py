@@ -12,10 +12,10 @@ from ..cli.config import SCHEMAS
 from ..config.axis import TRIP_NAMES
 from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NONE, TRIP_TEXTS
 from ..daemon.parameters import METHODS
+from ..daemon.states import markdown as states_markdown
 from ..drive.simulated.effects.registry import effect_table
 from ..model.effects.law import Law
 from ..model.effects.registry import LAWS
-from ..runtime.states import markdown as states_markdown
 from ..signals import SIGNALS
 
 COLUMNS = 100  # of the usage lines
@@ -328,7 +328,7 @@ def states() -> str:
 
 def _demoted(line: str) -> str:
     return (
-        "Made from `fffo_drive/runtime/states.py`, which the service interprets. A request without a "
+        "Made from `fffo_drive/daemon/states.py`, which the service interprets. A request without a "
         "row is refused with the state and the states that allow it."
         if line.startswith("Made by")
         else line

@@ -12,7 +12,10 @@ from fffo_drive.commissioning.estimate import HeldCurrent
 from fffo_drive.commissioning.judge import CHECKS, graded, not_done, told, within
 from fffo_drive.commissioning.motion_checks import Beliefs, current_scale
 from fffo_drive.commissioning.objects import NamePlate
+from fffo_drive.commissioning.record import read_record
+from fffo_drive.documents import DocumentError
 from fffo_drive.drive.port import DriveIdentity
+from fffo_drive.workflows.commission import bounds_of, commission_axis, commissioning_plan
 from fffo_drive.workflows.plan import make_plan
 
 IDENTITY = DriveIdentity(1, 2, 3, 4, "a servo drive", "1.0")
@@ -135,3 +138,18 @@ def test_a_wrong_rating_is_seen_beyond_the_steps(factor):
     for counts in (20, 400):
         held = HeldCurrent(round(factor * counts) / counts, 1.0 / counts)
         assert current_scale(1.0, 50, held, NamePlate(), BELIEFS).verdict != "ok"
+
+
+@pytest.mark.slow
+def test_commissioning_as_a_function_prints_nothing_and_returns_what_it_wrote(tmp_path, capsys):
+    plan = commissioning_plan(CONFIGS / "axis_simulated.yaml")
+    steps: list[str] = []
+    out = tmp_path / "records" / "simulated.yaml"
+    record = commission_axis(plan, bounds_of(plan, current_a=3.0), out, tell=steps.append)
+    assert record.passed
+    assert read_record(out) == record
+    assert record.bounds.current_a == 3.0
+    assert steps[0] == "listening, no voltage"
+    assert capsys.readouterr() == ("", "")
+    with pytest.raises(DocumentError, match="--current 99 A"):
+        bounds_of(plan, current_a=99.0)

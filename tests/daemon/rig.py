@@ -22,6 +22,7 @@ from interpreted import TESTS
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.daemon.client import DaemonClient
+from fffo_drive.daemon.journal import Journal
 from fffo_drive.daemon.methods import Api
 from fffo_drive.daemon.places import CONTROL, WATCH
 from fffo_drive.daemon.server import Server
@@ -29,7 +30,6 @@ from fffo_drive.daemon.supervisor import TURN_S, Supervisor
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.core import Node
 from fffo_drive.drive.simulated.node.faults import Fault
-from fffo_drive.runtime.journal import Journal
 from fffo_drive.workflows.plan import make_plan
 
 FILES = TESTS / "bad_input" / "files"

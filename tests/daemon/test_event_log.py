@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.daemon.event_log import CAUSED_BY_CLIENTS, KEPT, EventLog
-from fffo_drive.runtime.journal import Journal
+from fffo_drive.daemon.journal import Journal
 
 
 class Log(EventLog):

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.daemon.event_log import KEPT, EventLog
+from fffo_drive.daemon.journal import LONGEST_VALUE, MESSAGE_IDS, Journal, encode_fields
+from fffo_drive.daemon.notify import Notifier
 from fffo_drive.recording.events import Level
-from fffo_drive.runtime.journal import LONGEST_VALUE, MESSAGE_IDS, Journal, encode_fields
-from fffo_drive.runtime.notify import Notifier
 
 
 @pytest.fixture

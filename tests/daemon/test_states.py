@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from fffo_drive.runtime.states import (
+from fffo_drive.daemon.states import (
     AT_REST,
     CHANGES,
     EVENTS,

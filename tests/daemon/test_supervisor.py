@@ -13,6 +13,7 @@ from fffo_drive.daemon import supervisor as supervisors
 from fffo_drive.daemon.client import CallError
 from fffo_drive.daemon.connection import leave
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
+from fffo_drive.daemon.states import State
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
@@ -20,7 +21,6 @@ from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime import session as sessions
 from fffo_drive.runtime.session import LoopHungError
-from fffo_drive.runtime.states import State
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 

@@ -19,8 +19,9 @@ from fffo_drive.identification.dataset import load_record
 from fffo_drive.identification.facts import read_facts
 from fffo_drive.importing.convert import converted
 from fffo_drive.importing.read import read_source
-from fffo_drive.importing.recognise import recognise
+from fffo_drive.importing.recognise import Hints, recognise
 from fffo_drive.report.columns import column_figures
+from fffo_drive.workflows.import_logs import assumptions, recognised_logs, write_import
 
 INPUTS = ("current_a", "current_command_a")
 
@@ -49,6 +50,21 @@ def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
     record = load_record(tmp_path / "out" / "log.mcap", facts)
     assert record.period_s == pytest.approx(2e-3)
     np.testing.assert_allclose(record.position_rev, truth().position_rev, atol=1e-6)
+
+
+def test_importing_as_functions_prints_nothing_and_does_the_same(tmp_path, log, capsys):
+    hints = Hints(units={"Actual position": "rev"})
+    logs = recognised_logs([log], hints)
+    assert not assumptions(logs)
+    done = write_import(logs, hints, {"torque_constant_nm_per_a": 0.13}, tmp_path / "by_function")
+    assert capsys.readouterr() == ("", "")
+    assert done.recordings == [tmp_path / "by_function" / "log.mcap"]
+    assert done.problems == []
+    assert done.coverage is not None
+    assert done.data_picture.stat().st_size > 10_000
+    assert run_import(log, "--out", tmp_path / "out", "--unit", "Actual position=rev", "--torque-constant", "0.13") == 0
+    for name in ("facts.yaml", "map.yaml"):
+        assert (tmp_path / "out" / name).read_text() == (tmp_path / "by_function" / name).read_text()
 
 
 def test_the_help_is_printed(capsys):

@@ -348,7 +348,7 @@ def markdown() -> str:
     """The tables for people."""
     lines = [
         "# States of the daemon", "",
-        "Made by `tools/daemon_states` from `fffo_drive/runtime/states.py`, which the daemon interprets. What is asked "
+        "Made by `tools/daemon_states` from `fffo_drive/daemon/states.py`, which the daemon interprets. What is asked "
         "for without a row is refused with the state and the states that allow it.", "",
         "| state | meaning |", "| --- | --- |",
         *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",

@@ -1,0 +1,82 @@
+"""A drive checked before any loop is closed, and the record of it, which `run` asks for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from .. import __version__
+from ..commissioning.bounds import Bounds, BoundsError, make_bounds
+from ..commissioning.procedure import Outcome, commission
+from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
+from ..config.axis import beside, build_profile, model_of, read_axis
+from ..config.checks import bus_problems, require
+from ..config.commissioning import declared_facts
+from ..config.drive_section import CanopenDriveSection
+from ..model.parameters import content_hash
+from .plan import Plan, open_drive, plan_session
+
+
+def commissioning_plan(path: Path) -> Plan:
+    """The axis file, as far as commissioning needs it: law and profile may still be unfinished."""
+    axis = read_axis(path)
+    model = model_of(path, axis)
+    require(path, bus_problems(axis, model))
+    return Plan(path, axis, model, build_profile(axis.profile, axis.loop.period_s))
+
+
+def record_path(plan: Plan) -> Path:
+    """Where the record of an axis belongs: where its file says, else NAME.commissioning.yaml beside it."""
+    return beside(plan.path, plan.axis.commissioning or f"{plan.axis.name}.commissioning.yaml")
+
+
+def bounds_of(
+    plan: Plan, current_a: float | None = None, speed_rps: float | None = None, travel_rev: float | None = None
+) -> Bounds:
+    """Bounds of the motion, inside the file's envelope (None: made from it). Raises DocumentError, BoundsError."""
+    try:
+        return make_bounds(plan_session(plan).envelope, current_a, speed_rps, travel_rev)
+    except BoundsError as error:
+        require(plan.path, [f"envelope: {error}"])
+        raise
+
+
+def commission_axis(
+    plan: Plan, bounds: Bounds, out: Path, bus: str | None = None, tell: Callable[[str], None] = lambda text: None
+) -> CommissioningRecord:
+    """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
+
+    `bus`: instead of the file's; `tell` gets a line for each step. Raises DocumentError, DriveError, OSError.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(out.parent, os.W_OK):  # before anything moves
+        raise PermissionError(13, "no record can be written here", str(out.parent))
+    facts = declared_facts(plan.axis, plan.model)
+    drive = open_drive(plan, bus)
+    try:
+        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell)
+    except BoundsError as error:
+        require(plan.path, [f"envelope.position_window_rev: {error}"])
+        raise
+    return write_record(out, record_of(plan, outcome, bounds, bus))
+
+
+def record_of(plan: Plan, outcome: Outcome, bounds: Bounds, bus: str | None = None) -> CommissioningRecord:
+    """The record of what was found."""
+    section = plan.axis.drive
+    facts = declared_facts(plan.axis, plan.model)
+    return CommissioningRecord(
+        axis=plan.axis.name,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        tool=f"fffo_drive {__version__}",
+        bus=(bus or section.bus) if isinstance(section, CanopenDriveSection) else "in process",
+        drive=DriveRecord.of(outcome.identity),
+        facts=facts,
+        facts_hash=facts.digest,
+        model=f"{plan.model.name}, SHA-256 {content_hash(plan.model)}",
+        bounds=BoundsRecord(**bounds._asdict()),
+        verdict=overall(outcome.checks),
+        checks=outcome.checks,
+    )

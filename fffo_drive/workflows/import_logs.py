@@ -1,0 +1,160 @@
+"""Logs of other programs into recordings: columns recognised, or told; facts of the axis; what the data can show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from ..documents import DocumentError, read_text
+from ..identification.coverage import Coverage, coverage_of
+from ..identification.cyclic import CyclicError, cyclic_error
+from ..identification.dataset import DataError, distinct_names, load_record, one_rate
+from ..identification.facts import DriveFacts
+from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
+from ..importing.read import read_source
+from ..importing.recognise import Guess, Hints, Recognition, recognise
+from ..importing.source import Source
+from ..importing.units import UNITS, unit_of
+from ..recording.errors import RecordingError, did_you_mean
+
+MAP_NAME = "map.yaml"
+PICTURE_NAME = "data.png"
+COLUMNS_NAME = "columns.png"
+OTHER_SUFFIXES = {".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc"}
+MAP_KEYS = {"roles", "units", "rate_hz", "counts_per_turn", "linear", "facts"}
+
+
+class RecognisedLog(NamedTuple):
+    """A log of another program, what its columns were taken for, and the signals in this project's units."""
+
+    source: Source
+    found: Recognition
+    log: Converted
+
+
+class Imported(NamedTuple):
+    """Recordings of one axis, and what an identification would say of them before it begins."""
+
+    recordings: list[Path]
+    columns_picture: Path
+    data_picture: Path
+    problems: list[str]  # why a recording cannot be fitted
+    warnings: list[str]
+    coverage: Coverage | None  # None where no recording can be fitted
+    cyclic: CyclicError | None  # of the position sensor; None where there is none, or it cannot be seen
+
+
+def recognised(source: Source, hints: Hints) -> RecognisedLog:
+    """What the columns of a log are, with what the user says. Raises RecordingError."""
+    found = recognise(source, hints)
+    return RecognisedLog(source, found, usable(str(source.path), converted(source, found), found))
+
+
+def recognised_logs(paths: Sequence[str | Path], hints: Hints) -> list[RecognisedLog]:
+    """Logs of one axis, read and recognised. Raises RecordingError that names the file and what to say."""
+    return [recognised(source, hints) for source in [read_source(Path(path)) for path in paths]]
+
+
+def assumptions(logs: Sequence[RecognisedLog]) -> list[Guess]:
+    """What neither names nor units nor the data decide, of all logs, each once."""
+    found = {(g.signal, g.column, g.unit): g for one in logs for g in one.found.guesses if not g.sure}
+    return list(found.values())
+
+
+def read_map(path: Path) -> dict[str, Any]:
+    """The map of columns that an earlier import wrote. Raises DocumentError."""
+    told = yaml.safe_load(read_text(path)) or {}
+    if not isinstance(told, dict) or set(told) - MAP_KEYS:
+        raise DocumentError(f"{path}: not a map of columns: {MAP_NAME} of an import is wanted")
+    return told
+
+
+def known_units(units: dict[str, str]) -> dict[str, str]:
+    """Units of columns, spelled as this project does. Raises RecordingError for an unknown one."""
+    known = {}
+    for column, told in units.items():
+        unit = unit_of(str(told))
+        if unit is None:
+            raise RecordingError(f"unit {told!r} of column {column!r}: {did_you_mean(str(told), UNITS)}")
+        known[column] = unit
+    return known
+
+
+def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str, Any], out: Path) -> Imported:
+    """Write DIR/NAME.mcap of each log, the facts, the map and two pictures. Raises RecordingError.
+
+    `declared`: facts of the axis (identification.facts). Logs of two axes, and files that are there already, are
+    errors.
+    """
+    found = logs[0].found
+    if any(one.found.linear != found.linear or one.found.torque_unit != found.torque_unit for one in logs):
+        raise RecordingError("the logs are not of one axis: their inputs have different units; import them one by one")
+    facts = facts_of(found, declared)
+    out.mkdir(parents=True, exist_ok=True)
+    names = distinct_names([_plain_name(one.source.path) for one in logs])
+    paths = [out / f"{name.replace('/', '_')}.mcap" for name in names]
+    taken = next((path for path in paths if path.exists()), None)
+    if taken is not None:
+        raise RecordingError(f"{taken}: is there already, and is not overwritten: choose another --out")
+    for one, path in zip(logs, paths, strict=True):
+        write_recording(path, one.source.path, one.log, facts)
+    write_facts(out / FACTS_NAME, facts)
+    _draw_columns(out / COLUMNS_NAME, logs[0])
+    (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared), sort_keys=False), encoding="utf-8")
+    return _checked(paths, facts, out)
+
+
+def _draw_columns(path: Path, one: RecognisedLog) -> None:
+    from ..report.columns import column_figures
+    from ..report.static import write_overview  # loads slowly
+
+    rows = column_figures(one.found.guesses, one.log.columns, one.found.torque_unit, one.found.linear)
+    write_overview(rows, [path])
+
+
+def _plain_name(path: Path) -> Path:
+    """The path without what says of which kind the file is."""
+    return path.with_suffix("") if path.suffix.lower() in OTHER_SUFFIXES else path
+
+
+def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str, Any]:
+    """What was recognised, as `read_map` takes it."""
+    return {
+        "roles": {signal: "" for signal, column in hints.roles.items() if not column}
+        | {guess.signal: guess.column for guess in found.guesses},
+        "units": {guess.column: guess.unit for guess in found.guesses if guess.unit in UNITS},
+        "rate_hz": None if found.period_s is None else 1.0 / found.period_s,
+        "counts_per_turn": hints.counts_per_turn,
+        "linear": found.linear,
+        "facts": declared,
+    }
+
+
+def _checked(paths: list[Path], facts: DriveFacts, out: Path) -> Imported:
+    """What an identification would say of the recordings before it begins, what they show, and of their sensor."""
+    problems: list[str] = []
+    records = []
+    for path in paths:
+        try:
+            records.append(load_record(path, facts))
+        except RecordingError as error:
+            problems.append(str(error))
+    warnings = [warning for record in records for warning in record.warnings]
+    result = Imported(paths, out / COLUMNS_NAME, out / PICTURE_NAME, problems, warnings, None, None)
+    if not records:
+        return result
+    records = one_rate(records)
+    coverage = coverage_of(records)
+    from ..report.coverage import coverage_figures
+    from ..report.static import write_overview  # loads slowly
+
+    write_overview(coverage_figures(records, coverage, facts.units == "linear"), [result.data_picture])
+    try:
+        cyclic = cyclic_error(records)
+    except DataError as error:
+        cyclic = None
+        warnings.append(str(error))
+    return result._replace(coverage=coverage, cyclic=cyclic)
