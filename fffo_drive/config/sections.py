@@ -203,7 +203,7 @@ class EnvelopeSection(Record):
 
 
 class LoopSection(Record):
-    """The tick."""
+    """The tick: its rate, its cut-off, and what counts as late."""
 
     rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
     cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
