@@ -31,7 +31,9 @@ from .mirror import dataclass_of, record_of
 from .sections import (
     ONE_LEARNS,
     AdaptationSection,
+    ControllerSection,
     FeedforwardSection,
+    ObserverSection,
     PaperProfile,
     ProfileSection,
     RestSection,
@@ -55,9 +57,13 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-INHERITED = Field(description="null: as in the axis file")
 REPLACED = Field(description="takes the place of the axis file's section; absent: everything in it is off")
-Gain = Annotated[float | None, Field(ge=0, le=1e6), INHERITED]
+Gain = Annotated[float | None, Field(ge=0, le=1e6)]
+
+
+def _inherited(section: type[Record], key: str) -> Any:
+    """The description of a key that is the axis file's, where null leaves it as it is there."""
+    return Field(description=f"{section.model_fields[key].description}; null: as in the axis file")
 
 
 class ControllerVariant(Record):
@@ -65,17 +71,17 @@ class ControllerVariant(Record):
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")]
     feedforward: Annotated[FeedforwardSection, REPLACED] = FeedforwardSection()
-    proportional_a_per_rps: Gain = None
-    integral_a_per_rev: Gain = None
-    gain_nm_per_rev: Gain = None
-    error_filter_s: Annotated[float | None, Field(ge=0, le=0.1), INHERITED] = None
-    learns_in: Annotated[
-        Literal["friction", "integral"] | None, Field(description="where L e goes; null: as in the axis file")
-    ] = None
-    at_rest: Annotated[RestSection | None, INHERITED] = None
-    clamp_ratio: Annotated[float | None, Field(ge=1, le=10), INHERITED] = None
-    feedback_band_rps: Annotated[float | None, Field(ge=0, le=10), INHERITED] = None
-    velocity: Annotated[VelocitySection | None, INHERITED] = None
+    proportional_a_per_rps: Annotated[Gain, _inherited(ControllerSection, "proportional_a_per_rps")] = None
+    integral_a_per_rev: Annotated[Gain, _inherited(ControllerSection, "integral_a_per_rev")] = None
+    gain_nm_per_rev: Annotated[Gain, _inherited(ObserverSection, "gain_nm_per_rev")] = None
+    error_filter_s: Annotated[float | None, Field(ge=0, le=0.1), _inherited(ControllerSection, "error_filter_s")] = None
+    learns_in: Annotated[Literal["friction", "integral"] | None, _inherited(ObserverSection, "learns_in")] = None
+    at_rest: Annotated[RestSection | None, _inherited(ControllerSection, "at_rest")] = None
+    clamp_ratio: Annotated[float | None, Field(ge=1, le=10), _inherited(ObserverSection, "clamp_ratio")] = None
+    feedback_band_rps: Annotated[float | None, Field(ge=0, le=10), _inherited(ObserverSection, "feedback_band_rps")] = (
+        None
+    )
+    velocity: Annotated[VelocitySection | None, _inherited(ControllerSection, "velocity")] = None
     adaptation: Annotated[AdaptationSection, REPLACED] = AdaptationSection()
 
     @model_validator(mode="after")
