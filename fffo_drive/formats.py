@@ -49,7 +49,11 @@ class Format(NamedTuple):
     @property
     def key(self) -> Any:
         """The pydantic field of the key `format`."""
-        return Field(pattern=f"^{re.escape(self.word)}$", json_schema_extra={"const": self.word})
+        return Field(
+            pattern=f"^{re.escape(self.word)}$",
+            json_schema_extra={"const": self.word},
+            description="kind of this file and number of its format; absent: number 1",
+        )
 
 
 HAND = "by hand"

@@ -32,14 +32,16 @@ MILLI = 1e-3
 class DeclaredFacts(Record):
     """What an axis file and its model declare about the scaling of a drive; None where the drive has no such thing."""
 
-    drive_kind: Literal["canopen", "simulated"]
-    counts_per_rev: float | None = None
-    velocity_units_per_rps: float | None = None
-    torque_constant_nm_per_a: float
-    rated_torque_nm: float | None = None
-    rated_current_a: float | None = None
+    drive_kind: Annotated[Literal["canopen", "simulated"], Field(description="drive.kind")]
+    counts_per_rev: Annotated[
+        float | None, Field(description="drive.counts_per_rev, or what drive.resolver_bits gives")
+    ] = None
+    velocity_units_per_rps: Annotated[float | None, Field(description="drive.velocity_units_per_rps")] = None
+    torque_constant_nm_per_a: Annotated[float, Field(description="of the model")]
+    rated_torque_nm: Annotated[float | None, Field(description="drive.rated_torque_nm")] = None
+    rated_current_a: Annotated[float | None, Field(description="drive.rated_current_a")] = None
     rated_current_unit_a: Annotated[float, Field(description="of 0x6075")] = MILLI
-    inverted: bool = False
+    inverted: Annotated[bool, Field(description="drive.inverted")] = False
     sdo: Annotated[list[str], Field(description="drive.sdo: its units may change every scale")] = Field(
         default_factory=list
     )
@@ -62,12 +64,12 @@ class DeclaredFacts(Record):
 class DriveRecord(Record):
     """What the drive said that it is (0x1018, 0x1008, 0x100A)."""
 
-    vendor_id: int
-    product_code: int
-    revision: int
-    serial_number: int
-    device_name: str = ""
-    software_version: str = ""
+    vendor_id: Annotated[int, Field(description="0x1018:1")]
+    product_code: Annotated[int, Field(description="0x1018:2")]
+    revision: Annotated[int, Field(description="0x1018:3")]
+    serial_number: Annotated[int, Field(description="0x1018:4")]
+    device_name: Annotated[str, Field(description="0x1008; empty: not told")] = ""
+    software_version: Annotated[str, Field(description="0x100A; empty: not told")] = ""
 
     @classmethod
     def of(cls, identity: DriveIdentity) -> DriveRecord:
@@ -78,23 +80,25 @@ class DriveRecord(Record):
 class BoundsRecord(Record):
     """What no check was to exceed."""
 
-    current_a: float
-    speed_rps: float
-    travel_rev: float
-    time_s: float
+    current_a: Annotated[float, Field(description="largest command")]
+    speed_rps: Annotated[float, Field(description="highest speed")]
+    travel_rev: Annotated[
+        float, Field(description="largest distance from where the axis stood at the beginning, either way")
+    ]
+    time_s: Annotated[float, Field(description="of all motion together")]
 
 
 class CheckRecord(Record):
     """One check: what was measured and expected, and what to do when the two disagree."""
 
-    name: str
+    name: Annotated[str, Field(description="short name of the check")]
     what: Annotated[str, Field(description="what is checked, in a few words")]
-    verdict: Verdict
-    measured: float | None = None
-    expected: float | None = None
+    verdict: Annotated[Verdict, Field(description="not_done: commissioning ended before it could be made")]
+    measured: Annotated[float | None, Field(description="null: no number belongs to the check")] = None
+    expected: Annotated[float | None, Field(description="what measured is compared with; null: no number")] = None
     lowest: Annotated[float | None, Field(description="lowest value that is ok")] = None
     highest: Annotated[float | None, Field(description="highest value that is ok")] = None
-    unit: str = "-"
+    unit: Annotated[str, Field(description="of measured, expected, lowest and highest; -: none")] = "-"
     text: Annotated[str, Field(description="what was found, in words")] = ""
     remedy: Annotated[str, Field(description="what to do; empty when all is well")] = ""
     numbers: Annotated[dict[str, float], Field(description="what else was measured")] = Field(default_factory=dict)
@@ -104,18 +108,25 @@ class CommissioningRecord(Record):
     """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
 
     format: Annotated[str, formats.COMMISSIONING.key] = formats.COMMISSIONING.word
-    axis: str
+    axis: Annotated[str, Field(description="name of the axis")]
     date: Annotated[str, Field(description="UTC, ISO 8601")]
-    tool: str
-    bus: str
+    tool: Annotated[str, Field(description="program and version that wrote it")]
+    bus: Annotated[str, Field(description="where the drive was, as `drive.bus`; `in process`: a simulated one")]
     drive: DriveRecord
     facts: DeclaredFacts
-    facts_hash: Annotated[str, Field(min_length=HASH_LENGTH, max_length=HASH_LENGTH)]
+    facts_hash: Annotated[
+        str, Field(min_length=HASH_LENGTH, max_length=HASH_LENGTH, description="SHA-256 of facts; checked")
+    ]
     model: Annotated[str, Field(description="name and content hash of the model compared with")]
     bounds: BoundsRecord
-    verdict: Literal["ok", "warning", "failed"]
-    checks: list[CheckRecord]
-    content_hash: str | None = None
+    verdict: Annotated[
+        Literal["ok", "warning", "failed"],
+        Field(description="of all checks together; failed: also where one was not done"),
+    ]
+    checks: Annotated[list[CheckRecord], Field(description="what was checked")]
+    content_hash: Annotated[
+        str | None, Field(description="SHA-256 of all else, written by the program; without it a file is refused")
+    ] = None
 
     @property
     def passed(self) -> bool:

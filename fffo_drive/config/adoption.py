@@ -53,11 +53,11 @@ class Gate(NamedTuple):
 class Adoption(Record):
     """One entry of an axis file's history."""
 
-    date: str
-    model: str  # as the axis file names it
-    model_hash: str
-    former: str
-    gates: list[str]
+    date: Annotated[str, Field(description="local time, YYYY-MM-DD HH:MM:SS")]
+    model: Annotated[str, Field(description="the model file, as the axis file names it")]
+    model_hash: Annotated[str, Field(description="content hash of the model")]
+    former: Annotated[str, Field(description="the model file before it; a rollback names it again")]
+    gates: Annotated[list[str], Field(description="conditions of the adoption that were met, with what was found")]
 
 
 class History(Record):
@@ -65,7 +65,9 @@ class History(Record):
 
     format: Annotated[str, formats.ADOPTIONS.key] = formats.ADOPTIONS.word
     tool: Annotated[str, Field(description="what wrote it last")] = ""
-    adoptions: list[Adoption] = Field(default_factory=list)
+    adoptions: list[Adoption] = Field(
+        default_factory=list, description="the oldest first; a rollback removes the last one"
+    )
 
 
 def held_out_gate(report: Mapping[str, Any] | None) -> Gate:

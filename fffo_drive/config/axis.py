@@ -81,15 +81,26 @@ class AxisFile(Record):
     """An axis: one drive, one model, one loop."""
 
     format: Annotated[str, formats.AXIS.key] = formats.AXIS.word
-    name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
-    drive: Annotated[SimulatedDriveSection | CanopenDriveSection, Field(discriminator="kind")]
+    name: Annotated[
+        str,
+        Field(
+            pattern=r"^[\w.-]+$",
+            description="names recordings and, outside systemd, the sockets of `serve`; letters, digits, _ . -",
+        ),
+    ]
+    drive: Annotated[
+        SimulatedDriveSection | CanopenDriveSection,
+        Field(discriminator="kind", description="the drive: on a CAN bus, or simulated in process"),
+    ]
     model: Annotated[str, Field(description="model file, relative to this file")]
     controller: ControllerSection
     envelope: EnvelopeSection
     loop: LoopSection = LoopSection()
     realtime: RealtimeSection = RealtimeSection()
     recording: RecordingSection = RecordingSection()
-    profile: ProfileSection
+    profile: Annotated[
+        ProfileSection, Field(description="motion of `run`, `ctl start` and `evaluate` where no other is named")
+    ]
     daemon: DaemonSection = DaemonSection()
     commissioning: Annotated[
         str | None,

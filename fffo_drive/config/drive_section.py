@@ -31,12 +31,13 @@ RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
 RATED_CURRENT_UNITS = {"mA": 1e-3, "mA_rms": 1e-3 * math.sqrt(2.0)}  # A of the torque constant for one of 0x6075
 
 Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
+DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated one, in process")
 
 
 class SimulatedDriveSection(Record):
     """The simulated drive, in process: faster than real time, the same run from the same seed."""
 
-    kind: Literal["simulated"]
+    kind: Annotated[Literal["simulated"], DRIVE_KIND]
     file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
     enable_delay_s: ClassVar[float] = 0.0  # it has no brake, and sets every bit
     served_status_bits: ClassVar[int] = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
@@ -114,7 +115,7 @@ class PdoSection(Record):
 class CanopenDriveSection(Record):
     """A CiA 402 drive with a torque mode on a CAN bus."""
 
-    kind: Literal["canopen"]
+    kind: Annotated[Literal["canopen"], DRIVE_KIND]
     bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
     bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")] = 1_000_000
     node_id: Annotated[int, Field(ge=1, le=127, description="node ID of the drive")]

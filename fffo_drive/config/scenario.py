@@ -31,7 +31,9 @@ from .mirror import dataclass_of, record_of
 from .sections import (
     ONE_LEARNS,
     AdaptationSection,
+    ControllerSection,
     FeedforwardSection,
+    ObserverSection,
     PaperProfile,
     ProfileSection,
     RestSection,
@@ -55,24 +57,32 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-Gain = Annotated[float | None, Field(ge=0, le=1e6, description="null: as in the axis file")]
+REPLACED = Field(description="takes the place of the axis file's section; absent: everything in it is off")
+Gain = Annotated[float | None, Field(ge=0, le=1e6)]
+
+
+def _inherited(section: type[Record], key: str) -> Any:
+    """The description of a key that is the axis file's, where null leaves it as it is there."""
+    return Field(description=f"{section.model_fields[key].description}; null: as in the axis file")
 
 
 class ControllerVariant(Record):
     """A controller: what differs from the axis file's."""
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")]
-    feedforward: FeedforwardSection = FeedforwardSection()
-    proportional_a_per_rps: Gain = None
-    integral_a_per_rev: Gain = None
-    gain_nm_per_rev: Gain = None
-    error_filter_s: Annotated[float | None, Field(ge=0, le=0.1)] = None
-    learns_in: Annotated[Literal["friction", "integral"] | None, Field(description="where L e goes")] = None
-    at_rest: RestSection | None = None
-    clamp_ratio: Annotated[float | None, Field(ge=1, le=10)] = None
-    feedback_band_rps: Annotated[float | None, Field(ge=0, le=10)] = None
-    velocity: VelocitySection | None = None
-    adaptation: AdaptationSection = AdaptationSection()
+    feedforward: Annotated[FeedforwardSection, REPLACED] = FeedforwardSection()
+    proportional_a_per_rps: Annotated[Gain, _inherited(ControllerSection, "proportional_a_per_rps")] = None
+    integral_a_per_rev: Annotated[Gain, _inherited(ControllerSection, "integral_a_per_rev")] = None
+    gain_nm_per_rev: Annotated[Gain, _inherited(ObserverSection, "gain_nm_per_rev")] = None
+    error_filter_s: Annotated[float | None, Field(ge=0, le=0.1), _inherited(ControllerSection, "error_filter_s")] = None
+    learns_in: Annotated[Literal["friction", "integral"] | None, _inherited(ObserverSection, "learns_in")] = None
+    at_rest: Annotated[RestSection | None, _inherited(ControllerSection, "at_rest")] = None
+    clamp_ratio: Annotated[float | None, Field(ge=1, le=10), _inherited(ObserverSection, "clamp_ratio")] = None
+    feedback_band_rps: Annotated[float | None, Field(ge=0, le=10), _inherited(ObserverSection, "feedback_band_rps")] = (
+        None
+    )
+    velocity: Annotated[VelocitySection | None, _inherited(ControllerSection, "velocity")] = None
+    adaptation: Annotated[AdaptationSection, REPLACED] = AdaptationSection()
 
     @model_validator(mode="after")
     def _one_learns(self) -> ControllerVariant:
@@ -104,7 +114,9 @@ class ScenarioFile(Record):
     """A comparison."""
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
-    name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
+    name: Annotated[
+        str, Field(pattern=r"^[\w.-]+$", description="stands in the report's title; letters, digits, _ . -")
+    ]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
     first_seed: Annotated[int, Field(ge=0, le=2**30, description="of noise, phases and signs")] = 1
@@ -120,7 +132,9 @@ class ScenarioFile(Record):
     )
     histogram_rps: Annotated[float, Field(gt=0, le=1000, description="half width of the error histograms")] = 0.4
     percent_of: Annotated[str | None, Field(description="controller that is 100 %; null: the smallest")] = None
-    controllers: Annotated[dict[str, ControllerVariant], Field(min_length=1)]
+    controllers: Annotated[
+        dict[str, ControllerVariant], Field(min_length=1, description="what is compared, each by its name")
+    ]
 
     @field_validator("band_edges_rps")
     @classmethod

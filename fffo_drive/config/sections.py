@@ -17,6 +17,7 @@ Ordinate = Annotated[float, Field(ge=-1000, le=1000)]
 Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
 Point = Annotated[tuple[Annotated[float, Field(ge=0, le=86_400)], Ordinate], Strict(False)]
 Reaction = Literal["coast", "quick_stop"]
+PROFILE_KIND = Field(description="which profile it is: the other keys are those of this kind")
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
@@ -202,7 +203,7 @@ class EnvelopeSection(Record):
 
 
 class LoopSection(Record):
-    """The tick."""
+    """The tick: its rate, its cut-off, and what counts as late."""
 
     rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
     cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
@@ -222,7 +223,9 @@ class RealtimeSection(Record):
 
     priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
     cpu: Annotated[int | Literal["last", "any"], Field(description="CPU of the loop")] = "last"
-    lock_memory: bool = True
+    lock_memory: Annotated[
+        bool, Field(description="keep the memory of the whole process in RAM (mlockall): the loop waits for no page")
+    ] = True
     required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
 
 
@@ -258,7 +261,7 @@ class RecordingSection(Record):
 class PaperProfile(Record):
     """Multi-sine under a biased sigmoid envelope (Fig. 7)."""
 
-    kind: Literal["paper"]
+    kind: Annotated[Literal["paper"], PROFILE_KIND]
     duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")] = 60.0
     low_rps: Annotated[float, Field(ge=0, le=1000, description="amplitude at the start of the record, rev/s")] = 0.2
     high_rps: Annotated[Rps, Field(description="amplitude at the end of the record, rev/s")] = 15.0
@@ -272,7 +275,7 @@ class PaperProfile(Record):
 class SineProfile(Record):
     """One sine."""
 
-    kind: Literal["sine"]
+    kind: Annotated[Literal["sine"], PROFILE_KIND]
     mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
         "velocity"
     )
@@ -284,7 +287,7 @@ class SineProfile(Record):
 class PointsProfile(Record):
     """Straight lines between points: steps, ramps, staircases, dwells."""
 
-    kind: Literal["points"]
+    kind: Annotated[Literal["points"], PROFILE_KIND]
     mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
         "velocity"
     )
@@ -301,7 +304,7 @@ class PointsProfile(Record):
 class IdentifyProfile(Record):
     """The paper's identification current: a down-chirp, then an up-chirp, in a biased sigmoid envelope (Fig. 3)."""
 
-    kind: Literal["identify"]
+    kind: Annotated[Literal["identify"], PROFILE_KIND]
     duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 60.0
     low_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the start")] = 0.3
     high_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the end")] = 1.1
@@ -317,7 +320,7 @@ class IdentifyProfile(Record):
 class FrfProfile(Record):
     """Down-chirp of current at one amplitude, for the frequency response (section IV-C)."""
 
-    kind: Literal["frf"]
+    kind: Annotated[Literal["frf"], PROFILE_KIND]
     duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 120.0
     amplitude_a: Annotated[float, Field(gt=0, le=1000, description="amplitude of the excitation, A")] = 1.0
     lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
@@ -338,21 +341,21 @@ def _require_sweep(lowest_hz: float, highest_hz: float) -> None:
 class PartsProfile(Record):
     """What is made of parts of the recipe."""
 
-    high_rps: Rps = 14.0
+    high_rps: Annotated[Rps, Field(description="highest speed; some parts use a share of it")] = 14.0
     acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
 
 
 class RecipeProfile(PartsProfile):
     """Velocity profile that separates effects: staircase, dwells, triangles, accelerate/brake pairs, biased sines."""
 
-    kind: Literal["recipe"]
+    kind: Annotated[Literal["recipe"], PROFILE_KIND]
     repeats: Annotated[int, Field(ge=1, le=10, description="of staircase and triangles")] = 2
 
 
 class DecideProfile(PartsProfile):
     """What tells one effect from its lookalikes: parts of the recipe, or a chirp of current."""
 
-    kind: Literal["decide"]
+    kind: Annotated[Literal["decide"], PROFILE_KIND]
     effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
     amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
 

@@ -39,8 +39,10 @@ FILES = {  # kind -> (title, what the file is)
 UNITS = (  # ending of a key -> unit; the longest ending that fits counts
     ("_nm_per_a", "Nm/A"), ("_nm_per_rps2", "Nm/rps²"), ("_nm_per_rps", "Nm/rps"), ("_nm_per_rev", "Nm/rev"),
     ("_nm_per_s", "Nm/s"), ("_a_per_rps", "A/rps"), ("_a_per_rev", "A/rev"), ("_a_per_s", "A/s"), ("_per_rev", "1/rev"),
-    ("_units_per_rps", "1/rps"), ("_units_per_a", "1/A"), ("_kg_m2", "kg m²"), ("_rps2", "rev/s²"), ("_rps", "rev/s"),
-    ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"), ("_permille", "1/1000"),  # noqa: E501
+    ("_units_per_rps", "1/rps"), ("_counts_per_rps", "1/rps"), ("units_per_a", "1/A"), ("_nm_per_k", "Nm/K"),
+    ("_per_k", "1/K"), ("k_per_w", "K/W"), ("_kg_m2", "kg m²"), ("_rps3", "rev/s³"), ("_rps2", "rev/s²"),
+    ("_rps", "rev/s"), ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"),
+    ("_permille", "1/1000"),
     ("_ticks", "ticks"), ("_ratio", "1"), ("_bits", "bits"), ("_ohm", "Ω"), ("_ns", "ns"), ("_v", "V"), ("_h", "h"),
     ("_a", "A"), ("_s", "s"), ("_k", "K"), ("_c", "°C"),
 )  # fmt: skip

@@ -31,7 +31,7 @@ OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEG
 class Quantity(Record):
     """One number of a model."""
 
-    value: float
+    value: Annotated[float, Field(description="the number, in the unit of its key or of its law")]
     sd: Annotated[float | None, Field(ge=0, description="standard deviation, where it was fitted")] = None
     source: Annotated[str, Field(description="declared, fitted, assumed, or where it was taken from")] = "declared"
 
@@ -76,7 +76,7 @@ class EffectModel(Record):
         Field(description="run: what is periodic has another phase in every run, and cannot be compensated"),
     ] = "absolute"
     alternatives: list[str] = Field(default_factory=list, description="effects that the data could not tell from it")
-    provenance: str = ""
+    provenance: Annotated[str, Field(description="the command that fitted it, or the reason that `diagnose` gave")] = ""
 
     def quantities(self) -> dict[str, Quantity]:
         """All numbers by the names of the law, those of a curve too."""
@@ -116,22 +116,24 @@ def effect_model(
 class Provenance(Record):
     """Where the model came from."""
 
-    date: str = ""
-    tool: str = ""
+    date: Annotated[str, Field(description="local date on which it was made, YYYY-MM-DD")] = ""
+    tool: Annotated[str, Field(description="program, version and command that wrote it; empty: written by hand")] = ""
     runs: list[str] = Field(default_factory=list, description="SHA-256 of the runs that it was fitted on")
-    note: str = ""
+    note: Annotated[str, Field(description="a remark for whoever reads the file; it changes nothing")] = ""
 
 
 class ModelFile(Record):
     """A model of an axis."""
 
     format: Annotated[str, formats.MODEL.key] = formats.MODEL.word
-    name: str
+    name: Annotated[str, Field(description="names the model in recordings, reports and the status of `serve`")]
     units: Annotated[
         Literal["rotary", "linear"],
         Field(description="linear: m, m/s and N stand for rev, rps and Nm, and `mass_kg` stands for `inertia_kg_m2`"),
     ] = "rotary"
-    torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6)]
+    torque_constant_nm_per_a: Annotated[
+        float, Field(gt=0, le=1e6, description="declared, never fitted; of a linear axis the force constant")
+    ]
     inertia_kg_m2: Annotated[
         Quantity, Field(description="at the motor shaft; a linear axis has `mass_kg` in its place")
     ]

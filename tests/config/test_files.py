@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.cli import main
+from fffo_drive.cli.config import SCHEMAS
+from fffo_drive.commissioning.record import CommissioningRecord
+from fffo_drive.config.adoption import History
 from fffo_drive.config.axis import (
-    AxisFile,
     build_profile,
     controller_config,
     envelope_config,
@@ -21,11 +23,11 @@ from fffo_drive.config.axis import (
 )
 from fffo_drive.config.checks import bus_problems, law_problems, profile_problems, shared_buses
 from fffo_drive.config.mirror import dataclass_of, record_of
-from fffo_drive.config.simulated import SimulatedDriveRecord, read_simulated
+from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control import envelope as env
 from fffo_drive.documents import DocumentError, parse
 from fffo_drive.drive.simulated.node.config import NodeConfig
-from fffo_drive.model.parameters import ModelFile, read_model, write_model
+from fffo_drive.model.parameters import read_model, write_model
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = (CONFIGS / "axis_simulated.yaml").read_text()
@@ -179,11 +181,31 @@ def test_the_record_of_the_simulated_drive_is_its_dataclass():
     assert dataclass_of(NodeConfig, record_of(NodeConfig)()) == NodeConfig()
 
 
-@pytest.mark.parametrize("record", [AxisFile, SimulatedDriveRecord, ModelFile])
-def test_schemas_are_json_and_describe_their_keys(record):
-    schema = json.loads(json.dumps(record.model_json_schema()))
+RECORDS = SCHEMAS | {"commissioning": CommissioningRecord, "adoptions": History}
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_schemas_are_json_and_take_no_unknown_key(kind):
+    schema = json.loads(json.dumps(RECORDS[kind].model_json_schema()))
     assert schema["type"] == "object"
     assert schema["additionalProperties"] is False
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_every_key_of_a_schema_has_a_description(kind):
+    """Its own, or that of the one section which it holds: what editors show, and the reference of the manual."""
+    schema = RECORDS[kind].model_json_schema()
+    sections = schema.get("$defs", {})
+
+    def described(entry):
+        return entry.get("description") or sections.get(entry.get("$ref", "").rpartition("/")[2], {}).get("description")
+
+    assert [
+        f"{name}.{key}"
+        for name, section in {kind: schema, **sections}.items()
+        for key, entry in section.get("properties", {}).items()
+        if not described(entry)
+    ] == []
 
 
 @pytest.mark.parametrize(

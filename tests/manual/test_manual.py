@@ -20,6 +20,7 @@ from fffo_drive.cli.config import SCHEMAS
 from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.manual import building
 from fffo_drive.manual.building import ManualError, build
+from fffo_drive.manual.reference import unit_of
 from fffo_drive.model.effects.registry import LAWS
 from fffo_drive.signals import SIGNALS
 
@@ -97,6 +98,16 @@ def test_the_reference_has_every_command_file_signal_law_and_method(built):
     assert [name for name in METHODS if name not in text("api")] == []
     for kind, record in SCHEMAS.items():
         assert [key for key in record.model_json_schema()["properties"] if key not in text(f"file_{kind}")] == []
+
+
+def test_the_unit_of_a_key_is_the_one_that_it_is_declared_with():
+    """The reference takes it from the ending of the name; a simulated drive declares it, as [UNIT] in its meaning."""
+    as_printed = {"kg m^2": "kg m²", "rps": "rev/s", "rps2": "rev/s²", "ohm": "Ω"}
+    schema = SCHEMAS["simulated"].model_json_schema()
+    keys = [item for section in schema["$defs"].values() for item in section.get("properties", {}).items()]
+    declared = {key: re.search(r"\[(.+)\]$", entry["description"]) for key, entry in keys if "description" in entry}
+    units = {key: found[1] for key, found in declared.items() if found}
+    assert {key: unit_of(key) for key in units} == {key: as_printed.get(unit, unit) for key, unit in units.items()}
 
 
 @pytest.mark.parametrize("page", SOURCES, ids=lambda p: p.stem)

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from .braking import BrakeSettings
 from .cia402_device import QUICK_STOP_OPTION_DEFAULT
 from .effects.registry import EFFECTS, effect_errors, effect_values, is_present
-from .ranges import key, range_errors
+from .ranges import key, note, range_errors, required_note
 from .state import STEP_S
 from .surfaces import FrictionConfig
 
@@ -58,8 +58,8 @@ class ThermalConfig:
 class EffectConfig:
     """An effect that is switched on. Parameters that are not given have the defaults of the registry."""
 
-    name: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    name: str = required_note("as `fffo-drive config effects` lists it")
+    parameters: Mapping[str, float] = note({}, "by name; absent ones have the defaults of that list")
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class PlantConfig:
     resolver: ResolverConfig = field(default_factory=ResolverConfig)
     thermal: ThermalConfig = field(default_factory=ThermalConfig)
     friction: FrictionConfig = field(default_factory=FrictionConfig)
-    effects: tuple[EffectConfig, ...] = ()
+    effects: tuple[EffectConfig, ...] = note((), "effects that are switched on")
 
     @property
     def rated_torque_nm(self) -> float:

@@ -41,6 +41,11 @@ def note(default: Any, meaning: str) -> Any:
     return dataclasses.field(default=default, metadata={_NOTE: meaning})
 
 
+def required_note(meaning: str) -> Any:
+    """A dataclass field that is no number and has no default, with its meaning."""
+    return dataclasses.field(metadata={_NOTE: meaning})
+
+
 def note_of(field: dataclasses.Field[Any]) -> str | None:
     """The meaning of a dataclass field that has no range."""
     return field.metadata.get(_NOTE)

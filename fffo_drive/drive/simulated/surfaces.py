@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from .ranges import key, required_key
+from .ranges import key, note, required_key, required_note
 
 KINDS = ("five_surfaces", "single_2sep", "lugre", "maxwell_slip")
 MAX_SURFACES = 8
@@ -18,7 +18,7 @@ class Surface:
     `ratio` is the motor's speed over the speed of that shaft; torque, travel and speed are converted with it.
     """
 
-    name: str
+    name: str = required_note("a label for whoever reads the file; it changes nothing")
     coulomb_nm: float = required_key("Nm", 1e-6, 1000.0, "Coulomb level")
     stiction_nm: float = required_key("Nm", 1e-6, 1000.0, "level at the lowest speed")
     viscous_nm_per_rps: float = required_key("Nm/rps", 0.0, 1e5, "viscous coefficient")
@@ -91,15 +91,17 @@ class MaxwellSlip(StribeckLevel):
     """Parallel elements that stick and slip (generalised Maxwell slip), at the motor shaft."""
 
     attraction_nm_per_s: float = key(2.0, "Nm/s", 1e-3, 1e9, "how fast slipping elements follow the level")
-    elements: tuple[SlipElement, ...] = SLIP_ELEMENTS
+    elements: tuple[SlipElement, ...] = note(SLIP_ELEMENTS, f"1 to {MAX_SURFACES}; their shares add up to 1")
 
 
 @dataclass(frozen=True)
 class FrictionConfig:
     """Friction of the plant: `surfaces` for kind five_surfaces (none: no friction), else the record of the kind."""
 
-    kind: str = "five_surfaces"
-    surfaces: tuple[Surface, ...] = FIVE_SURFACES
+    kind: str = note("five_surfaces", f"which friction acts: {', '.join(KINDS)}")
+    surfaces: tuple[Surface, ...] = note(
+        FIVE_SURFACES, f"of kind five_surfaces, 0 to {MAX_SURFACES}; none: no friction"
+    )
     single: SingleSurface = field(default_factory=SingleSurface)
     lugre: Lugre = field(default_factory=Lugre)
     maxwell_slip: MaxwellSlip = field(default_factory=MaxwellSlip)

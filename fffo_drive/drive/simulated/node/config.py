@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from ....can.frame import SYNC
 from ....units import S_PER_MIN, TWO_PI
 from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
-from ..ranges import NOT_IN_A_FILE, key, range_errors
+from ..ranges import NOT_IN_A_FILE, key, note, range_errors
 from .dictionary import Value, multiplexer
 from .faults import Fault
 from .objects import DEVICE_TYPE, WAITS_FOR_MASTER
@@ -26,9 +26,9 @@ class Identity:
     product_code: int = key(0x50455332, "-", 0, 0xFFFFFFFF, "0x1018:2; the default reads 2SEP")
     revision: int = key(0x00010000, "-", 0, 0xFFFFFFFF, "0x1018:3")
     serial_number: int = key(1, "-", 0, 0xFFFFFFFF, "0x1018:4")
-    device_name: str = "fffo-drive simulated servo drive"
-    hardware_version: str = "simulated"
-    software_version: str = "0.1"
+    device_name: str = note("fffo-drive simulated servo drive", "0x1008")
+    hardware_version: str = note("simulated", "0x1009")
+    software_version: str = note("0.1", "0x100A")
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,12 @@ class NodeConfig:
     overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")
     highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "rise at which the drive trips with 0x4310")
     sync_loss_tolerance_ms: int = key(50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss")
-    step_by_sync: bool = False  # the plant advances one 0x1006 period with each SYNC, and not otherwise
-    faults: tuple[Fault, ...] = ()
+    step_by_sync: bool = note(
+        False,
+        "each SYNC advances the plant by one period (0x1006, or 0x60C2 where that is 0), nothing else does, and a loss "
+        "of SYNC is not watched; false: the plant runs on the clock",
+    )
+    faults: tuple[Fault, ...] = note((), "faults planned from the start; object 0x2100 injects others")
     personality: Personality = field(default_factory=Personality)
     # of another drive, which the node wears; None: its own
     dictionary: WornDictionary | None = field(default=None, metadata={NOT_IN_A_FILE: True})

@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from ....units import NS_PER_S
-from ..ranges import key
+from ..ranges import key, required_note
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
@@ -78,7 +78,9 @@ DARK_KINDS = frozenset({FaultKind.SILENCE, FaultKind.REBOOT, FaultKind.BUS_OFF})
 class Fault:
     """One fault."""
 
-    kind: FaultKind
+    kind: FaultKind = required_note(  # noqa: RUF009  # a field
+        "what goes wrong; sent: with frames of the drive, received: with frames to it"
+    )
     at_s: float = key(0.0, "s", 0.0, 1e6, "when it begins, since the node started")
     duration_s: float = key(0.0, "s", 0.0, 1e6, "how long it lasts; 0: until cleared")
     can_id: int = key(0, "-", 0, 0x7FF, "frames that drop, duplicate, delay, reorder concern; 0: every one")
