@@ -24,6 +24,7 @@ from ..evaluation.campaign import Candidate, Case
 from ..evaluation.measures import Yardstick
 from ..model.parameters import ModelFile, Quantity
 from ..runtime.runs import simulated_ring_rows
+from ..symbols import FRICTION
 from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, model_of, read_axis, session_config
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
@@ -42,15 +43,7 @@ from .sections import (
 )
 from .simulated import read_simulated
 
-FRICTION_KEYS = (
-    "viscous_nm_per_rps",
-    "coulomb_nm",
-    "static_nm",
-    "stribeck_velocity_rps",
-    "stribeck_exponent",
-    "stiffness_per_rev",
-    "attraction_nm_per_rev",
-)
+FRICTION_KEYS = tuple(FRICTION)
 AXIS_KEYS = ("inertia_kg_m2", "delay_s", "sensor_delay_s")
 CUTOUT_PLACES = (0.3, 0.42, 0.62, 0.92)  # of the duration: two at low speeds, two at high ones, as in Fig. 8
 CUTOUT_S = 1.5

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.coordinates import MODEL_PARAMETERS, PARAMETERS, axis_of
+from ..identification.coordinates import LOGARITHMIC, MODEL_PARAMETERS, PARAMETERS, axis_of
 from ..identification.kinematics import low_pass
 from ..identification.threads import in_threads
 from ..model.axis import AxisConfig
@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 
 BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # what is refitted with every effect; no offset: that is an effect
 RIGID = ("inertia_nm_s2_per_rev", "delay_s", "viscous_nm_per_rps", "coulomb_nm")  # what a rigid base has of it
-NAMES = tuple(PARAMETERS)
+NAMES = PARAMETERS
 # how far a parameter may be from its start where the data say nothing of it: standard deviation, by its logarithm where
 # it is positive, in s and s2 where it is not
 PRIOR_SD = {"delay_s": 0.003, "stribeck_exponent": 1.0, "sensor_lag_s2": 1e-4}
@@ -91,7 +91,7 @@ def prior_sds() -> Floats:
 def distance(physical: Floats, start: Floats) -> Floats:
     """How far parameters are from others, in the coordinates of BASE. (len(BASE),)"""
     pairs = [(name, _value(physical, name), _value(start, name)) for name in BASE]
-    return np.array([np.log(new / old) if PARAMETERS[name][0] else new - old for name, new, old in pairs])
+    return np.array([np.log(new / old) if name in LOGARITHMIC else new - old for name, new, old in pairs])
 
 
 def snap_rows(rows: Rows) -> Floats:
@@ -110,7 +110,7 @@ def moved(physical: Floats, name: str, step: float) -> Floats:
     """Parameters with one coordinate moved: positive ones by their logarithm, others by themselves."""
     changed = physical.copy()
     k = NAMES.index(name)
-    changed[k] = physical[k] * np.exp(step) if PARAMETERS[name][0] else physical[k] + step
+    changed[k] = physical[k] * np.exp(step) if name in LOGARITHMIC else physical[k] + step
     return changed
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from .. import __version__
-from ..identification.coordinates import PARAMETERS
+from ..identification.coordinates import LOGARITHMIC
 from ..identification.criterion import Gain
 from ..identification.dataset import DataError, Record, one_rate
 from ..identification.facts import DriveFacts
@@ -384,7 +384,7 @@ def model_file(
 ) -> ModelFile:
     """A model as the controller runs it, with its effects; `findings` of each of them."""
     value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
-    spread = {name: float(sd[k]) * (value[name] if PARAMETERS[name][0] else 1.0) for k, name in enumerate(BASE)}
+    spread = {name: float(sd[k]) * (value[name] if name in LOGARITHMIC else 1.0) for k, name in enumerate(BASE)}
 
     def quantity(name: str, factor: float = 1.0) -> Quantity:
         return Quantity(value=value[name] * factor, sd=spread[name] * factor, source="fitted")

@@ -10,32 +10,17 @@ import numpy.typing as npt
 
 from ..model.axis import AxisConfig
 from ..model.friction import OMEGA_CLIPPED, FrictionConfig
+from ..symbols import FRICTION, SYMBOLS
 from .regression import TorqueStart
 from .shooting import Nuisance
 
 Floats = npt.NDArray[np.float64]
 
-# name -> (logarithmic, unit of a rotary axis); the order is that of all vectors and matrices of the fit
-PARAMETERS: dict[str, tuple[bool, str]] = {
-    "inertia_nm_s2_per_rev": (True, "Nm s^2/rev"),
-    "delay_s": (False, "s"),
-    "viscous_nm_per_rps": (True, "Nm/rps"),
-    "coulomb_nm": (True, "Nm"),
-    "static_nm": (True, "Nm"),
-    "stribeck_velocity_rps": (True, "rps"),
-    "stribeck_exponent": (False, "-"),
-    "stiffness_per_rev": (True, "1/rev"),
-    "attraction_nm_per_rev": (True, "Nm/rev"),
-    "sensor_lag_s2": (False, "s^2"),
-    "offset_nm": (False, "Nm"),
-}
-MODEL_PARAMETERS = tuple(PARAMETERS)[:9]
-NUISANCES = tuple(PARAMETERS)[9:]
-SYMBOLS = {
-    "inertia_nm_s2_per_rev": "J", "delay_s": "Td", "viscous_nm_per_rps": "sigma", "coulomb_nm": "Fc",
-    "static_nm": "Fs", "stribeck_velocity_rps": "Vs", "stribeck_exponent": "delta", "stiffness_per_rev": "K",
-    "attraction_nm_per_rev": "B", "sensor_lag_s2": "sensor lag", "offset_nm": "offset",
-}  # fmt: skip
+PARAMETERS = tuple(SYMBOLS)  # the order of all vectors and matrices of the fit
+MODEL_PARAMETERS = ("inertia_nm_s2_per_rev", "delay_s", *FRICTION)
+NUISANCES = tuple(name for name in PARAMETERS if name not in MODEL_PARAMETERS)
+# positive ones, whose logarithm is fitted
+LOGARITHMIC = frozenset(PARAMETERS).difference(("delay_s", "stribeck_exponent", *NUISANCES))
 LOG_SPAN = math.log(1e3)  # a positive parameter stays within this factor of its start
 STRIBECK_EXPONENTS = (0.3, 3.0)
 LONGEST_DELAY_S = 0.1
@@ -61,7 +46,7 @@ def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per
 
 def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False) -> Coordinates:
     """Coordinates around a start. `free` names what is fitted; the rest stays as it is."""
-    names = tuple(PARAMETERS)
+    names = PARAMETERS
     torque_nm = float(physical[names.index("coulomb_nm")])
     scale = np.ones(len(names))
     for name, size in (("delay_s", 2.0 * period_s), ("sensor_lag_s2", period_s**2), ("offset_nm", torque_nm)):
@@ -109,7 +94,7 @@ def physical_slope(values: Floats, scale: Floats) -> Floats:
 
 def _logarithmic(size: int) -> list[bool]:
     """Which of the parameters of a fit are logarithms: of those of effects none is."""
-    own = [logarithmic for logarithmic, _ in PARAMETERS.values()]
+    own = [name in LOGARITHMIC for name in PARAMETERS]
     return own + [False] * (size - len(own))
 
 

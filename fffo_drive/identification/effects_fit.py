@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 BASE = len(PARAMETERS)
 ITERATIONS = 12
-COULOMB, STATIC, VISCOUS = (list(PARAMETERS).index(name) for name in ("coulomb_nm", "static_nm", "viscous_nm_per_rps"))
+COULOMB, STATIC, VISCOUS = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm", "viscous_nm_per_rps"))
 # a fit without the effect may have driven a part of friction to nothing, and a logarithm comes back slowly from there
 LEAST_SHARE = 0.1  # of the larger of Fc and Fs; of what viscous friction has of it at the highest speed
 

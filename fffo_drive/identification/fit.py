@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.effects.table import Term
+from ..symbols import SYMBOLS
 from .coordinates import (
     MODEL_PARAMETERS,
     NUISANCES,
     PARAMETERS,
-    SYMBOLS,
     Coordinates,
     coordinates,
     start_vector,
@@ -47,7 +47,7 @@ START_ITERATIONS = 6
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
 OFFSET = "torque_offset"  # the effect that the kernels have a parameter of their own for
-OFFSET_PLACE = list(PARAMETERS).index("offset_nm")
+OFFSET_PLACE = PARAMETERS.index("offset_nm")
 
 
 class FitSettings(NamedTuple):
@@ -81,7 +81,7 @@ class Fit(NamedTuple):
 
     def value(self, name: str) -> float:
         """One parameter by its name in PARAMETERS."""
-        return float(self.physical[tuple(PARAMETERS).index(name)])
+        return float(self.physical[PARAMETERS.index(name)])
 
 
 def fit_records(
@@ -234,7 +234,7 @@ def mean_of_fits(
 
 def _literal(problem: Problem, space: Coordinates, solution: Solution, period_s: float, frame: _Frame) -> float | None:
     """Loss of the literal Stribeck curve (exponent < 0) over that of the classical one, both fitted."""
-    names = list(PARAMETERS)
+    names = PARAMETERS
     physical = to_physical(solution.values, space.scale)
     coulomb, static, exponent = (names.index(n) for n in ("coulomb_nm", "static_nm", "stribeck_exponent"))
     physical[exponent] = -physical[exponent]
@@ -287,7 +287,9 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
         found.append(f"the fit had not settled after {solution.iterations} iterations")
     for k, name in enumerate(space.names):
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
-            found.append(f"{SYMBOLS[name]} stands at a bound of the fit: the data speak against this part of the model")
+            found.append(
+                f"{SYMBOLS[name].symbol} stands at a bound of the fit: the data speak against this part of the model"
+            )
     if literal_loss is not None and literal_loss < 0.995:
         found.append(
             f"the rising (literal) Stribeck curve fits better: its loss is {literal_loss:.3f} times the falling one's"

@@ -210,7 +210,7 @@ def run_residuals(
 ) -> list[RunResidual]:
     """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,)."""
     acting = terms if terms is not None else [()] * len(records)
-    presliding_rev = PRESLIDING_LENGTHS / float(physical[list(PARAMETERS).index("stiffness_per_rev")])
+    presliding_rev = PRESLIDING_LENGTHS / float(physical[PARAMETERS.index("stiffness_per_rev")])
     return [
         RunResidual(
             record,

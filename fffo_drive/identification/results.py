@@ -13,8 +13,9 @@ from scipy import stats
 from .. import __version__, formats
 from ..model.effects.registry import law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity
+from ..symbols import SYMBOLS
 from ..units import inertia_kg_m2, name_on, text_on, unit_on
-from .coordinates import MODEL_PARAMETERS, PARAMETERS, SYMBOLS
+from .coordinates import LOGARITHMIC, MODEL_PARAMETERS, PARAMETERS
 from .dataset import DataError, Record
 from .declared import weight_remarks
 from .facts import DriveFacts
@@ -31,12 +32,12 @@ INERTIA, MASS = "inertia_nm_s2_per_rev", "M"
 
 def unit_of(name: str, facts: DriveFacts) -> str:
     """Unit of a parameter on this kind of axis."""
-    return unit_on(PARAMETERS[name][1], facts.units == "linear")
+    return unit_on(SYMBOLS[name].unit, facts.units == "linear")
 
 
 def symbol_of(name: str, facts: DriveFacts) -> str:
     """What a parameter is called: a linear axis has a mass and no inertia."""
-    return MASS if facts.units == "linear" and name == INERTIA else SYMBOLS[name]
+    return MASS if facts.units == "linear" and name == INERTIA else SYMBOLS[name].symbol
 
 
 def model_file(
@@ -45,7 +46,7 @@ def model_file(
     """The fitted model as the controller runs it. The delay of the drive's velocity, where there is one, is added."""
 
     def quantity(key: str, factor: float = 1.0) -> Quantity:
-        k = list(PARAMETERS).index(key)
+        k = PARAMETERS.index(key)
         sd = float(fit.uncertainty.sd[k])
         value = float(fit.physical[k]) * factor
         return Quantity(
@@ -214,7 +215,7 @@ def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
 
 def ends_of_interval(name: str, value: float, reach: float) -> list[float]:
     """Both ends; of a positive parameter, which is fitted as a logarithm, symmetric in that."""
-    if PARAMETERS[name][0]:
+    if name in LOGARITHMIC:
         factor = math.exp(min(reach / value, LARGEST_LOG_REACH))
         return [value / factor, value * factor]
     return [value - reach, value + reach]

@@ -20,6 +20,7 @@ from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest
 from ..identification.runs import Estimate, RunsLook
 from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
+from ..symbols import FRICTION, SYMBOLS
 from ..units import inertia_kg_m2
 from .diagnose_figures import PAIR, Words, channel_figure, effect_figures, run_figures, words_of
 from .document import (
@@ -56,15 +57,6 @@ GAINS = (
     f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
 )
 FORM = "How the friction differs from that of a single 2SEP surface. It is part of the model, and no effect beside it."
-MODEL_ROWS = {
-    "viscous_nm_per_rps": ("σ, viscous friction", "Nm/rps"),
-    "coulomb_nm": ("Fc, Coulomb level", "Nm"),
-    "static_nm": ("Fs, level at the lowest speed", "Nm"),
-    "stribeck_velocity_rps": ("Vs, Stribeck velocity", "rps"),
-    "stribeck_exponent": ("δ, Stribeck exponent", ""),
-    "stiffness_per_rev": ("K, presliding", "1/rev"),
-    "attraction_nm_per_rev": ("B, frictional lag", "Nm/rev"),
-}
 
 
 class DiagnosisSource(NamedTuple):
@@ -454,12 +446,14 @@ def _estimate(one: Estimate | None, scale: float) -> Cell:
 
 
 def _base(diagnosis: Diagnosis, words: Words) -> Table:
-    rows = [Row(label="J, inertia", unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))]
+    rows = [
+        Row(label=SYMBOLS["inertia_nm_s2_per_rev"].label, unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))
+    ]
     if words.linear:  # the file keeps kg m² at 2 pi; the mass is what people know
         rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
-    rows.append(Row(label="Td, delay", unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
-    for name, (label, text) in MODEL_ROWS.items():
-        rows.append(Row(label=label, unit=words.unit(text), cells=_model_cells(diagnosis, name)))
+    rows.append(Row(label=SYMBOLS["delay_s"].label, unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
+    for name, symbol in FRICTION.items():
+        rows.append(Row(label=symbol.label, unit=words.unit(symbol.unit), cells=_model_cells(diagnosis, name)))
     return Table(
         name="base", title="Base model", corner="Parameter", rows=rows,
         columns=[Column(label="before"), Column(label="with the effects")],

@@ -274,7 +274,7 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: Words) -> Figu
     """Stribeck curve with its band, and what the records say at each speed, both ways."""
     speed = np.concatenate([np.abs(run.torque.velocity_rps[run.sliding]) for run in runs])
     highest = float(speed.max()) if speed.size else 1.0
-    vs = float(fit.physical[list(PARAMETERS).index("stribeck_velocity_rps")])
+    vs = float(fit.physical[PARAMETERS.index("stribeck_velocity_rps")])
     speeds = np.geomspace(min(0.02 * vs, 0.01 * highest), highest, CURVE_POINTS)
     curve, low, high = friction_band(fit, speeds)
     outline = np.concatenate([speeds, speeds[::-1]])

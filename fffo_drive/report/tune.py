@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from ..control.stability import LinearAxis, Margins, loop_margins
 from ..identification.tuning import DampingRange, Design
 from ..model.parameters import ModelFile, Quantity
+from ..symbols import FRICTION
 from ..units import TWO_PI, inertia_nm_s2_per_rev
 from . import tune_figures as draw
 from .document import (
@@ -236,10 +237,11 @@ def _range_rows(label: str, damping: DampingRange, meaning: str) -> list[Row]:
 def _axis(source: TuneSource, tuning: Tuning) -> Table:
     model, axis = source.model, tuning.axis
     friction = model.friction
+    sigma, attraction = FRICTION["viscous_nm_per_rps"], FRICTION["attraction_nm_per_rev"]
     rows = [
         _inertia(model),
-        _quantity("sigma, smallest damping", "Nm/rps", friction.viscous_nm_per_rps),
-        _quantity("B", "Nm/rev", friction.attraction_nm_per_rev),
+        _quantity(f"{sigma.greek}, smallest damping", sigma.unit, friction.viscous_nm_per_rps),
+        _quantity(attraction.label, attraction.unit, friction.attraction_nm_per_rev),
         _quantity("Td, command to measured velocity", "s", model.delay_s),
         Row(label="hold of the command", unit="s",
             cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),

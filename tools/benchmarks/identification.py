@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT / "tests" / "identification"))
 from rig import PERIOD_S, random_plant, record, truth
 from synthetic import AXIS
 
-from fffo_drive.identification.coordinates import MODEL_PARAMETERS, SYMBOLS
+from fffo_drive.identification.coordinates import MODEL_PARAMETERS
 from fffo_drive.identification.dataset import Record, load_record
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts, read_facts
@@ -26,6 +26,7 @@ from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_erro
 from fffo_drive.model import friction
 from fffo_drive.model.axis import AxisState, simulate_into
 from fffo_drive.model.friction import REST
+from fffo_drive.symbols import SYMBOLS
 
 NAME = "identification"
 PURPOSE = (
@@ -81,7 +82,9 @@ def known_truth(report: Report, sets: int, progress: Any) -> None:
             progress(seed / sets)
     errors = np.abs([one.error_percent for one in found])
     for k, name in enumerate(MODEL_PARAMETERS):
-        report.figure(f"worst error of {SYMBOLS[name]} over {sets} axes", errors[:, k].max(), "%", TRUTH_LIMITS[name])
+        report.figure(
+            f"worst error of {SYMBOLS[name].symbol} over {sets} axes", errors[:, k].max(), "%", TRUTH_LIMITS[name]
+        )
 
 
 def coverage(report: Report, seeds: int, progress: Any) -> None:
@@ -102,7 +105,7 @@ def coverage(report: Report, seeds: int, progress: Any) -> None:
     report.figure("widest median interval over the spread of the estimates", float(width.max()), "", WIDEST)
     rows = [
         [
-            SYMBOLS[name],
+            SYMBOLS[name].symbol,
             f"{100 * covered[:, k].mean():.0f} %",
             f"{width[k]:.2f}",
             f"{np.mean(sd[:, k]) / spread[k]:.2f}",
