@@ -30,7 +30,6 @@ from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
 from .sections import (
-    ONE_LEARNS,
     AdaptationSection,
     ControllerSection,
     FeedforwardSection,
@@ -40,6 +39,7 @@ from .sections import (
     RestSection,
     VelocitySection,
     length_problems,
+    refuse_adaptation_beside,
 )
 from .simulated import read_simulated
 
@@ -79,8 +79,8 @@ class ControllerVariant(Record):
 
     @model_validator(mode="after")
     def _one_learns(self) -> ControllerVariant:
-        if self.adaptation.enabled and self.learns_in != "integral":
-            raise ValueError(ONE_LEARNS)
+        if self.adaptation.enabled:
+            refuse_adaptation_beside(self.learns_in, self.feedforward)
         return self
 
 

@@ -125,10 +125,19 @@ class AdaptationSection(Record):
     ] = 0.5
 
 
-ONE_LEARNS = (
-    "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the friction "
-    "estimate learns is hidden from it"
-)
+def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSection) -> None:
+    """Raise ValueError where the P and I terms hold less than what the model lacks, or more."""
+    if learns_in != "integral":
+        raise ValueError(
+            "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the "
+            "friction estimate learns is hidden from it"
+        )
+    off = [f"feedforward.{part}" for part in FeedforwardSection.model_fields if not getattr(feedforward, part)]
+    if off:
+        raise ValueError(
+            f"adaptation.enabled: needs {', '.join(off)}: what is not fed forward is in the P and I terms, and would "
+            "be learned as friction"
+        )
 
 
 class ControllerSection(Record):
@@ -154,8 +163,8 @@ class ControllerSection(Record):
 
     @model_validator(mode="after")
     def _one_learns(self) -> ControllerSection:
-        if self.adaptation.enabled and self.observer.learns_in != "integral":
-            raise ValueError(ONE_LEARNS)
+        if self.adaptation.enabled:
+            refuse_adaptation_beside(self.observer.learns_in, self.feedforward)
         return self
 
 

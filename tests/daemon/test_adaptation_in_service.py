@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import yaml
 from daemon.test_effects_in_service import PlantRig
 
 from fffo_drive.daemon import settings
@@ -19,6 +20,7 @@ class AdaptingRig(PlantRig):
     def forgive(axis):
         PlantRig.forgive(axis)
         axis["controller"].setdefault("observer", {}).update(learns_in="integral", toggle="ff")
+        axis["controller"]["feedforward"] = {"inertia": True, "preview": True, "delay_aware": True}
         axis["controller"]["adaptation"] = {"time_s": 5, "bound_share": 0.001}
 
 
@@ -41,11 +43,18 @@ def test_it_is_switched_on_live_shown_and_warns_at_its_bound(tmp_path):
         assert "has reached its bound" in event["text"]
 
 
-def test_it_is_refused_where_the_friction_estimate_learns(tmp_path):
+def test_it_is_refused_where_the_p_and_i_terms_are_not_what_the_model_lacks(tmp_path):
     from bad_input.cases import AXIS, DRIVE, FILES, MODEL
 
     for name in (AXIS, DRIVE, MODEL):
         (tmp_path / name).write_text(read_text(FILES / name))
     plan = make_plan(tmp_path / AXIS)
     with pytest.raises(DocumentError, match=r"learns_in must be 'integral'"):
+        settings.with_value(plan, plan.toggle, KEY, True)
+    axis = yaml.safe_load(read_text(tmp_path / AXIS))
+    axis["controller"].setdefault("observer", {})["learns_in"] = "integral"
+    axis["controller"]["feedforward"] = {"inertia": True, "delay_aware": True}
+    (tmp_path / AXIS).write_text(yaml.safe_dump(axis))
+    plan = make_plan(tmp_path / AXIS)
+    with pytest.raises(DocumentError, match=r"needs feedforward\.preview: what is not fed forward"):
         settings.with_value(plan, plan.toggle, KEY, True)
