@@ -36,7 +36,7 @@ class DocumentError(Exception):
     """A file that cannot be used: one line for each error, FILE:LINE: KEY: what is wrong, what is allowed."""
 
 
-class Record(BaseModel):
+class StrictRecord(BaseModel):
     """Base of all configuration records: unknown keys are errors, a number is a number, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)

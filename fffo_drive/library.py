@@ -154,8 +154,7 @@ class MeasuredRun:
 
     def _picture(self) -> str:
         """Velocity and reference over time, as SVG."""
-        from .report.figures import Axis as FigureAxis
-        from .report.figures import Figure, Series, Uniform
+        from .report.figures import Figure, PlotAxis, Series, Uniform
         from .report.static import write_figure  # loads slowly
 
         period_s = float(np.median(np.diff(self.time_s)))
@@ -167,8 +166,8 @@ class MeasuredRun:
         if not series:
             return ""
         figure = Figure(
-            "velocity", "time", self.name, "velocity over time", FigureAxis("time", "s"),
-            FigureAxis("velocity", "rps"), series,
+            "velocity", "time", self.name, "velocity over time", PlotAxis("time", "s"),
+            PlotAxis("velocity", "rps"), series,
         )  # fmt: skip
         with tempfile.TemporaryDirectory() as directory:
             path = Path(directory) / "velocity.svg"

@@ -31,7 +31,7 @@ class Load(NamedTuple):
     typical: float
 
 
-class Step(NamedTuple):
+class ChainStep(NamedTuple):
     """One link of the chain inside a period."""
 
     name: str
@@ -42,7 +42,7 @@ class Step(NamedTuple):
 class Chain(NamedTuple):
     """What must happen one after the other inside one period, and what is left of it."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[ChainStep, ...]
     period_s: float
 
     @property
@@ -74,11 +74,11 @@ def bus_load(traffic: Sequence[Traffic], bitrate_hz: float) -> Load:
     return Load(worst / bitrate_hz, typical / bitrate_hz)
 
 
-def frame_step(item: Traffic, bitrate_hz: float) -> Step:
+def frame_step(item: Traffic, bitrate_hz: float) -> ChainStep:
     """The time that a frame takes on the wire."""
     worst = longest_bits(item.data_bytes) / bitrate_hz
     typical = 0.0 if item.on_change else typical_bits(item.can_id, item.data_bytes) / bitrate_hz
-    return Step(item.name, worst, typical)
+    return ChainStep(item.name, worst, typical)
 
 
 def period_chain(
@@ -97,8 +97,8 @@ def period_chain(
     in the drive. `host_s`: waking, computing and handing the command to the controller. The frame in the way
     is the longest of the bus (an SDO, EMCY or event frame that began just before); typically there is none.
     """
-    steps = [frame_step(sync, bitrate_hz), Step("drive turnaround", turnaround_s, turnaround_s)]
+    steps = [frame_step(sync, bitrate_hz), ChainStep("drive turnaround", turnaround_s, turnaround_s)]
     steps += [frame_step(item, bitrate_hz) for item in answers]
-    steps += [Step("host", host_s, host_s), frame_step(command, bitrate_hz)]
-    steps.append(Step("a frame in the way", BLOCKING_BITS / bitrate_hz, 0.0))
+    steps += [ChainStep("host", host_s, host_s), frame_step(command, bitrate_hz)]
+    steps.append(ChainStep("a frame in the way", BLOCKING_BITS / bitrate_hz, 0.0))
     return Chain(tuple(steps), period_s)

@@ -23,14 +23,14 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..system.findings import Finding, Level
-from ..workflows.bring_up import Report, Wishes, bring_up_axis
+from ..system.findings import HostFinding, Severity
+from ..workflows.bring_up import BringUpReport, Wishes, bring_up_axis
 from ..workflows.drive_facts import OPTIONS, Answers
-from ..workflows.rate_trial import Trial
+from ..workflows.rate_trial import RateTrial
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_OK, EXIT_UNAVAILABLE
 
 WIDTH = 80
-MARKS = {Level.FAILURE: "in the way", Level.WARNING: "look at", Level.OK: "ok"}
+MARKS = {Severity.FAILURE: "in the way", Severity.WARNING: "look at", Severity.OK: "ok"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +77,7 @@ def execute(options: argparse.Namespace) -> int:
     return code
 
 
-def exit_code(report: Report) -> int:
+def exit_code(report: BringUpReport) -> int:
     """What a script sees."""
     if report.ready:
         return EXIT_OK
@@ -148,12 +148,12 @@ def _lead_on(axis_file: Path) -> int:
     return main(["commission", str(axis_file)])
 
 
-def report_lines(report: Report) -> Iterator[str]:
+def report_lines(report: BringUpReport) -> Iterator[str]:
     """The whole report, for 80 columns; the verdict first."""
     yield ""
     yield from _wrapped(report.verdict)
     for finding in report.findings:
-        if finding.level is not Level.OK:
+        if finding.level is not Severity.OK:
             yield from _finding(finding)
     if report.trials:
         yield ""
@@ -169,7 +169,7 @@ def report_lines(report: Report) -> Iterator[str]:
         yield from _wrapped(f"profile {report.profile} of its family:", 2)
         for note in report.notes:
             yield from _wrapped(f"  {note}", 4)
-    fine = [one for one in report.findings if one.level is Level.OK]
+    fine = [one for one in report.findings if one.level is Severity.OK]
     if fine:
         yield ""
         yield from _wrapped("in order: " + "; ".join(one.text for one in fine), 2)
@@ -179,13 +179,13 @@ def report_lines(report: Report) -> Iterator[str]:
         yield f"{'next: ' if report.ready else 'then: '}   {report.next_command}"
 
 
-def _finding(finding: Finding) -> Iterator[str]:
+def _finding(finding: HostFinding) -> Iterator[str]:
     yield from _wrapped(f"  {MARKS[finding.level]}: {finding.subject}: {finding.text}", 4)
     if finding.remedy:
         yield from _wrapped(f"    -> {finding.remedy}", 7)
 
 
-def _trials(report: Report) -> Iterator[str]:
+def _trials(report: BringUpReport) -> Iterator[str]:
     yield "without torque, in us         50 % / 99 % / highest"
     if report.adapter is not None:
         yield f"  a frame out and back here   {report.adapter.adapter_us.text}"
@@ -198,7 +198,7 @@ def _trials(report: Report) -> Iterator[str]:
         yield from _wrapped(f"rate: {rate}. {report.choice.reason}", 2)
 
 
-def _trial(trial: Trial) -> Iterator[str]:
+def _trial(trial: RateTrial) -> Iterator[str]:
     yield (f"  {trial.rate_hz:>4} Hz  SYNC to feedback    {trial.turnaround_us.text}, jitter {trial.jitter_us:.0f}")
     yield f"           loop woken late     {trial.lateness_us.text}, SYNC jitter {trial.sync_jitter_us:.0f}"
     yield (

@@ -13,7 +13,7 @@ import argparse
 import json
 from typing import Any
 
-from ..can.load import Step
+from ..can.load import ChainStep
 from ..config.address import address_of, sandbox_problem
 from ..config.axis import AxisFile
 from ..config.checks import bus_sum, law_margins, shared_buses
@@ -104,7 +104,7 @@ def _check(plan: Plan) -> None:
             f"  bus load at {axis.drive.bitrate_hz / 1e6:g} Mbit/s: worst {load.worst:.1%}, typical {load.typical:.1%}"
         )
         print(f"  one period of {chain.period_s * 1e6:.0f} us        worst   typical (us)")
-        for step in (*chain.steps, Step("sum", chain.worst_s, chain.typical_s)):
+        for step in (*chain.steps, ChainStep("sum", chain.worst_s, chain.typical_s)):
             print(f"    {step.name:<22} {step.worst_s * 1e6:7.0f} {step.typical_s * 1e6:9.0f}")
         if not chain.fits:
             print(

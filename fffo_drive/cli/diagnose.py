@@ -33,7 +33,7 @@ from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
 from ..report.diagnose import doubts, unproven
-from ..report.diagnose_figures import ROTARY, Words, words_of
+from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
@@ -166,7 +166,7 @@ def _print(found: Diagnosis) -> None:
             print(f"caution: {caution}", file=sys.stderr)
 
 
-def curve_words(finding: Finding, words: Words = ROTARY) -> str:
+def curve_words(finding: Finding, words: DiagnosisWords = ROTARY) -> str:
     """A free curve in words; empty for a law with a name."""
     curve = finding.curve
     if curve is None:
@@ -185,7 +185,7 @@ def curve_words(finding: Finding, words: Words = ROTARY) -> str:
     return f"a curve of {len(curve.knots)} knots over {low} to {high}: {size}"
 
 
-def _errors(before: ErrorFigures, after: ErrorFigures, words: Words) -> str:
+def _errors(before: ErrorFigures, after: ErrorFigures, words: DiagnosisWords) -> str:
     torque, speed = words.torque, words.unit("rps")
     first, last = before.torque_relative_percent, after.torque_relative_percent
     text = (

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..system.doctor import as_json, as_text, counts, examine
-from ..system.findings import Finding, Level, Wanted
+from ..system.findings import HostFinding, Severity, Wanted
 from ..system.host import Host
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.record:
         host.write_record(Path(options.record))
     print(as_json(findings) if options.json else as_text(findings))
-    return EXIT_FAILURES if counts(findings)[Level.FAILURE] else 0
+    return EXIT_FAILURES if counts(findings)[Severity.FAILURE] else 0
 
 
 def wanted_of(path: str | None, bus: str | None) -> Wanted:
@@ -97,7 +97,7 @@ def bus_masters_of(path: str | None, bus: str | None, seconds: float) -> BusMast
     return BusMasters(config, max(seconds, config.listen_s))
 
 
-def _of_this_process(wanted: Wanted, seconds: float) -> list[Finding]:
+def _of_this_process(wanted: Wanted, seconds: float) -> list[HostFinding]:
     from ..jit import CACHE_DIRECTORY, kernel_digest
     from ..system.compiled import cache_findings
     from ..system.lateness import lateness_findings, measure_lateness

@@ -21,7 +21,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..system.placing import INSTALLED, KEPT, REMOVED, UNCHANGED, UPDATED, Outcome, place_files, remove_files
+from ..system.placing import INSTALLED, KEPT, REMOVED, UNCHANGED, UPDATED, PlacedFiles, place_files, remove_files
 from ..system.service_files import GROUP, example_interfaces, service_files
 from ..system.system_commands import (
     Result,
@@ -110,7 +110,7 @@ def hidden_from_services(paths: Sequence[Path]) -> Path | None:
     return None
 
 
-def _as_text(root: Path, uninstall: bool, outcomes: Sequence[Outcome], results: Sequence[Result]) -> str:
+def _as_text(root: Path, uninstall: bool, outcomes: Sequence[PlacedFiles], results: Sequence[Result]) -> str:
     lines = [f"{outcome.action:<10} {root / outcome.path}" for outcome in outcomes if outcome.action != KEPT]
     note = "edited since it was installed" if uninstall else "not what was installed here: yours"
     lines += [f"{KEPT:<10} {root / outcome.path} ({note})" for outcome in outcomes if outcome.action == KEPT]
@@ -128,7 +128,7 @@ def _as_text(root: Path, uninstall: bool, outcomes: Sequence[Outcome], results: 
     return "\n".join(lines)
 
 
-def _as_json(outcomes: Sequence[Outcome], results: Sequence[Result]) -> str:
+def _as_json(outcomes: Sequence[PlacedFiles], results: Sequence[Result]) -> str:
     by_action = {action: [one.path for one in outcomes if one.action == action] for action in ACTIONS}
     ran = [{"command": " ".join(result.command.words), "problem": result.problem} for result in results]
     return json.dumps({**by_action, "commands": ran}, indent=2)

@@ -18,7 +18,7 @@ from typing import Any
 from ..config.address import Address, address_of, sandbox_problem
 from ..daemon.parameters import METHODS
 from ..daemon.places import CONTROL
-from ..daemon.service import Attachment, Options, serve
+from ..daemon.service import AttachedService, Options, serve
 from ..daemon.supervisor import Supervisor
 from ..documents import DocumentError
 
@@ -51,7 +51,7 @@ def _address(text: str) -> Address:
 
 def _attach(
     scope: Address | None, foxglove: Address | None, supervisor: Supervisor, directory: Path
-) -> Attachment | None:
+) -> AttachedService | None:
     """Put the live server beside a daemon, where it is wanted. Raises DocumentError, OSError."""
     section = supervisor.plan.axis.daemon
     if scope is None and section.scope is not None:
@@ -62,18 +62,18 @@ def _attach(
         return None
     if find_spec("websockets") is None:
         raise DocumentError("the scope and Foxglove need the extra `live` (websockets): pip install 'fffo-drive[live]'")
-    from ..live.feed import Source
-    from ..live.server import LiveServer, Wanted
+    from ..live.feed import FeedSource
+    from ..live.server import LiveServer, WantedServices
 
-    def source() -> Source | None:
+    def source() -> FeedSource | None:
         connection, plan = supervisor.connection, supervisor.plan
         if connection is None:
             return None
         constant = plan.model.torque_constant_nm_per_a
-        return Source(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
+        return FeedSource(connection.number, connection.session.ring, plan.axis.loop.rate_hz, constant)
 
     name = supervisor.plan.axis.name
-    server = LiveServer(Wanted(scope, foxglove), directory, CONTROL, source, METHODS, name)
+    server = LiveServer(WantedServices(scope, foxglove), directory, CONTROL, source, METHODS, name)
     try:
         server.start()
     except OSError as error:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from .motion import Integers, Motion, extreme, integral, pulse_windows
+from .motion import Integers, PulseMotion, extreme, integral, pulse_windows
 
 Floats = npt.NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def _held_integral(time_s: Floats, values: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
 
 
-def travel_ratio(motions: Sequence[Motion]) -> float:
+def travel_ratio(motions: Sequence[PulseMotion]) -> float:
     """A first, rough look: the integral of the velocity over the position, by least squares. NaN at rest."""
     above = below = 0.0
     for motion in motions:
@@ -88,7 +88,7 @@ def travel_ratio(motions: Sequence[Motion]) -> float:
     return above / below if below > 0.0 else float("nan")
 
 
-def fit_scale(motion: Motion) -> ScaleFit:
+def fit_scale(motion: PulseMotion) -> ScaleFit:
     """Ratio and age of the velocity word against the position, over all pulses."""
     windows = pulse_windows(motion)
     rows, group = _rows_of(windows)
@@ -113,7 +113,7 @@ def _rows_of(windows: Sequence[slice]) -> tuple[Integers, Integers]:
     return rows, group
 
 
-def sliding_stretches(motion: Motion, share: float) -> list[slice]:
+def sliding_stretches(motion: PulseMotion, share: float) -> list[slice]:
     """Stretches in which a pulse moves the axis one way at more than a share of its own peak speed."""
     found = []
     for window in pulse_windows(motion):
@@ -129,7 +129,7 @@ def sliding_stretches(motion: Motion, share: float) -> list[slice]:
     return found
 
 
-def fit_gain(motion: Motion) -> GainFit | None:
+def fit_gain(motion: PulseMotion) -> GainFit | None:
     """Gain, delay and friction from the sliding stretches of all pulses; None when the axis does not slide in them."""
     stretches = sliding_stretches(motion, SLIDING_SHARE)
     if len(stretches) < 2:
@@ -158,7 +158,7 @@ def fit_gain(motion: Motion) -> GainFit | None:
     return GainFit(gain, delay_s, float(coefficients[1]) / gain, float(np.sqrt(rest / target.size)), unexplained)
 
 
-def update_interval_s(motion: Motion, period_s: float) -> float:
+def update_interval_s(motion: PulseMotion, period_s: float) -> float:
     """How long the velocity word stays the same while the axis moves fast: median distance of its changes, or NaN."""
     intervals: list[float] = []
     for stretch in sliding_stretches(motion, FAST_SHARE):
@@ -168,7 +168,7 @@ def update_interval_s(motion: Motion, period_s: float) -> float:
     return max(period_s, float(np.median(intervals))) if intervals else float("nan")
 
 
-def current_slope(motion: Motion) -> tuple[float, int]:
+def current_slope(motion: PulseMotion) -> tuple[float, int]:
     """Reported over commanded current where the command has stood for a while, and how many samples there were.
 
     A report every n-th SYNC of a command that acts late: only rows whose command has been the same for 10 ms count.
@@ -185,7 +185,7 @@ def current_slope(motion: Motion) -> tuple[float, int]:
     return (float(command @ motion.current_a[use]) / power if power else float("nan")), int(use.sum())
 
 
-def fall_rate_rps2(motion: Motion, high_rps: float, low_rps: float) -> float:
+def fall_rate_rps2(motion: PulseMotion, high_rps: float, low_rps: float) -> float:
     """Mean deceleration between two speeds, after the highest of the run. NaN when it does not fall through them."""
     speed = np.abs(motion.velocity_rps)
     if not speed.size:
@@ -200,7 +200,7 @@ def fall_rate_rps2(motion: Motion, high_rps: float, low_rps: float) -> float:
     return (high_rps - low_rps) / fall_s if fall_s > 0.0 else float("nan")
 
 
-def coasting_s(motion: Motion, share: float = 0.03) -> float:
+def coasting_s(motion: PulseMotion, share: float = 0.03) -> float:
     """How long after the last current the axis still moves faster than a share of its highest speed."""
     driven = np.flatnonzero(motion.command_a)
     speed = np.abs(motion.velocity_rps)

@@ -10,7 +10,7 @@ import numpy as np
 from ..control.envelope import LIMIT_CURRENT, TRIP_TEXTS
 from .estimate import fall_rate_rps2
 from .judge import Range, graded, not_done, told
-from .motion import Motion, pulse_windows, responses
+from .motion import PulseMotion, pulse_windows, responses
 from .motion_checks import MOVED_REV, NOISE_SIGMAS
 from .record import FAILED, OK, WARNING, CheckRecord
 
@@ -26,7 +26,7 @@ ENVELOPE_REMEDY = (
 )
 
 
-def current_limit(motion: Motion, limit_a: float, asked_a: float, resolution_a: float) -> CheckRecord:
+def current_limit(motion: PulseMotion, limit_a: float, asked_a: float, resolution_a: float) -> CheckRecord:
     """A pulse beyond the limit comes out at the limit, which does not move the axis."""
     highest_a = float(np.abs(motion.command_a).max())
     told_limited = bool((motion.limits & LIMIT_CURRENT).any())
@@ -44,14 +44,14 @@ def current_limit(motion: Motion, limit_a: float, asked_a: float, resolution_a: 
     return told("current_limit", OK, text, numbers=numbers)
 
 
-def trip_row(motion: Motion) -> int:
+def trip_row(motion: PulseMotion) -> int:
     """First row with a latched trip; -1 when there is none."""
     tripped = np.flatnonzero(motion.trip)
     return int(tripped[0]) if tripped.size else -1
 
 
 def stop_after_trip(
-    name: str, motion: Motion, expected_trip: int, reached: float, limit: float, unit: str
+    name: str, motion: PulseMotion, expected_trip: int, reached: float, limit: float, unit: str
 ) -> CheckRecord:
     """A limit was met on purpose: the right trip, no current from then on, the drive lets go, the axis stands.
 
@@ -102,7 +102,7 @@ def stop_after_trip(
     return told(name, OK, text, numbers=numbers)
 
 
-def quick_stop(stops: Sequence[Motion], coasting: Sequence[Motion]) -> CheckRecord:
+def quick_stop(stops: Sequence[PulseMotion], coasting: Sequence[PulseMotion]) -> CheckRecord:
     """After a trip the drive brakes by itself: its deceleration against that of an axis left to its friction."""
     braked, free, falls_s, seen = [], [], [], False
     for motion in stops:
@@ -139,7 +139,7 @@ def quick_stop(stops: Sequence[Motion], coasting: Sequence[Motion]) -> CheckReco
     return graded("quick_stop", ratio, BRAKES_OK, limits, "-", text, remedy, numbers)
 
 
-def _coast_rate_rps2(coasting: Sequence[Motion], speed_rps: float) -> float:
+def _coast_rate_rps2(coasting: Sequence[PulseMotion], speed_rps: float) -> float:
     """Mean over pulses of how fast the axis slows down by itself through the same speeds."""
     rates = [
         fall_rate_rps2(motion.part(_rows(motion, window)), HIGH * speed_rps, LOW * speed_rps)
@@ -150,7 +150,7 @@ def _coast_rate_rps2(coasting: Sequence[Motion], speed_rps: float) -> float:
     return float(np.mean(known)) if known else math.nan
 
 
-def _rows(motion: Motion, window: slice) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _rows(motion: PulseMotion, window: slice) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     mask = np.zeros(motion.size, bool)
     mask[window] = True
     return mask

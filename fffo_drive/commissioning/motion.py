@@ -15,7 +15,7 @@ Bools = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 
 
-class Motion(NamedTuple):
+class PulseMotion(NamedTuple):
     """Columns of a run, all of shape (n,); only rows with fresh feedback. Time 0 is the first row."""
 
     time_s: Floats
@@ -34,18 +34,18 @@ class Motion(NamedTuple):
         """Rows."""
         return int(self.time_s.size)
 
-    def part(self, mask: Bools) -> Motion:
+    def part(self, mask: Bools) -> PulseMotion:
         """The rows of a mask."""
-        return Motion._make([column[mask] for column in self])
+        return PulseMotion._make([column[mask] for column in self])
 
 
-def motion_of(rows: np.ndarray[Any, np.dtype[np.void]]) -> Motion:
+def motion_of(rows: np.ndarray[Any, np.dtype[np.void]]) -> PulseMotion:
     """Columns of recorded rows, without those whose feedback is old."""
     fresh = rows[rows["velocity_age"] == 0]
     first_ns = int(fresh["deadline_ns"][0]) if fresh.size else 0
     words, index = np.unique(fresh["statusword"], return_inverse=True)
     states = np.array([state_of(int(word)) for word in words], np.int64)[index]
-    return Motion(
+    return PulseMotion(
         (fresh["deadline_ns"] - first_ns) * 1e-9,
         fresh["current_command_a"].astype(np.float64),
         fresh["velocity_rps"].astype(np.float64),
@@ -59,14 +59,14 @@ def motion_of(rows: np.ndarray[Any, np.dtype[np.void]]) -> Motion:
     )
 
 
-def pulse_starts(motion: Motion) -> Integers:
+def pulse_starts(motion: PulseMotion) -> Integers:
     """Rows at which a pulse begins: a current after zero current, or of the other sign."""
     sign = np.sign(motion.command_a).astype(np.int64)
     begins = (sign != 0) & (np.concatenate([[0], sign[:-1]]) != sign)
     return np.flatnonzero(begins)
 
 
-def pulse_windows(motion: Motion) -> list[slice]:
+def pulse_windows(motion: PulseMotion) -> list[slice]:
     """One slice for each pulse and what follows it, up to the next pulse."""
     starts = pulse_starts(motion)
     edges = np.append(starts, motion.size)
@@ -78,7 +78,7 @@ def extreme(values: Floats) -> float:
     return float(values[np.argmax(np.abs(values))]) if values.size else 0.0
 
 
-class Response(NamedTuple):
+class PulseResponse(NamedTuple):
     """What one pulse did, counted in the direction of its current."""
 
     current_a: float  # magnitude
@@ -89,7 +89,7 @@ class Response(NamedTuple):
     duration_s: float
 
 
-def responses(motion: Motion) -> list[Response]:
+def responses(motion: PulseMotion) -> list[PulseResponse]:
     """One for each pulse, up to the next one."""
     found = []
     for window in pulse_windows(motion):
@@ -99,7 +99,7 @@ def responses(motion: Motion) -> list[Response]:
         )
         travel = position - motion.position_rev[max(0, window.start - 1)]
         found.append(
-            Response(
+            PulseResponse(
                 float(np.abs(motion.command_a[window]).max()),
                 sign * extreme(velocity),
                 sign * extreme(travel),

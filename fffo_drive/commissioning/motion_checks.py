@@ -11,7 +11,7 @@ import numpy as np
 from ..model.parameters import ModelFile
 from .estimate import GainFit, HeldCurrent, ScaleFit
 from .judge import Range, factor, graded, told, within
-from .motion import Motion, Response
+from .motion import PulseMotion, PulseResponse
 from .objects import NamePlate
 from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
 
@@ -54,7 +54,7 @@ def beliefs_of(model: ModelFile) -> Beliefs:
     )
 
 
-def standstill(motion: Motion) -> CheckRecord:
+def standstill(motion: PulseMotion) -> CheckRecord:
     """Without voltage the axis must stand, and the feedback must say so."""
     if not motion.size:
         return told(
@@ -77,7 +77,7 @@ def standstill(motion: Motion) -> CheckRecord:
     return told("standstill", OK, text, numbers=numbers)
 
 
-def has_moved(move: Response, noise_rps: float, period_s: float) -> bool:
+def has_moved(move: PulseResponse, noise_rps: float, period_s: float) -> bool:
     """Whether a pulse has left the axis elsewhere, by either word: neither is trusted yet, and one may be dead."""
     steps = max(1.0, move.duration_s / period_s)
     noise_rev = NOISE_SIGMAS * noise_rps * period_s * math.sqrt(steps)
@@ -86,7 +86,7 @@ def has_moved(move: Response, noise_rps: float, period_s: float) -> bool:
     return one > MOVED_REV or other > 2.0 * MOVED_REV
 
 
-def signs(moves: Sequence[Response]) -> list[CheckRecord]:
+def signs(moves: Sequence[PulseResponse]) -> list[CheckRecord]:
     """Three signs, of which the odd one out is wrong: current, velocity, position."""
     by_position = float(np.median([move.net_rev for move in moves]))
     by_velocity = float(np.median([move.net_by_velocity_rev for move in moves]))

@@ -38,11 +38,11 @@ from .estimate import (
     update_interval_s,
 )
 from .judge import CHECKS, not_done, told
-from .motion import Motion, Response, responses
+from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
 from .objects import PERMILLE, NamePlate, ObjectSource, read_name_plate, read_number
 from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
-from .rig import Rig, Run, Runner, TimeBoundError, position_at_rest
+from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
 
 LISTEN_S = 0.5
 REST_TAIL_S = 0.05
@@ -65,7 +65,7 @@ DEFAULT_RESOLUTION_A = 0.01
 SILENCE = (TRIP_FEEDBACK_MISSING, TRIP_STATUS_MISSING, TRIP_HEARTBEAT)
 
 
-class Outcome(NamedTuple):
+class CommissioningOutcome(NamedTuple):
     """What commissioning found, on which drive."""
 
     identity: DriveIdentity
@@ -83,14 +83,14 @@ class _Probe(NamedTuple):
     length_s: float
     breakaway_a: float  # between the last current that did not move it and the first that did
     stood_a: float  # the largest that did not
-    motions: list[Motion]  # forwards, backwards
-    moves: list[Response]
+    motions: list[PulseMotion]  # forwards, backwards
+    moves: list[PulseResponse]
 
 
 def commission(
     drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
     tell: Callable[[str], None] = lambda text: None,
-) -> Outcome:  # fmt: skip
+) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
     `tell` gets a line for each step. Raises DriveError where the drive cannot be brought up, BoundsError where there is
@@ -112,7 +112,7 @@ def commission(
         raise DriveError("the drive was not connected")
     found = procedure.found
     checks = [found.get(name) or not_done(name, f"not done: {reason}") for name in CHECKS]
-    return Outcome(identity, checks)
+    return CommissioningOutcome(identity, checks)
 
 
 class _Procedure:
@@ -174,7 +174,7 @@ class _Procedure:
         self.stop_if_failed("counts_per_rev", "velocity_scale")
         return probe
 
-    def _run(self, runner: Runner, profile: Profile, meanwhile: Callable[[], None] | None = None) -> Run:
+    def _run(self, runner: Runner, profile: Profile, meanwhile: Callable[[], None] | None = None) -> PulseRun:
         """A profile that must run to its end."""
         run = runner.run(profile, meanwhile=meanwhile)
         self._note_rest(run.motion)
@@ -183,7 +183,7 @@ class _Procedure:
             raise _SurpriseError(run.fault_text)
         return run
 
-    def _explain(self, run: Run, current_a: float) -> None:
+    def _explain(self, run: PulseRun, current_a: float) -> None:
         """Why a pulse did not end as it should: a scale that is far off trips where the axis has hardly moved."""
         ratio = travel_ratio([run.motion])
         limit_met = run.trip in (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)
@@ -204,7 +204,7 @@ class _Procedure:
             )
         self.add(told("motion", FAILED, f"{run.fault_text}, with pulses of {current_a:.3g} A", remedy))
 
-    def _note_rest(self, motion: Motion) -> None:
+    def _note_rest(self, motion: PulseMotion) -> None:
         if motion.size:
             self.rest_rev = position_at_rest(motion.part(motion.time_s >= motion.time_s[-1] - REST_TAIL_S))
 
@@ -268,7 +268,7 @@ class _Procedure:
             and travel_rev < LARGEST_TRAVEL_SHARE * self.bounds.travel_rev
         )
 
-    def _check_signs(self, moves: list[Response]) -> None:
+    def _check_signs(self, moves: list[PulseResponse]) -> None:
         self.add(*motion_checks.signs(moves))
         self.stop_if_failed("torque_sign", "velocity_sign", "position_sign")
 
@@ -303,7 +303,7 @@ class _Procedure:
             return None
         return HeldCurrent(float(np.median(reported)) / sent_a, rated_a / PERMILLE / sent_a)
 
-    def _measure(self, motion: Motion, held: HeldCurrent | None, probe: _Probe) -> None:
+    def _measure(self, motion: PulseMotion, held: HeldCurrent | None, probe: _Probe) -> None:
         period_s, beliefs = self.rig.period_s, self.beliefs
         scale = fit_scale(motion)
         gain = fit_gain(motion)

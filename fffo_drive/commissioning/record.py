@@ -16,7 +16,7 @@ import yaml
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from .. import formats
-from ..documents import Record, load, refuse
+from ..documents import StrictRecord, load, refuse
 from ..drive.port import DriveIdentity
 
 OK: Literal["ok"] = "ok"
@@ -29,7 +29,7 @@ HASH_LENGTH = 64
 MILLI = 1e-3
 
 
-class DeclaredFacts(Record):
+class DeclaredFacts(StrictRecord):
     """What an axis file and its model declare about the scaling of a drive; None where the drive has no such thing."""
 
     drive_kind: Annotated[Literal["canopen", "simulated"], Field(description="drive.kind")]
@@ -61,7 +61,7 @@ class DeclaredFacts(Record):
         return _digest(self.model_dump(mode="json"))
 
 
-class DriveRecord(Record):
+class DriveRecord(StrictRecord):
     """What the drive said that it is (0x1018, 0x1008, 0x100A)."""
 
     vendor_id: Annotated[int, Field(description="0x1018:1")]
@@ -77,7 +77,7 @@ class DriveRecord(Record):
         return cls(**identity._asdict())
 
 
-class BoundsRecord(Record):
+class BoundsRecord(StrictRecord):
     """What no check was to exceed."""
 
     current_a: Annotated[float, Field(description="largest command")]
@@ -88,7 +88,7 @@ class BoundsRecord(Record):
     time_s: Annotated[float, Field(description="of all motion together")]
 
 
-class CheckRecord(Record):
+class CheckRecord(StrictRecord):
     """One check: what was measured and expected, and what to do when the two disagree."""
 
     name: Annotated[str, Field(description="short name of the check")]
@@ -104,7 +104,7 @@ class CheckRecord(Record):
     numbers: Annotated[dict[str, float], Field(description="what else was measured")] = Field(default_factory=dict)
 
 
-class CommissioningRecord(Record):
+class CommissioningRecord(StrictRecord):
     """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
 
     format: Annotated[str, formats.COMMISSIONING.key] = formats.COMMISSIONING.word

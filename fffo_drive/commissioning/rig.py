@@ -23,7 +23,7 @@ from ..runtime import blocks as b
 from ..runtime.runs import fault_text
 from ..runtime.session import Session, SessionConfig
 from .bounds import open_loop
-from .motion import Motion, motion_of
+from .motion import PulseMotion, motion_of
 
 ENABLE_S = 0.5  # simulated time for the way to Operation Enabled
 ENABLE_TIMEOUT_S = 5.0
@@ -40,10 +40,10 @@ class TimeBoundError(Exception):
     """Commissioning has moved the axis for as long as it may."""
 
 
-class Run(NamedTuple):
+class PulseRun(NamedTuple):
     """One profile on the loop."""
 
-    motion: Motion
+    motion: PulseMotion
     trip: int  # envelope.TRIP_*
     enabled: bool  # the drive reached Operation Enabled
     drive_words: str = ""  # what the drive itself said of a fault
@@ -114,11 +114,11 @@ class Runner:
         """The clock is the wall's."""
         return self.session.drive.realtime
 
-    def listen(self, duration_s: float) -> Motion:
+    def listen(self, duration_s: float) -> PulseMotion:
         """SYNC and feedback, no voltage."""
         return self._collect(lambda: self._pass(duration_s))
 
-    def run(self, profile: Profile, watch_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> Run:
+    def run(self, profile: Profile, watch_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> PulseRun:
         """Enable, run the profile, watch for `watch_s` what follows (after a trip as well), disable, wait for rest.
 
         `meanwhile` is called again and again while the profile runs, on a bus only.
@@ -129,7 +129,7 @@ class Runner:
         enabled = bool(motion.enabled.any())
         words = self.session.drive.fault_words(self._statusword) if tripped.size or not enabled else ""
         self._rig.pass_on(self.session.drive.warnings())
-        return Run(motion, int(tripped[0]) if tripped.size else TRIP_NONE, enabled, words)
+        return PulseRun(motion, int(tripped[0]) if tripped.size else TRIP_NONE, enabled, words)
 
     def _act(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:
         self._profile(profile, watch_s, meanwhile)
@@ -146,7 +146,7 @@ class Runner:
                 return
             last_rev = position_rev
 
-    def _collect(self, act: Callable[[], None]) -> Motion:
+    def _collect(self, act: Callable[[], None]) -> PulseMotion:
         """All rows that come about while `act` runs."""
         self._reader.read()
         act()
@@ -196,6 +196,6 @@ class Runner:
             time.sleep(POLL_S)
 
 
-def position_at_rest(motion: Motion) -> float:
+def position_at_rest(motion: PulseMotion) -> float:
     """Median of the position, rev."""
     return float(np.median(motion.position_rev)) if motion.size else float("nan")

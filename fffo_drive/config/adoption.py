@@ -21,7 +21,7 @@ import yaml
 from pydantic import Field
 
 from .. import __version__, formats
-from ..documents import DocumentError, Record, load, load_json, parse, read_text, up_to_date
+from ..documents import DocumentError, StrictRecord, load, load_json, parse, read_text, up_to_date
 from ..formats import kind_of
 from ..model.effects.law import STRENGTH
 from ..model.effects.registry import law_of
@@ -50,7 +50,7 @@ class Gate(NamedTuple):
     text: str  # what was found
 
 
-class Adoption(Record):
+class Adoption(StrictRecord):
     """One entry of an axis file's history."""
 
     date: Annotated[str, Field(description="local time, YYYY-MM-DD HH:MM:SS")]
@@ -60,7 +60,7 @@ class Adoption(Record):
     gates: Annotated[list[str], Field(description="conditions of the adoption that were met, with what was found")]
 
 
-class History(Record):
+class History(StrictRecord):
     """What was adopted on an axis, the last one at the end."""
 
     format: Annotated[str, formats.ADOPTIONS.key] = formats.ADOPTIONS.word

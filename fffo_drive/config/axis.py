@@ -26,7 +26,7 @@ from ..control.reference import (
 )
 from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
 from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
-from ..documents import Record, check, parse, read_text, refuse
+from ..documents import StrictRecord, check, parse, read_text, refuse
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -77,7 +77,7 @@ TRIP_NAMES = {
 REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
 
 
-class AxisFile(Record):
+class AxisFile(StrictRecord):
     """An axis: one drive, one model, one loop."""
 
     format: Annotated[str, formats.AXIS.key] = formats.AXIS.word

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from .. import formats
-from ..documents import DocumentError, Record, load, refuse
+from ..documents import DocumentError, StrictRecord, load, refuse
 from ..system.service_files import sources
 from .drive_section import CanopenDriveSection
 from .eds_fitness import Fitness, section_lines
@@ -40,15 +40,15 @@ def _optional_fields() -> dict[str, Any]:
     return found
 
 
-ProfileKeys: type[Record] = create_model(
+ProfileKeys: type[StrictRecord] = create_model(
     "ProfileKeys",
-    __base__=Record,
+    __base__=StrictRecord,
     __doc__="Keys of an axis file's drive section that a family of drives has in common.",
     **_optional_fields(),
 )
 
 
-class DriveProfile(Record):
+class DriveProfile(StrictRecord):
     """A family of drives."""
 
     format: Annotated[str, formats.DRIVE_PROFILE.key] = formats.DRIVE_PROFILE.word

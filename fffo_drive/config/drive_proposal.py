@@ -21,7 +21,7 @@ FULL_TORQUE_IN_A_MILLISECOND = 1_000_000  # 0x6087, per mille a second: profile 
 PLACEHOLDER_PERIOD_NS, PLACEHOLDER_NM_PER_A = 1_000_000, 1.0  # where only objects are asked for
 
 
-class Proposal(NamedTuple):
+class DriveProposal(NamedTuple):
     """What a drive section should say."""
 
     section: dict[str, Any]  # keys that differ from the defaults, as an axis file has them
@@ -29,12 +29,12 @@ class Proposal(NamedTuple):
     stand_ins: tuple[str, ...]  # what takes the place of something that the drive lacks, one sentence each
     remarks: tuple[str, ...]
 
-    def with_key(self, key: str, value: Any, source: str) -> Proposal:
+    def with_key(self, key: str, value: Any, source: str) -> DriveProposal:
         """With one key more."""
         return self._replace(section={**self.section, key: value}, sources={**self.sources, key: source})
 
 
-def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Proposal:
+def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> DriveProposal:
     """`base`: keys of the drive section that its profile sets; they are taken as they are."""
     given = dict(base or {})
     section: dict[str, Any] = {}
@@ -82,7 +82,7 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Pro
     unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
     for key, value in units_told(objects, unit_nm, unit_a).items():
         put(key, value, "told by the drive")
-    return Proposal(section, sources, tuple(stand_ins), tuple(remarks_told(objects)))
+    return DriveProposal(section, sources, tuple(stand_ins), tuple(remarks_told(objects)))
 
 
 def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from ..documents import Record
+from ..documents import StrictRecord
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
 from ..drive.canopen.object_map import (
     STANDARD_SLOTS,
@@ -34,7 +34,7 @@ Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
 DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated one, in process")
 
 
-class SimulatedDriveSection(Record):
+class SimulatedDriveSection(StrictRecord):
     """The simulated drive, in process: faster than real time, the same run from the same seed."""
 
     kind: Annotated[Literal["simulated"], DRIVE_KIND]
@@ -43,7 +43,7 @@ class SimulatedDriveSection(Record):
     served_status_bits: ClassVar[int] = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
 
 
-class SdoWriteSection(Record):
+class SdoWriteSection(StrictRecord):
     """One object that is written before a drive is enabled, or after it was left."""
 
     object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, as 0x60A9")]
@@ -77,7 +77,7 @@ class SdoWriteSection(Record):
         )
 
 
-class TargetSection(Record):
+class TargetSection(StrictRecord):
     """The object that is commanded with each SYNC."""
 
     object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6071")] = TARGET_TORQUE
@@ -94,7 +94,7 @@ class TorqueFeedbackSection(TargetSection):
     object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6077")] = TORQUE
 
 
-class PdoSection(Record):
+class PdoSection(StrictRecord):
     """Numbers of the PDOs that are used; the others are switched off."""
 
     command: Annotated[int, Field(ge=1, le=512, description="RPDO")] = STANDARD_SLOTS.command
@@ -112,7 +112,7 @@ class PdoSection(Record):
         return self
 
 
-class CanopenDriveSection(Record):
+class CanopenDriveSection(StrictRecord):
     """A CiA 402 drive with a torque mode on a CAN bus."""
 
     kind: Annotated[Literal["canopen"], DRIVE_KIND]

@@ -17,7 +17,7 @@ from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
 from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, FileObjects, check_device_type, check_modes, needs
 from ..drive.canopen.object_map import EVERY_SYNC, ON_EVENT, PdoMap
 from ..drive.canopen.units_told import highest_rate_hz
-from .drive_proposal import Proposal, config_of, propose
+from .drive_proposal import DriveProposal, config_of, propose
 
 # objects that we use where a drive has them, and what for
 WELCOME = {
@@ -58,7 +58,7 @@ class Fitness(NamedTuple):
     refusals: tuple[str, ...]
     welcome_missing: tuple[str, ...]
     pdos: tuple[PdoFitness, ...]
-    proposal: Proposal
+    proposal: DriveProposal
     section: dict[str, Any]  # keys of an axis file's drive section: the profile's, then what the file tells
     unknown: tuple[str, ...]  # needed keys that it does not
     highest_rate_hz: int | None
@@ -149,7 +149,7 @@ def _yaml_text(value: Any) -> str:
     )
 
 
-def section_lines(proposal: Proposal) -> list[str]:
+def section_lines(proposal: DriveProposal) -> list[str]:
     """Keys and values as YAML, each with where it comes from."""
     return [
         f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'from its profile')}"

@@ -33,17 +33,17 @@ STANDING = (1e-12, 0.0, 0.0)
 SETTLED = (1e6, 1e-5, 1e3)
 
 
-class Service(NamedTuple):
+class EffectService(NamedTuple):
     """An effect of a model, and why it is not compensated (None: it is)."""
 
     effect: EffectModel
     reason: str | None
 
 
-def services(axis: AxisFile, model: ModelFile) -> list[Service]:
+def services(axis: AxisFile, model: ModelFile) -> list[EffectService]:
     """Every effect of the model, in its order, with the reason that keeps it out of the feed-forward."""
     section = axis.controller.effects
-    found: list[Service] = []
+    found: list[EffectService] = []
     taken = 0
     for effect in model.effects:
         reason = reason_against(effect)
@@ -54,7 +54,7 @@ def services(axis: AxisFile, model: ModelFile) -> list[Service]:
         elif reason is None and taken == MOST_EFFECTS:
             reason = f"the loop compensates {MOST_EFFECTS} effects"
         taken += reason is None
-        found.append(Service(effect, reason))
+        found.append(EffectService(effect, reason))
     return found
 
 
@@ -74,7 +74,7 @@ def compensated_terms(axis: AxisFile, model: ModelFile) -> list[Term]:
     return [terms[k] for k in order_of_service(terms)]
 
 
-def service_bits(axis: AxisFile, model: ModelFile) -> list[tuple[Service, int | None]]:
+def service_bits(axis: AxisFile, model: ModelFile) -> list[tuple[EffectService, int | None]]:
     """Every effect of the model with its bit in the row; None for one that is not compensated."""
     found = services(axis, model)
     taken = [k for k, service in enumerate(found) if service.reason is None]

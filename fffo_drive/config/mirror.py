@@ -15,14 +15,14 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, Strict, create_model
 
-from ..documents import Record
+from ..documents import StrictRecord
 from ..drive.simulated.ranges import NOT_IN_A_FILE, key_of, note_of
 
 T = TypeVar("T")
 
 
 @functools.cache
-def record_of(dataclass: type) -> type[Record]:
+def record_of(dataclass: type) -> type[StrictRecord]:
     """The record with the keys, ranges, defaults and meanings of a dataclass."""
     hints = typing.get_type_hints(dataclass)
     fields: dict[str, Any] = {}
@@ -42,7 +42,7 @@ def record_of(dataclass: type) -> type[Record]:
             fields[field.name] = (annotation, Field(default_factory=_record_default(field)))
         else:
             fields[field.name] = (annotation, ...)
-    return create_model(dataclass.__name__, __base__=Record, __doc__=dataclass.__doc__, **fields)
+    return create_model(dataclass.__name__, __base__=StrictRecord, __doc__=dataclass.__doc__, **fields)
 
 
 def dataclass_of(dataclass: type[T], record: Any) -> T:

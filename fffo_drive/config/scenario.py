@@ -18,7 +18,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from .. import formats
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
-from ..documents import DocumentError, Record, check, parse, read_text, refuse
+from ..documents import DocumentError, StrictRecord, check, parse, read_text, refuse
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..evaluation.campaign import Candidate, Case
 from ..evaluation.measures import Yardstick
@@ -54,12 +54,12 @@ REPLACED = Field(description="takes the place of the axis file's section; absent
 Gain = Annotated[float | None, Field(ge=0, le=1e6)]
 
 
-def _inherited(section: type[Record], key: str) -> Any:
+def _inherited(section: type[StrictRecord], key: str) -> Any:
     """The description of a key that is the axis file's, where null leaves it as it is there."""
     return Field(description=f"{section.model_fields[key].description}; null: as in the axis file")
 
 
-class ControllerVariant(Record):
+class ControllerVariant(StrictRecord):
     """A controller: what differs from the axis file's."""
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")]
@@ -84,7 +84,7 @@ class ControllerVariant(Record):
         return self
 
 
-class MismatchSection(Record):
+class MismatchSection(StrictRecord):
     """How wrong the model is that the controllers use."""
 
     friction_share: Annotated[float, Field(ge=0, lt=1, description="each friction parameter is wrong by this")] = 0.0
@@ -103,7 +103,7 @@ class MismatchSection(Record):
         return self
 
 
-class ScenarioFile(Record):
+class ScenarioFile(StrictRecord):
     """A comparison."""
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
@@ -319,4 +319,6 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-_PlantRecord: type[Record] = create_model("ScenarioPlant", __base__=Record, plant=(record_of(PlantConfig), ...))
+_PlantRecord: type[StrictRecord] = create_model(
+    "ScenarioPlant", __base__=StrictRecord, plant=(record_of(PlantConfig), ...)
+)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict, field_validator, model_validator
 
-from ..documents import Record
+from ..documents import StrictRecord
 from .address import Listen
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
@@ -23,7 +23,7 @@ PROFILE_KIND = Field(description="which profile it is: the other keys are those 
 LEAST_PERIODS = 2  # of a profile: it has a slope
 
 
-class ObserverSection(Record):
+class ObserverSection(StrictRecord):
     """Friction observer."""
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")] = "ff"
@@ -40,7 +40,7 @@ class ObserverSection(Record):
     ] = 0.1
 
 
-class FeedforwardSection(Record):
+class FeedforwardSection(StrictRecord):
     """Beyond the paper: each part has its switch and its term in the row."""
 
     inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
@@ -48,7 +48,7 @@ class FeedforwardSection(Record):
     delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
 
 
-class EffectsSection(Record):
+class EffectsSection(StrictRecord):
     """Feed-forward of the model's effects. One that depends on the angle needs an absolute one."""
 
     compensate: Annotated[bool, Field(description="give the torque of the model's effects with the command")] = True
@@ -67,7 +67,7 @@ class EffectsSection(Record):
     ] = 1.0
 
 
-class RestSection(Record):
+class RestSection(StrictRecord):
     """While the reference stands at zero."""
 
     gain_share: Annotated[float, Field(gt=0, le=1, description="share of Kp and Ki that acts at rest")] = 1.0
@@ -77,7 +77,7 @@ class RestSection(Record):
     time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
 
 
-class VelocitySection(Record):
+class VelocitySection(StrictRecord):
     """The velocity that the error takes."""
 
     source: Annotated[
@@ -103,7 +103,7 @@ class VelocitySection(Record):
         return self.source == "estimated"
 
 
-class AdaptationSection(Record):
+class AdaptationSection(StrictRecord):
     """Adaptation to slow change of offset, Coulomb and viscous friction, from the torque that the feedback adds."""
 
     enabled: Annotated[
@@ -140,7 +140,7 @@ def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSect
         )
 
 
-class ControllerSection(Record):
+class ControllerSection(StrictRecord):
     """PI with friction observer."""
 
     proportional_a_per_rps: Annotated[float, Field(gt=0, le=1e4, description="Kp")]
@@ -168,7 +168,7 @@ class ControllerSection(Record):
         return self
 
 
-class EnvelopeSection(Record):
+class EnvelopeSection(StrictRecord):
     """Limits that stand last before the wire."""
 
     current_limit_a: Annotated[Amperes, Field(description="largest command, A")]
@@ -211,7 +211,7 @@ class EnvelopeSection(Record):
         return self
 
 
-class LoopSection(Record):
+class LoopSection(StrictRecord):
     """The tick: its rate, its cut-off, and what counts as late."""
 
     rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
@@ -227,7 +227,7 @@ class LoopSection(Record):
         return 1.0 / self.rate_hz
 
 
-class RealtimeSection(Record):
+class RealtimeSection(StrictRecord):
     """Properties of the loop's thread."""
 
     priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
@@ -241,7 +241,7 @@ class RealtimeSection(Record):
 Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
 
 
-class RecordingSection(Record):
+class RecordingSection(StrictRecord):
     """Where runs are written, in files of what size, and how much of them is kept."""
 
     directory: Annotated[str, Field(description="where recordings are written")] = "runs"
@@ -267,7 +267,7 @@ class RecordingSection(Record):
         return self
 
 
-class PaperProfile(Record):
+class PaperProfile(StrictRecord):
     """Multi-sine under a biased sigmoid envelope (Fig. 7)."""
 
     kind: Annotated[Literal["paper"], PROFILE_KIND]
@@ -281,7 +281,7 @@ class PaperProfile(Record):
     seed: Annotated[int, Field(ge=0, le=2**31, description="of the random phases")] = 1
 
 
-class SineProfile(Record):
+class SineProfile(StrictRecord):
     """One sine."""
 
     kind: Annotated[Literal["sine"], PROFILE_KIND]
@@ -293,7 +293,7 @@ class SineProfile(Record):
     frequency_hz: Annotated[float, Field(gt=0, le=1000, description="frequency of the sine, Hz")]
 
 
-class PointsProfile(Record):
+class PointsProfile(StrictRecord):
     """Straight lines between points: steps, ramps, staircases, dwells."""
 
     kind: Annotated[Literal["points"], PROFILE_KIND]
@@ -310,7 +310,7 @@ class PointsProfile(Record):
         return self
 
 
-class IdentifyProfile(Record):
+class IdentifyProfile(StrictRecord):
     """The paper's identification current: a down-chirp, then an up-chirp, in a biased sigmoid envelope (Fig. 3)."""
 
     kind: Annotated[Literal["identify"], PROFILE_KIND]
@@ -326,7 +326,7 @@ class IdentifyProfile(Record):
         return self
 
 
-class FrfProfile(Record):
+class FrfProfile(StrictRecord):
     """Down-chirp of current at one amplitude, for the frequency response (section IV-C)."""
 
     kind: Annotated[Literal["frf"], PROFILE_KIND]
@@ -347,7 +347,7 @@ def _require_sweep(lowest_hz: float, highest_hz: float) -> None:
         raise ValueError(f"lowest_hz {lowest_hz:g} must be below highest_hz {highest_hz:g}")
 
 
-class PartsProfile(Record):
+class PartsProfile(StrictRecord):
     """What is made of parts of the recipe."""
 
     high_rps: Annotated[Rps, Field(description="highest speed; some parts use a share of it")] = 14.0
@@ -410,7 +410,7 @@ def length_problems(section: ProfileSection, loop: LoopSection) -> list[str]:
     return []
 
 
-class SetPointSection(Record):
+class SetPointSection(StrictRecord):
     """Live set points (`ctl jog`, `velocity`, `step`): how the reference gets there."""
 
     largest_rps: Annotated[
@@ -429,7 +429,7 @@ class SetPointSection(Record):
     ] = 0.05
 
 
-class DaemonSection(Record):
+class DaemonSection(StrictRecord):
     """`fffo-drive serve`: who may do what, how it stops, what it records."""
 
     control_group: Annotated[str | None, Field(description="group of the control socket; null: the process's own")] = (

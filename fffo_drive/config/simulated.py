@@ -8,17 +8,17 @@ from typing import Annotated, Any
 from pydantic import create_model
 
 from .. import formats
-from ..documents import Record, load, refuse
+from ..documents import StrictRecord, load, refuse
 from ..drive.simulated.node.config import NodeConfig
 from ..drive.simulated.parameters import PlantConfigError
 from .mirror import dataclass_of, record_of
 
 
-class _Head(Record):
+class _Head(StrictRecord):
     format: Annotated[str, formats.SIMULATED.key] = formats.SIMULATED.word
 
 
-SimulatedDriveRecord: type[Record] = create_model(
+SimulatedDriveRecord: type[StrictRecord] = create_model(
     "SimulatedDrive",
     __base__=(record_of(NodeConfig), _Head),
     __doc__="A simulated drive: plant, effects, device, node.",

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..model.parameters import ModelFile
-from .velocity_estimator import Response, VelocityEstimatorConfig, estimator_response
+from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complexfloating[Any, Any]]
@@ -122,7 +122,7 @@ def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
 
 
 @functools.lru_cache(maxsize=8)  # a design asks for one filter some hundred times
-def _response(estimator: VelocityEstimatorConfig) -> Response:
+def _response(estimator: VelocityEstimatorConfig) -> EstimatorResponse:
     return estimator_response(estimator, sweep_rad_per_s(estimator))
 
 

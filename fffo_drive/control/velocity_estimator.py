@@ -199,7 +199,7 @@ def velocity_estimator_step(
 # ---- design: when a file is read
 
 
-class Gains(NamedTuple):
+class EstimatorGains(NamedTuple):
     """Steady-state gains of the filter, per rev of innovation."""
 
     position: float
@@ -207,7 +207,7 @@ class Gains(NamedTuple):
     disturbance_nm: float
 
 
-def steady_state_gains(bandwidth_hz: float, inertia_nm_s2_per_rev: float, period_s: float) -> Gains:
+def steady_state_gains(bandwidth_hz: float, inertia_nm_s2_per_rev: float, period_s: float) -> EstimatorGains:
     """Kalman gains of the sampled filter, from the discrete Riccati equation.
 
     w = 2 pi bandwidth is (q / (J^2 r T))^(1/6), with the disturbance's density q in Nm^2/s and the position's variance
@@ -222,7 +222,9 @@ def steady_state_gains(bandwidth_hz: float, inertia_nm_s2_per_rev: float, period
     seen = np.array([[1.0], [0.0], [0.0]])
     covariance = solve_discrete_are(transition.T, seen, noise, np.eye(1))
     position, velocity, acceleration = covariance[:, 0] / (covariance[0, 0] + 1.0)
-    return Gains(float(position), float(velocity) / period_s, float(acceleration) * inertia_nm_s2_per_rev / period_s**2)
+    return EstimatorGains(
+        float(position), float(velocity) / period_s, float(acceleration) * inertia_nm_s2_per_rev / period_s**2
+    )
 
 
 def estimator_config(
@@ -252,14 +254,14 @@ def velocity_noise_rps(bandwidth_hz: float, position_noise_rev: float, period_s:
     return math.sqrt(1.5 * omega**3 * period_s) * position_noise_rev
 
 
-class Response(NamedTuple):
+class EstimatorResponse(NamedTuple):
     """The estimate as a linear function of what the filter is given; both (n,)."""
 
     of_position_per_s: npt.NDArray[np.complexfloating[Any, Any]]  # rps per rev
     of_command_rps_per_a: npt.NDArray[np.complexfloating[Any, Any]]
 
 
-def estimator_response(config: VelocityEstimatorConfig, omega: Floats) -> Response:
+def estimator_response(config: VelocityEstimatorConfig, omega: Floats) -> EstimatorResponse:
     """Frequency response of the filter at omega (n,) rad/s, up to half the rate."""
     period_s, inertia = config.period_s, config.inertia_nm_s2_per_rev
     backward = np.exp(-1j * omega * period_s)
@@ -272,4 +274,4 @@ def estimator_response(config: VelocityEstimatorConfig, omega: Floats) -> Respon
     system = np.eye(3) - backward[:, None, None] * (kept @ transition)
     solved = np.linalg.solve(system, np.stack((gains, torque), axis=1)[None].astype(complex))[:, 1, :]
     late = backward**config.delay_periods * (1.0 - config.delay_share + config.delay_share * backward)
-    return Response(solved[:, 0], solved[:, 1] * backward * late * config.torque_constant_nm_per_a)
+    return EstimatorResponse(solved[:, 0], solved[:, 1] * backward * late * config.torque_constant_nm_per_a)

@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable
 
 from . import rpc
-from .one_client import CONTROL_LIMITS, WATCH_LIMITS, Budget, Client, Handler, Line
+from .one_client import CONTROL_LIMITS, WATCH_LIMITS, Budget, Client, Handler, ReceivedLine
 from .rpc import RpcError
 from .states import Epoch
 
@@ -255,11 +255,11 @@ class Clients:
             if client.closed:
                 return
             if content.strip():
-                self._arrived(client, Line(content, epoch))
+                self._arrived(client, ReceivedLine(content, epoch))
         if len(client.partial) > client.limits.line_bytes:
             self.cut_off(client, f"a line is longer than {client.limits.line_bytes} bytes")
 
-    def _arrived(self, client: Client, line: Line) -> None:
+    def _arrived(self, client: Client, line: ReceivedLine) -> None:
         size = len(line.content)
         express = not (client.watching or client.no_stop) and size <= STOP_LINE_BYTES and _STOP.search(line.content)
         if express:

@@ -47,7 +47,7 @@ from . import parameters as p
 from . import set_points, settings
 from .profiles import chosen_profile
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
-from .states import AT_REST, WANTING_TORQUE, Change, Event, RefusedError, State, require_change
+from .states import AT_REST, WANTING_TORQUE, Change, RefusedError, State, StateEvent, require_change
 from .status import info_of, status_of
 from .supervisor import Supervisor
 from .worker import Worker
@@ -133,7 +133,7 @@ class Api:
         if supervisor.state is State.CONNECTED and supervisor.obstacles:
             reasons = "; ".join(supervisor.obstacles)
             raise RefusedError(f"the axis may not be enabled: {reasons}", supervisor.state, (State.READY,))
-        supervisor.apply(Event.ENABLE, wanted.epoch)
+        supervisor.apply(StateEvent.ENABLE, wanted.epoch)
         if wanted.hold and self.holder is not caller:
             self.holder = caller
             supervisor.machine.epoch.advance()
@@ -145,15 +145,15 @@ class Api:
 
     async def disable(self, wanted: p.Ending, caller: Caller) -> Any:
         """Brake to standstill if a profile runs, then no torque."""
-        return await self._end(Event.DISABLE, wanted, caller, AT_REST)
+        return await self._end(StateEvent.DISABLE, wanted, caller, AT_REST)
 
     async def stop(self, wanted: p.Ending, caller: Caller) -> Any:
         """Brake to standstill; the axis stays enabled."""
-        return await self._end(Event.STOP, wanted, caller, AT_REST | {State.ENABLED})
+        return await self._end(StateEvent.STOP, wanted, caller, AT_REST | {State.ENABLED})
 
     async def quick_stop(self, wanted: p.Ending, caller: Caller) -> Any:
         """The drive's own quick stop, then no torque."""
-        return await self._end(Event.QUICK_STOP, wanted, caller, AT_REST)
+        return await self._end(StateEvent.QUICK_STOP, wanted, caller, AT_REST)
 
     async def reset_fault(self, wanted: p.Ending, caller: Caller) -> Any:
         """Leave a fault; torque needs another enable."""
@@ -308,12 +308,12 @@ class Api:
 
     # what they share
 
-    async def _end(self, event: Event, wanted: p.Ending, caller: Caller, there: frozenset[State]) -> Any:
+    async def _end(self, event: StateEvent, wanted: p.Ending, caller: Caller, there: frozenset[State]) -> Any:
         """In every state: where nothing moves it succeeds and says what is."""
         supervisor = self.supervisor
         supervisor.apply(event)
         self._command(caller, event.value)
-        if event is not Event.STOP:
+        if event is not StateEvent.STOP:
             self.holder = None
         return await self._reached(lambda: supervisor.state in there, wanted.wait_s, "standstill")
 
@@ -361,4 +361,4 @@ class Api:
         supervisor.machine.epoch.advance()
         text = f"{caller.name}, who held the axis, is gone: {reaction.replace('_', ' ')}"
         supervisor.log.add("client", text, Level.WARNING, caller.credentials)
-        supervisor.apply(Event.QUICK_STOP if reaction == "quick_stop" else Event.DISABLE)
+        supervisor.apply(StateEvent.QUICK_STOP if reaction == "quick_stop" else StateEvent.DISABLE)

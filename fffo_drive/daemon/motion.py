@@ -14,7 +14,7 @@ from .set_points import JOG, AskedSetPoint, standstill
 SETTLED_TICKS = 3  # between two profiles handed to the loop: it must have taken the first one
 
 
-class Motion:
+class MotionRequests:
     """Requests to one session, and what became of the profile that was handed over last."""
 
     def __init__(self, connection: Connection) -> None:

@@ -24,7 +24,7 @@ CONTROL_LIMITS = SocketLimits(256 * 1024, 1024 * 1024, 256 * 1024.0, 512 * 1024.
 WATCH_LIMITS = SocketLimits(4 * 1024, 64 * 1024, 128 * 1024.0, 64 * 1024.0)
 
 
-class Line(NamedTuple):
+class ReceivedLine(NamedTuple):
     """A line as it arrived."""
 
     content: bytes
@@ -34,11 +34,11 @@ class Line(NamedTuple):
 class Handler(Protocol):
     """What becomes of lines and clients; called on the thread of the clients."""
 
-    def stop_line(self, client: Client, line: Line) -> bool:
+    def stop_line(self, client: Client, line: ReceivedLine) -> bool:
         """A line that looks like a stop. False when it is none that can be carried out: it waits like any other."""
         ...
 
-    def line(self, client: Client, line: Line) -> None:
+    def line(self, client: Client, line: ReceivedLine) -> None:
         """Any other line, when it is its turn."""
         ...
 
@@ -89,7 +89,7 @@ class Client:
         self.has_place = place  # False: beyond the limit, for a stop alone
         self.joined_s = self.heard_s = now_s
         self.partial = bytearray()
-        self.lines: deque[Line] = deque()
+        self.lines: deque[ReceivedLine] = deque()
         self.waiting_bytes = 0
         self.out = bytearray()
         self.calls = 0  # lines that were handed on and are not answered

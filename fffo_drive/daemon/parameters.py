@@ -10,18 +10,18 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import BaseModel, Field
 
 from ..config.sections import ProfileSection
-from ..documents import DocumentError, Record
+from ..documents import DocumentError, StrictRecord
 
 PROTOCOLS = (1,)  # versions of this API that are spoken, the newest at the end
 
 Seconds = Annotated[float, Field(ge=0, le=600)]
 
 
-class Nothing(Record):
+class Nothing(StrictRecord):
     """No parameters."""
 
 
-class Info(Record):
+class Info(StrictRecord):
     """Parameters of `info`."""
 
     protocol: Annotated[
@@ -32,7 +32,7 @@ class Info(Record):
     ] = None
 
 
-class Bound(Record):
+class Bound(StrictRecord):
     """Parameters of what asks for torque or motion."""
 
     epoch: Annotated[
@@ -49,7 +49,7 @@ class Enable(Bound):
     wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: not")] = 10.0
 
 
-class Ending(Record):
+class Ending(StrictRecord):
     """Parameters of what ends a motion or a fault."""
 
     wait_s: Annotated[Seconds, Field(description="how long to wait until it is done; 0: not")] = 10.0
@@ -97,13 +97,13 @@ class Step(Bound):
     wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
 
 
-class Toggle(Record):
+class Toggle(StrictRecord):
     """Parameters of `toggle`."""
 
     to: Annotated[Literal["ff", "fb", "off"], Field(description="friction from reference, feedback, or not")]
 
 
-class Model(Record):
+class Model(StrictRecord):
     """Parameters of `model`."""
 
     text: Annotated[
@@ -112,27 +112,27 @@ class Model(Record):
     name: Annotated[str, Field(max_length=255, description="its file name, for messages and recordings")] = "model.yaml"
 
 
-class Set(Record):
+class Set(StrictRecord):
     """Parameters of `set`."""
 
     key: Annotated[str, Field(description="dotted key of the axis file (see info: keys)")]
     value: Annotated[float | bool, Field(description="number, or true or false for a switch")]
 
 
-class RecordSwitch(Record):
+class RecordSwitch(StrictRecord):
     """Parameters of `record`."""
 
     to: Annotated[Literal["on", "off"], Field(description="begin or end a recording")]
 
 
-class Events(Record):
+class Events(StrictRecord):
     """Parameters of `events`."""
 
     since: Annotated[int, Field(ge=0, description="number of the last event that is known already")] = 0
     limit: Annotated[int, Field(ge=1, le=1000, description="at most so many, the newest")] = 100
 
 
-class Subscribe(Record):
+class Subscribe(StrictRecord):
     """Parameters of `subscribe`; it replaces what was subscribed before."""
 
     status_hz: Annotated[float, Field(ge=0, le=50, description="statuses a second; 0: none")] = 0.0

@@ -23,7 +23,7 @@ from ..recording.events import Level
 from . import rpc
 from .clients import ENDING, Clients
 from .methods import Api
-from .one_client import Client, Line
+from .one_client import Client, ReceivedLine
 from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
@@ -129,7 +129,7 @@ class Server:
 
     # -- on the clients' thread ------------------------------------------------------------------------------------
 
-    def stop_line(self, client: Client, line: Line) -> bool:
+    def stop_line(self, client: Client, line: ReceivedLine) -> bool:
         """A line that looks like a stop, on arrival. False when it is a batch, or none that can be carried out."""
         document = rpc.read_line(line.content)
         (item,) = document.items[:1]
@@ -141,7 +141,7 @@ class Server:
             return True
         return False
 
-    def line(self, client: Client, line: Line) -> None:
+    def line(self, client: Client, line: ReceivedLine) -> None:
         """Any other line."""
         self._begin(client, rpc.read_line(line.content), line.epoch)
 

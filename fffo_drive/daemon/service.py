@@ -24,7 +24,7 @@ from .methods import Api
 from .notify import Notifier
 from .places import recordings_directory, socket_directory
 from .server import Server
-from .states import AT_REST, Event
+from .states import AT_REST, StateEvent
 from .status import line_of
 from .supervisor import TURN_S, Supervisor
 from .worker import Worker
@@ -35,7 +35,7 @@ SWITCH_S = 0.0005  # between two threads that both compute: what a stop waits fo
 DETACH_S = 0.5  # for what runs beside the daemon to end
 
 
-class Attachment(Protocol):
+class AttachedService(Protocol):
     """What runs beside the daemon, on threads of its own, while its sockets are open."""
 
     @property
@@ -55,7 +55,7 @@ class Options(NamedTuple):
     bus: str | None = None
     sockets: Path | None = None
     uncommissioned: bool = False
-    attach: Callable[[Supervisor, Path], Attachment | None] | None = None  # with the sockets' directory; may wait
+    attach: Callable[[Supervisor, Path], AttachedService | None] | None = None  # with the sockets' directory; may wait
 
 
 def serve(options: Options) -> None:
@@ -106,7 +106,7 @@ class _Service:
         directory = options.sockets or socket_directory(self.plan.axis.name)
         self.server = Server(self.api, directory, self.plan.axis.daemon.clients)
         self._reloads: set[asyncio.Task[None]] = set()
-        attached: Attachment | None = None
+        attached: AttachedService | None = None
         try:
             await self.server.open(self.plan.axis.daemon.control_group)
             if options.attach is not None:
@@ -168,7 +168,7 @@ class _Service:
         self._stops += 1
         self._stop.set()
         if self._stops > 1 and self.supervisor.state not in AT_REST:
-            self.supervisor.apply(Event.QUICK_STOP)
+            self.supervisor.apply(StateEvent.QUICK_STOP)
 
     def _on_reload(self) -> None:
         task = asyncio.get_running_loop().create_task(self._reload())

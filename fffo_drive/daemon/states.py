@@ -43,7 +43,7 @@ MEANINGS = {
 }
 
 
-class Event(StrEnum):
+class StateEvent(StrEnum):
     """What somebody asks for, and what is observed."""
 
     # asked for
@@ -81,32 +81,34 @@ class Happening(NamedTuple):
 
 
 EVENTS = {
-    Event.ENABLE: Happening(True, "somebody asks for torque", bound=True),
-    Event.DISABLE: Happening(True, "somebody asks for no torque, in order", raises=True),
-    Event.START: Happening(True, "somebody starts a profile", bound=True),
-    Event.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
-    Event.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
-    Event.SET_POINT: Happening(True, "somebody gives a live set point", bound=True),
-    Event.STOP: Happening(True, "somebody ends the motion, in order", raises=True),
-    Event.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop", raises=True),
-    Event.RESET: Happening(True, "somebody resets a fault, the drive still answers", raises=True),
-    Event.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone", raises=True),
-    Event.FOUND: Happening(False, "the drive is brought up, the loop runs"),
-    Event.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
-    Event.FORBIDDEN: Happening(False, "one of these no longer holds"),
-    Event.PROFILE_ENDED: Happening(False, "the profile, the motion by set points, or what brakes it, has ended"),
-    Event.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
-    Event.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
-    Event.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
-    Event.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
-    Event.DRIVE_LOST: Happening(
+    StateEvent.ENABLE: Happening(True, "somebody asks for torque", bound=True),
+    StateEvent.DISABLE: Happening(True, "somebody asks for no torque, in order", raises=True),
+    StateEvent.START: Happening(True, "somebody starts a profile", bound=True),
+    StateEvent.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
+    StateEvent.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
+    StateEvent.SET_POINT: Happening(True, "somebody gives a live set point", bound=True),
+    StateEvent.STOP: Happening(True, "somebody ends the motion, in order", raises=True),
+    StateEvent.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop", raises=True),
+    StateEvent.RESET: Happening(True, "somebody resets a fault, the drive still answers", raises=True),
+    StateEvent.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone", raises=True),
+    StateEvent.FOUND: Happening(False, "the drive is brought up, the loop runs"),
+    StateEvent.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
+    StateEvent.FORBIDDEN: Happening(False, "one of these no longer holds"),
+    StateEvent.PROFILE_ENDED: Happening(False, "the profile, the motion by set points, or what brakes it, has ended"),
+    StateEvent.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
+    StateEvent.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
+    StateEvent.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
+    StateEvent.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
+    StateEvent.DRIVE_LOST: Happening(
         False,
         "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, or another "
         "master's SYNC",
         raises=True,
     ),
-    Event.TRIPPED: Happening(False, "any other trip of the envelope, the drive's own faults among them", raises=True),
-    Event.LOOP_ENDED: Happening(False, "the loop's thread is gone", raises=True),
+    StateEvent.TRIPPED: Happening(
+        False, "any other trip of the envelope, the drive's own faults among them", raises=True
+    ),
+    StateEvent.LOOP_ENDED: Happening(False, "the loop's thread is gone", raises=True),
 }  # fmt: skip
 
 
@@ -124,90 +126,90 @@ class Action(StrEnum):
     RELEASE = "end the loop, leave the drive, try again"
 
 
-class Transition(NamedTuple):
+class StateTransition(NamedTuple):
     """Where to, and what to do on the way, in this order."""
 
     to: State
     actions: tuple[Action, ...] = ()
 
 
-_S, _E, _A = State, Event, Action
+_S, _E, _A = State, StateEvent, Action
 
-_FALLS: dict[Event, Transition] = {
-    event: Transition(_S.FAULT, (_A.FORGET,)) for event in (_E.DRIVE_LOST, _E.TRIPPED, _E.LOOP_ENDED)
+_FALLS: dict[StateEvent, StateTransition] = {
+    event: StateTransition(_S.FAULT, (_A.FORGET,)) for event in (_E.DRIVE_LOST, _E.TRIPPED, _E.LOOP_ENDED)
 }
-_LOST_AT_REST = Transition(_S.OFFLINE, (_A.FORGET, _A.RELEASE))
+_LOST_AT_REST = StateTransition(_S.OFFLINE, (_A.FORGET, _A.RELEASE))
 
 
-def _stays(state: State) -> dict[tuple[State, Event], Transition]:
+def _stays(state: State) -> dict[tuple[State, StateEvent], StateTransition]:
     """Where there is no motion to end, every stop succeeds and changes nothing."""
-    return {(state, event): Transition(state) for event in (_E.STOP, _E.DISABLE, _E.QUICK_STOP)}
+    return {(state, event): StateTransition(state) for event in (_E.STOP, _E.DISABLE, _E.QUICK_STOP)}
 
 
-def _falls(state: State) -> dict[tuple[State, Event], Transition]:
+def _falls(state: State) -> dict[tuple[State, StateEvent], StateTransition]:
     return {(state, event): row for event, row in _FALLS.items()}
 
 
-TABLE: dict[tuple[State, Event], Transition] = {
-    (_S.OFFLINE, _E.FOUND): Transition(_S.CONNECTED),
+TABLE: dict[tuple[State, StateEvent], StateTransition] = {
+    (_S.OFFLINE, _E.FOUND): StateTransition(_S.CONNECTED),
     **_stays(_S.OFFLINE),
     #
-    (_S.CONNECTED, _E.PERMITTED): Transition(_S.READY),
+    (_S.CONNECTED, _E.PERMITTED): StateTransition(_S.READY),
     **_stays(_S.CONNECTED),
     **_falls(_S.CONNECTED),
     (_S.CONNECTED, _E.DRIVE_LOST): _LOST_AT_REST,
     #
-    (_S.READY, _E.FORBIDDEN): Transition(_S.CONNECTED),
-    (_S.READY, _E.ENABLE): Transition(_S.ENABLED, (_A.ENABLE,)),
+    (_S.READY, _E.FORBIDDEN): StateTransition(_S.CONNECTED),
+    (_S.READY, _E.ENABLE): StateTransition(_S.ENABLED, (_A.ENABLE,)),
     **_stays(_S.READY),
     **_falls(_S.READY),
     (_S.READY, _E.DRIVE_LOST): _LOST_AT_REST,
     #
-    (_S.ENABLED, _E.ENABLE): Transition(_S.ENABLED),
-    (_S.ENABLED, _E.START): Transition(_S.PREPARING),
-    (_S.ENABLED, _E.SET_POINT): Transition(_S.FOLLOWING, (_A.FOLLOW,)),
-    (_S.ENABLED, _E.STOP): Transition(_S.ENABLED),
-    (_S.ENABLED, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
-    (_S.ENABLED, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.ENABLED, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.ENABLED, _E.ENABLE): StateTransition(_S.ENABLED),
+    (_S.ENABLED, _E.START): StateTransition(_S.PREPARING),
+    (_S.ENABLED, _E.SET_POINT): StateTransition(_S.FOLLOWING, (_A.FOLLOW,)),
+    (_S.ENABLED, _E.STOP): StateTransition(_S.ENABLED),
+    (_S.ENABLED, _E.DISABLE): StateTransition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.ENABLED, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.ENABLED, _E.ENABLE_TIMEOUT): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     **_falls(_S.ENABLED),
     #
-    (_S.PREPARING, _E.ENABLE): Transition(_S.PREPARING),
-    (_S.PREPARING, _E.PREPARED): Transition(_S.RUNNING, (_A.START,)),
-    (_S.PREPARING, _E.NOT_PREPARED): Transition(_S.ENABLED),
-    (_S.PREPARING, _E.STOP): Transition(_S.ENABLED),
-    (_S.PREPARING, _E.DISABLE): Transition(_S.STOPPING, (_A.DISABLE,)),
-    (_S.PREPARING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.PREPARING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.PREPARING, _E.ENABLE): StateTransition(_S.PREPARING),
+    (_S.PREPARING, _E.PREPARED): StateTransition(_S.RUNNING, (_A.START,)),
+    (_S.PREPARING, _E.NOT_PREPARED): StateTransition(_S.ENABLED),
+    (_S.PREPARING, _E.STOP): StateTransition(_S.ENABLED),
+    (_S.PREPARING, _E.DISABLE): StateTransition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.PREPARING, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.PREPARING, _E.ENABLE_TIMEOUT): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     **_falls(_S.PREPARING),
     #
-    (_S.RUNNING, _E.PROFILE_ENDED): Transition(_S.ENABLED),
-    (_S.RUNNING, _E.STOP): Transition(_S.RUNNING, (_A.BRAKE,)),
-    (_S.RUNNING, _E.DISABLE): Transition(_S.STOPPING, (_A.BRAKE,)),
-    (_S.RUNNING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.RUNNING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.RUNNING, _E.PROFILE_ENDED): StateTransition(_S.ENABLED),
+    (_S.RUNNING, _E.STOP): StateTransition(_S.RUNNING, (_A.BRAKE,)),
+    (_S.RUNNING, _E.DISABLE): StateTransition(_S.STOPPING, (_A.BRAKE,)),
+    (_S.RUNNING, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.RUNNING, _E.ENABLE_TIMEOUT): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     **_falls(_S.RUNNING),
     #
-    (_S.FOLLOWING, _E.SET_POINT): Transition(_S.FOLLOWING, (_A.FOLLOW,)),
-    (_S.FOLLOWING, _E.PROFILE_ENDED): Transition(_S.ENABLED),
-    (_S.FOLLOWING, _E.STOP): Transition(_S.FOLLOWING, (_A.BRAKE,)),
-    (_S.FOLLOWING, _E.DISABLE): Transition(_S.STOPPING, (_A.BRAKE,)),
-    (_S.FOLLOWING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.FOLLOWING, _E.ENABLE_TIMEOUT): Transition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.FOLLOWING, _E.SET_POINT): StateTransition(_S.FOLLOWING, (_A.FOLLOW,)),
+    (_S.FOLLOWING, _E.PROFILE_ENDED): StateTransition(_S.ENABLED),
+    (_S.FOLLOWING, _E.STOP): StateTransition(_S.FOLLOWING, (_A.BRAKE,)),
+    (_S.FOLLOWING, _E.DISABLE): StateTransition(_S.STOPPING, (_A.BRAKE,)),
+    (_S.FOLLOWING, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.FOLLOWING, _E.ENABLE_TIMEOUT): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     **_falls(_S.FOLLOWING),
     #
-    (_S.STOPPING, _E.PROFILE_ENDED): Transition(_S.STOPPING, (_A.DISABLE,)),
-    (_S.STOPPING, _E.TORQUE_OFF): Transition(_S.READY, (_A.FORGET,)),
-    (_S.STOPPING, _E.DISABLE): Transition(_S.STOPPING),
-    (_S.STOPPING, _E.STOP): Transition(_S.STOPPING),
-    (_S.STOPPING, _E.QUICK_STOP): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.STOPPING, _E.STOP_TIMEOUT): Transition(_S.STOPPING, (_A.QUICK_STOP,)),
-    (_S.STOPPING, _E.STOP_FAILED): Transition(_S.FAULT, (_A.FORGET,)),
+    (_S.STOPPING, _E.PROFILE_ENDED): StateTransition(_S.STOPPING, (_A.DISABLE,)),
+    (_S.STOPPING, _E.TORQUE_OFF): StateTransition(_S.READY, (_A.FORGET,)),
+    (_S.STOPPING, _E.DISABLE): StateTransition(_S.STOPPING),
+    (_S.STOPPING, _E.STOP): StateTransition(_S.STOPPING),
+    (_S.STOPPING, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.STOPPING, _E.STOP_TIMEOUT): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
+    (_S.STOPPING, _E.STOP_FAILED): StateTransition(_S.FAULT, (_A.FORGET,)),
     **_falls(_S.STOPPING),
     #
     **_stays(_S.FAULT),
-    (_S.FAULT, _E.RESET): Transition(_S.CONNECTED, (_A.CLEAR,)),
-    (_S.FAULT, _E.RESET_AWAY): Transition(_S.OFFLINE, (_A.RELEASE,)),
+    (_S.FAULT, _E.RESET): StateTransition(_S.CONNECTED, (_A.CLEAR,)),
+    (_S.FAULT, _E.RESET_AWAY): StateTransition(_S.OFFLINE, (_A.RELEASE,)),
 }
 
 TORQUE_STATES = frozenset({State.ENABLED, State.PREPARING, State.RUNNING, State.FOLLOWING, State.STOPPING})
@@ -245,12 +247,12 @@ class RefusedError(Exception):
         self.allowed = allowed
 
 
-def states_with(event: Event) -> tuple[State, ...]:
+def states_with(event: StateEvent) -> tuple[State, ...]:
     """States in which an event has a row."""
     return tuple(state for state in State if (state, event) in TABLE)
 
 
-def step(state: State, event: Event) -> Transition | None:
+def step(state: State, event: StateEvent) -> StateTransition | None:
     """The row for this state and event; None for an observation that means nothing here.
 
     Raises RefusedError for something asked for that has no row.
@@ -305,7 +307,7 @@ class Machine:
         self.state = State.OFFLINE
         self.epoch = Epoch()
 
-    def take(self, event: Event, asked_in: int | None = None) -> Transition | None:
+    def take(self, event: StateEvent, asked_in: int | None = None) -> StateTransition | None:
         """Go where the table says. Returns its row; None for an observation that means nothing here.
 
         `asked_in`: the epoch in which it was asked; None: in this one. Raises RefusedError.
@@ -321,8 +323,8 @@ class Machine:
         self.state = row.to
         return row
 
-    def _require_epoch(self, event: Event, asked_in: int | None) -> None:
-        what = event if event in (Event.ENABLE, Event.SET_POINT) else Event.START
+    def _require_epoch(self, event: StateEvent, asked_in: int | None) -> None:
+        what = event if event in (StateEvent.ENABLE, StateEvent.SET_POINT) else StateEvent.START
         if self.epoch.stopping:
             text = f"{what.value}: a stop is being carried out; ask again when it is acknowledged"
         elif asked_in is not None and asked_in != self.epoch.value:

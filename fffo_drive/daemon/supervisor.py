@@ -31,10 +31,10 @@ from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
 from .event_log import EventLog
 from .journal import Journal
-from .motion import Motion
+from .motion import MotionRequests
 from .record_keeper import RecordKeeper, Sources
 from .set_points import JOG, AskedSetPoint, longest_stop_s
-from .states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Event, Machine, RefusedError, State
+from .states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Machine, RefusedError, State, StateEvent
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
 from .worker import Worker
 
@@ -70,7 +70,7 @@ class Supervisor:
         self.fault: Latched | None = None
         self.obstacles: list[str] = ["not connected yet"]
         self.connection: Connection | None = None
-        self.motion: Motion | None = None
+        self.motion: MotionRequests | None = None
         self.not_enabled = ""  # why the last attempt did not come to Operation Enabled
         self.fatal: BaseException | None = None
         self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
@@ -99,7 +99,7 @@ class Supervisor:
         """Where the axis is."""
         return self.machine.state
 
-    def apply(self, event: Event, asked_in: int | None = None) -> bool:
+    def apply(self, event: StateEvent, asked_in: int | None = None) -> bool:
         """Go where the table says. False where it says nothing. Raises RefusedError for what is not possible now.
 
         `asked_in`: epoch in which it was asked for, where that counts.
@@ -153,7 +153,7 @@ class Supervisor:
             motion.drop()
             motion.ask(GOAL_QUICK_STOP if self._quick else GOAL_DISABLED)
 
-    def _brake(self, motion: Motion, now_s: float) -> None:
+    def _brake(self, motion: MotionRequests, now_s: float) -> None:
         """To standstill under control; where there is no torque yet there is nothing to brake."""
         if self._torque_seen and self._watcher is not None and self._watcher.commanding:
             motion.brake(self.plan)
@@ -166,7 +166,7 @@ class Supervisor:
             self._act(Action.DISABLE, now_s)
         else:
             motion.drop()
-            self.apply(Event.PROFILE_ENDED)
+            self.apply(StateEvent.PROFILE_ENDED)
 
     # -- what it sees ----------------------------------------------------------------------------------------------
 
@@ -194,7 +194,7 @@ class Supervisor:
         """Something ended what the axis did."""
         if self.state in (State.FAULT, State.OFFLINE):
             return
-        latches = trouble.event is not Event.DRIVE_LOST or self.state in TORQUE_STATES
+        latches = trouble.event is not StateEvent.DRIVE_LOST or self.state in TORQUE_STATES
         statusword = None if self.connection is None else self.connection.session.telling_statusword
         text = self._heard(trouble.text, statusword)
         if latches:
@@ -202,7 +202,7 @@ class Supervisor:
             self.fault = Latched(trouble.name, text, tick)
         self._said = text
         self.obstacles = [text]
-        if trouble.event is Event.TRIPPED:
+        if trouble.event is StateEvent.TRIPPED:
             self._hear_out(trouble.text, statusword)
         self.apply(trouble.event)
 
@@ -244,7 +244,7 @@ class Supervisor:
             self.obstacles = self._forbidden() + watcher.obstacles(
                 limits.feedback_missing_ticks, limits.status_missing_ticks
             )
-            self.apply(Event.FORBIDDEN if self.obstacles else Event.PERMITTED)
+            self.apply(StateEvent.FORBIDDEN if self.obstacles else StateEvent.PERMITTED)
         if self.state in TORQUE_STATES and watcher.torque_on:
             if not self._torque_seen and self.state is not State.STOPPING:
                 self._deadline_s = NEVER_S
@@ -259,12 +259,12 @@ class Supervisor:
             text = "the set point leads out of envelope.position_window_rev: braked before its edge"
             self.log.add("set_point", text, Level.WARNING)
         if motion.ended():
-            self.apply(Event.PROFILE_ENDED)
+            self.apply(StateEvent.PROFILE_ENDED)
         if self.state is State.STOPPING and not motion.wants_torque:
             if self._quick and watcher.holds_after_quick_stop:
                 motion.ask(GOAL_DISABLED)
             if watcher.torque_off:
-                self.apply(Event.TORQUE_OFF)
+                self.apply(StateEvent.TORQUE_OFF)
 
     def _forbidden(self) -> list[str]:
         """Why the axis may not be enabled, as far as it is a matter of commissioning."""
@@ -291,13 +291,13 @@ class Supervisor:
             self.not_enabled = self._heard(NOT_ENABLED, statusword)
             self.log.add("state", self.not_enabled, Level.ERROR)
             self._hear_out(NOT_ENABLED, statusword)
-            self.apply(Event.ENABLE_TIMEOUT)
+            self.apply(StateEvent.ENABLE_TIMEOUT)
         elif self.state is State.STOPPING and not self._quick:
             self.log.add("state", "the ordered stop takes too long: quick stop", Level.ERROR)
-            self.apply(Event.STOP_TIMEOUT)
+            self.apply(StateEvent.STOP_TIMEOUT)
         elif self.state is State.STOPPING:
             self.fault = Latched("stop_failed", "the drive keeps its torque after a quick stop", -1)
-            self.apply(Event.STOP_FAILED)
+            self.apply(StateEvent.STOP_FAILED)
 
     def _watch_recording(self) -> None:
         news = self.recorder.news()
@@ -306,7 +306,7 @@ class Supervisor:
         self.log.add("recording", f"recording: {news}", Level.ERROR)
         if self.plan.axis.daemon.record_required and self.state in WANTING_TORQUE:
             self.log.add("recording", "daemon.record_required: the axis is stopped", Level.ERROR)
-            self.apply(Event.DISABLE)
+            self.apply(StateEvent.DISABLE)
 
     @property
     def consistent(self) -> bool:
@@ -326,11 +326,11 @@ class Supervisor:
         connection = self.connection
         away = connection is None or not connection.running or connection.trip in LOST_TRIPS
         lost = self.fault is not None and self.fault.name in GONE
-        self.apply(Event.RESET_AWAY if away or lost else Event.RESET)
+        self.apply(StateEvent.RESET_AWAY if away or lost else StateEvent.RESET)
 
     def begin_start(self, asked_in: int | None) -> int:
         """A profile is going to be prepared. Returns the epoch that the start is bound to. Raises RefusedError."""
-        self.apply(Event.START, asked_in)
+        self.apply(StateEvent.START, asked_in)
         return self.machine.epoch.value
 
     def start(self, profile: Profile, epoch: int) -> None:
@@ -338,23 +338,23 @@ class Supervisor:
         if self.connection is not None and profile.values.size > self.connection.session.config.longest_profile:
             raise ValueError(f"profile '{profile.name}' is longer than loop.longest_profile_s")
         self._next_profile = profile
-        self.apply(Event.PREPARED, epoch)
+        self.apply(StateEvent.PREPARED, epoch)
 
-    def follow(self, asked: AskedSetPoint, asked_in: int | None) -> Motion:
+    def follow(self, asked: AskedSetPoint, asked_in: int | None) -> MotionRequests:
         """Follow a live set point from now on. Raises RefusedError."""
         acts = self._watcher is not None and self._watcher.commanding
         if self.state is State.ENABLED and not acts:
             text = "the axis has no torque yet: wait for enable to answer, and for the brake (drive.enable_delay_s)"
             raise RefusedError(text, self.state, (State.ENABLED, State.FOLLOWING))
         self._next_set_point = asked
-        self.apply(Event.SET_POINT, asked_in)
+        self.apply(StateEvent.SET_POINT, asked_in)
         assert self.motion is not None
         return self.motion
 
     def start_failed(self, epoch: int) -> None:
         """A profile could not be prepared; where a stop or a fault has ended the start already, nothing is left."""
         with contextlib.suppress(RefusedError):
-            self.apply(Event.NOT_PREPARED, epoch)
+            self.apply(StateEvent.NOT_PREPARED, epoch)
 
     @property
     def profile(self) -> Profile | None:
@@ -447,7 +447,7 @@ class Supervisor:
         self._connections += 1
         self.connection = connection
         now_s = self._clock()
-        self.motion = Motion(connection)
+        self.motion = MotionRequests(connection)
         self._watcher = Watcher(connection, silent_ticks(plan), plan.axis.daemon.supervisor_timeout_s, now_s)
         connection.session.request(b.TOGGLE, self.toggle)
         if self.plan.model is not plan.model:  # changed while the drive was brought up
@@ -460,7 +460,7 @@ class Supervisor:
         identity = connection.identity
         self.log.add("drive", f"connected to {identity.device_name}", data=identity._asdict())
         self.check_permission()
-        self.apply(Event.FOUND)
+        self.apply(StateEvent.FOUND)
         if self.recorder.wanted:
             try:
                 await self.start_recording()
@@ -477,10 +477,10 @@ class Supervisor:
 
     async def stop_in_order(self) -> None:
         """Brake, disable, and wait until the power stage is off: in order, then quickly, both for a bounded time."""
-        self.apply(Event.DISABLE)
+        self.apply(StateEvent.DISABLE)
         if not await self.reached(lambda: self.state in AT_REST, ORDERLY_STOP_S):
             self.log.add("stopping", f"not at rest within {ORDERLY_STOP_S:g} s: quick stop", Level.WARNING)
-            self.apply(Event.QUICK_STOP)
+            self.apply(StateEvent.QUICK_STOP)
             await self.reached(lambda: self.state in AT_REST, QUICK_STOP_S)
 
     async def close(self) -> None:
@@ -510,7 +510,7 @@ class Supervisor:
         fault = {"fault": self.fault.name} if self.fault is not None else {}
         return {"axis": self.plan.axis.name, "state": self.state.value, **fault}
 
-    def _tell_state(self, before: State, event: Event) -> None:
+    def _tell_state(self, before: State, event: StateEvent) -> None:
         data = {"from": before.value, "to": self.state.value, "event": event.value}
         if self.state is State.FAULT and self.fault is not None:
             self.log.add("fault", f"fault: {self.fault.text}", Level.ERROR, {**data, **self.fault._asdict()})

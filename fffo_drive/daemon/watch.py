@@ -16,7 +16,7 @@ from ..runtime import blocks as b
 from ..runtime.tick import in_local_control
 from ..workflows.plan import Plan
 from .connection import Connection
-from .states import Event
+from .states import StateEvent
 
 RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05
@@ -54,7 +54,7 @@ class Latched(NamedTuple):
 class Trouble(NamedTuple):
     """An event that ends what the axis does, with a name for programs and a text for people."""
 
-    event: Event
+    event: StateEvent
     name: str
     text: str
 
@@ -102,7 +102,7 @@ class Watcher:
         if not connection.running:
             return self._ended()
         if self._stalled_s > 0.0:
-            return Trouble(Event.LOOP_ENDED, "loop_stalled", f"the loop has not moved for {self._stalled_s:.1f} s")
+            return Trouble(StateEvent.LOOP_ENDED, "loop_stalled", f"the loop has not moved for {self._stalled_s:.1f} s")
         tick = connection.session.status(b.TICK)
         if self._reset_tick is not None:
             if tick > self._reset_tick + RESET_TICKS:
@@ -114,18 +114,20 @@ class Watcher:
     def _ended(self) -> Trouble:
         if self.connection.session.status(b.ABANDONED):
             text = "the loop stopped the drive and ended: the supervisor was silent (daemon.supervisor_timeout_s)"
-            return Trouble(Event.LOOP_ENDED, "abandoned", text)
+            return Trouble(StateEvent.LOOP_ENDED, "abandoned", text)
         error = self.connection.session.error
-        return Trouble(Event.LOOP_ENDED, "loop_ended", f"the loop's thread ended: {error or 'no error was raised'}")
+        return Trouble(
+            StateEvent.LOOP_ENDED, "loop_ended", f"the loop's thread ended: {error or 'no error was raised'}"
+        )
 
     def _tripped(self, trip: int) -> Trouble | None:
         if trip != env.TRIP_NONE:
-            event = Event.DRIVE_LOST if trip in LOST_TRIPS else Event.TRIPPED
+            event = StateEvent.DRIVE_LOST if trip in LOST_TRIPS else StateEvent.TRIPPED
             return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
         row = self.connection.last_row()
         if row is not None and int(row["velocity_age"]) > self._silent_ticks:
             text = f"no answer to {int(row['velocity_age'])} SYNCs"
-            return Trouble(Event.DRIVE_LOST, "silent", text)
+            return Trouble(StateEvent.DRIVE_LOST, "silent", text)
         return None
 
     def obstacles(self, missing_ticks: int, status_ticks: int) -> list[str]:

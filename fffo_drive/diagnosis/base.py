@@ -22,7 +22,7 @@ from ..identification.threads import in_threads
 from ..model.axis import AxisConfig
 from ..model.friction import FrictionConfig
 from .kernels import friction_along
-from .rows import Rows, Stretch, second_difference
+from .rows import DiagnosisRows, DiagnosisStretch, second_difference
 
 Floats = npt.NDArray[np.float64]
 
@@ -61,19 +61,19 @@ def delayed(values: Floats, delay_samples: float) -> Floats:
     return np.asarray(share * padded[offset : offset + n] + (1.0 - share) * padded[offset + 1 : offset + 1 + n])
 
 
-def along(stretch: Stretch, physical: Floats) -> Along:
+def along(stretch: DiagnosisStretch, physical: Floats) -> Along:
     """The base model along a stretch."""
     axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
     return Along(_torque(stretch, physical), *_friction_path(stretch, axis))
 
 
-def models_along(stretches: Sequence[Stretch], physical: Floats) -> list[Along]:
+def models_along(stretches: Sequence[DiagnosisStretch], physical: Floats) -> list[Along]:
     """The base model along every stretch."""
     return [along(stretch, physical) for stretch in stretches]
 
 
 def residual_rows(
-    stretches: Sequence[Stretch], physical: Floats, rows: Rows, models: Sequence[Along] | None = None
+    stretches: Sequence[DiagnosisStretch], physical: Floats, rows: DiagnosisRows, models: Sequence[Along] | None = None
 ) -> Floats:
     """Torque residual of the base model at all rows. (m,)"""
     models = models if models is not None else models_along(stretches, physical)
@@ -94,7 +94,7 @@ def distance(physical: Floats, start: Floats) -> Floats:
     return np.array([np.log(new / old) if name in LOGARITHMIC else new - old for name, new, old in pairs])
 
 
-def snap_rows(rows: Rows) -> Floats:
+def snap_rows(rows: DiagnosisRows) -> Floats:
     """Second derivative of the acceleration at the rows, stretch by stretch. (m,)"""
     found = np.zeros(rows.time_s.size)
     for begin, end in rows.bounds:
@@ -120,7 +120,7 @@ def step_of(name: str, period_s: float) -> float:
     return sizes.get(name, RELATIVE_STEP)
 
 
-def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) -> Floats:
+def sensitivities(stretches: Sequence[DiagnosisStretch], physical: Floats, rows: DiagnosisRows) -> Floats:
     """d(what the base model explains)/d(coordinate) of BASE at the rows: minus that of the residual. (m, len(BASE))"""
     period_s = rows.filter.period_s
     friction = [_friction(stretch, physical) for stretch in stretches]
@@ -147,21 +147,21 @@ def sensitivities(stretches: Sequence[Stretch], physical: Floats, rows: Rows) ->
     return matrix
 
 
-def _torque(stretch: Stretch, physical: Floats) -> Floats:
+def _torque(stretch: DiagnosisStretch, physical: Floats) -> Floats:
     delay_s = _value(physical, "delay_s")
     return np.asarray(stretch.torque_constant_nm_per_a * delayed(stretch.current_a, delay_s / stretch.period_s))
 
 
-def _friction(stretch: Stretch, physical: Floats) -> Floats:
+def _friction(stretch: DiagnosisStretch, physical: Floats) -> Floats:
     return np.asarray(_friction_path(stretch, axis_config(physical, stretch.torque_constant_nm_per_a))[0])
 
 
-_PATHS: OrderedDict[tuple[int, FrictionConfig], tuple[Stretch, Floats]] = OrderedDict()
+_PATHS: OrderedDict[tuple[int, FrictionConfig], tuple[DiagnosisStretch, Floats]] = OrderedDict()
 PATHS_KEPT_BYTES = 100_000_000  # of the friction computed last: fits begin where others ended
 _KEEPING = Lock()
 
 
-def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
+def _friction_path(stretch: DiagnosisStretch, axis: AxisConfig) -> Floats:
     """Torque Nm, travel since reversal rev and direction along a stretch. (3, n), not to be changed."""
     key = (id(stretch), axis.friction)
     known = _PATHS.get(key)
@@ -177,7 +177,7 @@ def _friction_path(stretch: Stretch, axis: AxisConfig) -> Floats:
     return found
 
 
-def balanced(stretches: Sequence[Stretch], physical: Floats) -> list[Stretch]:
+def balanced(stretches: Sequence[DiagnosisStretch], physical: Floats) -> list[DiagnosisStretch]:
     """The stretches with the torque that friction balances at rest, by these parameters."""
     found = []
     for stretch in stretches:

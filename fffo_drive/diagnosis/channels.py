@@ -12,14 +12,14 @@ from ..model.effects.laws.lookup import UNKNOWN
 from .curves import Curve, coarse_tables, curves
 from .fitting import Data, Fitted, consistent_scenes
 from .propose import Evidence, beside, evidence_of, score
-from .results import Channel
+from .results import ResidualChannel
 
 Floats = npt.NDArray[np.float64]
 
 
 def channels(
     data: Data, base: tuple[Fitted, Floats], fitted: tuple[Fitted, Floats], rate: float
-) -> tuple[Channel, ...]:
+) -> tuple[ResidualChannel, ...]:
     """The best curve of each axis, then each pair beyond its two axes. Models come with their sensitivities."""
     scenes = consistent_scenes(data, base[0].physical, base[0].effects)
     before, after = (evidence_of(data, *model) for model in (base, fitted))
@@ -36,7 +36,7 @@ def channels(
             best[name] = pair
     limit = rate / max(1, len(found))
     return tuple(
-        Channel(name, first[0], last[0], first[1] <= limit, last[1] <= limit, rows)
+        ResidualChannel(name, first[0], last[0], first[1] <= limit, last[1] <= limit, rows)
         for name, (first, last) in best.items()
     )
 

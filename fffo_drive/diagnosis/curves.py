@@ -30,7 +30,7 @@ from ..model.effects.laws.lookup import (
     values_of,
 )
 from ..model.effects.registry import axis_of_effect
-from .rows import Filter, Rows
+from .rows import DiagnosisRows, Filter
 from .scenes import Scene, load_along
 
 Floats = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fin
 INNER = (0.002, 0.998)  # quantiles between which knots lie
 
 
-class Axis(NamedTuple):
+class CurveAxis(NamedTuple):
     """One axis of the search."""
 
     word: str
@@ -57,20 +57,20 @@ class Axis(NamedTuple):
     of_current: float = 0.0  # a memory of the squared current, not of the speed
 
 
-SPEED = Axis("memory", FRICTION, 0.0)  # a memory without a length
+SPEED = CurveAxis("memory", FRICTION, 0.0)  # a memory without a length
 TABLE_AXES = (  # the finer of a pair first
-    Axis("motor_angle", PLAIN, 1.0), Axis("output_angle", PLAIN, 0.0), Axis("velocity", PLAIN, 0.0),
-    Axis("travel_since_reversal", FRICTION, 0.0), Axis("time", FRICTION, 0.0), Axis("current", PLAIN, 0.0),
-    Axis("memory", FRICTION, 3.0), Axis("acceleration", PLAIN, 0.0),
+    CurveAxis("motor_angle", PLAIN, 1.0), CurveAxis("output_angle", PLAIN, 0.0), CurveAxis("velocity", PLAIN, 0.0),
+    CurveAxis("travel_since_reversal", FRICTION, 0.0), CurveAxis("time", FRICTION, 0.0),
+    CurveAxis("current", PLAIN, 0.0), CurveAxis("memory", FRICTION, 3.0), CurveAxis("acceleration", PLAIN, 0.0),
 )  # fmt: skip
 OVER_SPEED = ("motor_angle", "output_angle", "travel_since_reversal", "time", "memory")
 
 
-class Pair(NamedTuple):
+class CurvePair(NamedTuple):
     """A table over two axes; the first is the finer."""
 
-    along: Axis
-    across: Axis
+    along: CurveAxis
+    across: CurveAxis
 
     @property
     def name(self) -> str:
@@ -94,28 +94,29 @@ class Curve(NamedTuple):
     shapes: dict[str, float]
     columns: Floats  # (m, k)
     beside: Floats | None = None  # (m, j) of a table: its two curves
-    pair: Pair | None = None
+    pair: CurvePair | None = None
 
 
-def axes_of(turns: float) -> list[Axis]:
+def axes_of(turns: float) -> list[CurveAxis]:
     """All axes that a motion over so many turns allows."""
     found = [
-        Axis("time", FRICTION, 0.0), Axis("velocity", PLAIN, 0.0), Axis("acceleration", PLAIN, 0.0),
-        Axis("current", PLAIN, 0.0), Axis("dwell", FRICTION, 0.0), Axis("travel_since_reversal", FRICTION, 0.0),
-        Axis("memory", FRICTION, 0.5), Axis("memory", FRICTION, 3.0), Axis("memory", FRICTION, 12.0),
-        Axis("direction", PLAIN, 0.0), Axis("torque", FRICTION, 0.0),
+        CurveAxis("time", FRICTION, 0.0), CurveAxis("velocity", PLAIN, 0.0), CurveAxis("acceleration", PLAIN, 0.0),
+        CurveAxis("current", PLAIN, 0.0), CurveAxis("dwell", FRICTION, 0.0),
+        CurveAxis("travel_since_reversal", FRICTION, 0.0),
+        CurveAxis("memory", FRICTION, 0.5), CurveAxis("memory", FRICTION, 3.0), CurveAxis("memory", FRICTION, 12.0),
+        CurveAxis("direction", PLAIN, 0.0), CurveAxis("torque", FRICTION, 0.0),
     ]  # fmt: skip
-    found += [Axis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
+    found += [CurveAxis("memory", FRICTION, time_constant_s, 1.0) for time_constant_s in (1.0, 4.0, 16.0)]
     for period_rev in MOTOR_PERIODS_REV:
         if turns > PERIODS * period_rev:
-            found += [Axis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION, BRAKE)]
-    found += [Axis("output_angle", kind, 0.0) for kind in (PLAIN, FRICTION, BRAKE)]
-    found += [Axis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
-    found += [Axis("memory", VISCOUS, 3.0), Axis("memory", VISCOUS, 12.0)]
+            found += [CurveAxis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION, BRAKE)]
+    found += [CurveAxis("output_angle", kind, 0.0) for kind in (PLAIN, FRICTION, BRAKE)]
+    found += [CurveAxis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
+    found += [CurveAxis("memory", VISCOUS, 3.0), CurveAxis("memory", VISCOUS, 12.0)]
     return found
 
 
-def curves(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+def curves(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
     """A curve over every axis, and springs along the travel.
 
     Thinned, not filtered, to the rows: a curve changes slowly.
@@ -130,7 +131,7 @@ def curves(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
     yield from _springs(rows, scenes)
 
 
-def _springs(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+def _springs(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
     travel = np.concatenate([s.motion[s.moving > 0.0, slots.TRAVEL_REV] for s in scenes])
     furthest_rev = 0.5 * float(np.quantile(travel, 0.99)) if travel.size else 0.0
     if furthest_rev >= 4.0 * LEAST_REACH_REV:
@@ -139,20 +140,20 @@ def _springs(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
         yield Curve(UNKNOWN + "memory", shapes, np.concatenate(parts))
 
 
-def pairs_of(turns: float) -> list[Pair]:
+def pairs_of(turns: float) -> list[CurvePair]:
     """All pairs that are tried: torque over the velocity, friction and drag over its size, either over the others."""
     axes = {axis.word: axis for axis in TABLE_AXES if axis.word != "motor_angle" or turns > PERIODS}
     found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
-    found += [Pair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
-    return found + [Pair(axes[word]._replace(kind=BRAKE), SPEED) for word in ANGLES if word in axes]
+    found += [CurvePair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+    return found + [CurvePair(axes[word]._replace(kind=BRAKE), SPEED) for word in ANGLES if word in axes]
 
 
-def _pair(first: Axis, second: Axis) -> Pair:
+def _pair(first: CurveAxis, second: CurveAxis) -> CurvePair:
     frictional = FRICTION in (first.kind, second.kind) and "velocity" not in (first.word, second.word)
-    return Pair(first._replace(kind=FRICTION if frictional else PLAIN), second)
+    return CurvePair(first._replace(kind=FRICTION if frictional else PLAIN), second)
 
 
-def coarse_tables(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+def coarse_tables(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
     """A coarse table of every pair over which the data move."""
     hat: dict[tuple[str, float], Floats | None] = {}
     for pair in pairs_of(rows.turns):
@@ -169,7 +170,7 @@ def coarse_tables(rows: Rows, scenes: Sequence[Scene]) -> Iterator[Curve]:
             yield Curve(UNKNOWN + pair.along.word, pair.shapes, table * weight, beside * weight, pair)
 
 
-def fine_table(rows: Rows, scenes: Sequence[Scene], pair: Pair) -> Curve | None:
+def fine_table(rows: DiagnosisRows, scenes: Sequence[Scene], pair: CurvePair) -> Curve | None:
     """A fine table over a pair, as the lookup law has it."""
     places = [abscissa(scenes, axis) for axis in pair]
     knots = knots_of(_moving(scenes, places[0]), pair.along)
@@ -212,7 +213,7 @@ def _shapes(kind: float, knots: Floats) -> dict[str, float]:
     return {"kind": kind, "count": float(knots.size)} | {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
 
 
-def knots_of(places: Floats, axis: Axis) -> Floats:
+def knots_of(places: Floats, axis: CurveAxis) -> Floats:
     """Knots where the data are: between even steps of the range and even shares of the samples."""
     if not places.size:
         return np.zeros(0)
@@ -234,14 +235,14 @@ def knots_of(places: Floats, axis: Axis) -> Floats:
     return np.array(distinct)
 
 
-def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[Axis, Floats]]:
+def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[CurveAxis, Floats]]:
     """The axes of a curve or a table, and the knots on each."""
     knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
-    own = Axis(axis_of_effect(name), shapes["kind"], shapes.get("scale", 0.0), shapes.get("of_current", 0.0))
+    own = CurveAxis(axis_of_effect(name), shapes["kind"], shapes.get("scale", 0.0), shapes.get("of_current", 0.0))
     found = [(own, knots)]
     if is_table(shapes):
         levels = np.array([shapes[f"z{k:02d}"] for k in range(int(shapes["levels"]))])
-        found.append((Axis(across_axis(shapes), PLAIN, shapes["across_scale"]), levels))
+        found.append((CurveAxis(across_axis(shapes), PLAIN, shapes["across_scale"]), levels))
     return found
 
 
@@ -282,7 +283,7 @@ def grip(scene: Scene) -> Floats:
     return np.asarray(np.clip(contact / friction.coulomb_nm, -1.0, 1.0))
 
 
-def abscissa(scenes: Sequence[Scene], axis: Axis) -> list[Floats]:
+def abscissa(scenes: Sequence[Scene], axis: CurveAxis) -> list[Floats]:
     """Where on an axis the motion is, stretch by stretch: the lookup's own, from a curve that is the identity."""
     identity = {
         "kind": PLAIN, "scale": axis.scale, "of_current": axis.of_current, "count": 2.0,

@@ -35,7 +35,7 @@ from .base import (
     step_of,
 )
 from .curves import curve_columns
-from .rows import Rows, Stretch
+from .rows import DiagnosisRows, DiagnosisStretch
 from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes_of
 
 Floats = npt.NDArray[np.float64]
@@ -56,8 +56,8 @@ PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so man
 class Data(NamedTuple):
     """What a fit is made on."""
 
-    stretches: Sequence[Stretch]
-    rows: Rows
+    stretches: Sequence[DiagnosisStretch]
+    rows: DiagnosisRows
     weight: Floats  # (m,) one over the level of noise; 0: not kept
     runs: int
     start: Floats  # base parameters where the fits begin; the centre of the prior

@@ -31,7 +31,7 @@ LONGEST_SAMPLES = 20  # between command and measured current
 FINENESS = 2  # delays tried a sample
 
 
-class Reference(NamedTuple):
+class ReferenceAxis(NamedTuple):
     """The axis by the first rungs of the ladder."""
 
     inertia_nm_s2_per_rev: float
@@ -48,13 +48,13 @@ class Reference(NamedTuple):
         """Rms torque of what is too small to be an effect, and of what may hide behind every parameter."""
         return NEGLIGIBLE * self.needed_nm
 
-    def and_then(self, later: Reference) -> Reference:
+    def and_then(self, later: ReferenceAxis) -> ReferenceAxis:
         """The axis of later rungs: what they changed of the inertia, the data do not determine."""
         change = abs(float(np.log(later.inertia_nm_s2_per_rev / self.inertia_nm_s2_per_rev)))
         return later._replace(inertia_sd=max(later.inertia_sd, change))
 
     @classmethod
-    def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> Reference:
+    def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> ReferenceAxis:
         """From a fit of the first rungs."""
         sd = standard_deviations(data, fitted, matrix)[BASE.index("inertia_nm_s2_per_rev")]
         inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
@@ -88,7 +88,7 @@ def needed_rms_nm(data: Data, fitted: Fitted) -> float:
     return float(np.sqrt(np.mean(needed_rows(data, fitted)[data.used] ** 2)))
 
 
-def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
+def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
     """Why the last effect of a model is not believed; empty where nothing speaks against it."""
     effect = fitted.effects[-1]
     reason = misshapen(data, fitted, reference, ablate)
@@ -103,7 +103,7 @@ def objection(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
     return ""
 
 
-def misshapen(data: Data, fitted: Fitted, reference: Reference | None, ablate: frozenset[str]) -> str:
+def misshapen(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
     """Why no machine is like a model: an effect of a shape that none has, or an axis that shrinks."""
     for effect in () if "shapes" in ablate else fitted.effects:
         reason = _shape_objection(data, effect)
@@ -116,7 +116,7 @@ def misshapen(data: Data, fitted: Fitted, reference: Reference | None, ablate: f
     return shrinking(data, fitted, reference)
 
 
-def shrinking(data: Data, fitted: Fitted, reference: Reference | None) -> str:
+def shrinking(data: Data, fitted: Fitted, reference: ReferenceAxis | None) -> str:
     """How a model buys its error with another axis than that of the first rungs; empty where it does not."""
     if reference is None:
         return ""

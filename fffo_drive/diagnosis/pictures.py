@@ -12,11 +12,10 @@ import numpy.typing as npt
 from ..identification.criterion import clipped
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .curves import Axis as FreeAxis
-from .curves import abscissa
+from .curves import CurveAxis, abscissa
 from .fitting import Data, Fitted, consistent_scenes
-from .results import Ceiling, Curve, Picture, RunFigure
-from .rows import Rows, Stretch
+from .results import Ceiling, FoundCurve, Picture, RunFigure
+from .rows import DiagnosisRows, DiagnosisStretch
 from .scenes import Effect, Scene, load_rows
 
 Floats = npt.NDArray[np.float64]
@@ -61,7 +60,7 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
     before = fitted.residual_nm + load
     edges = _edges(place.values[kept])
-    curves: list[Curve] = []
+    curves: list[FoundCurve] = []
     for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
         bins = np.clip(np.searchsorted(edges, place.values[rows], side="right") - 1, 0, edges.size - 2)
         window = data.rows.folds.window[rows]
@@ -70,9 +69,11 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
         clouds = [("without the effect", before), ("with it", fitted.residual_nm)][: 1 if where else 2]
         for label, values in clouds:
             mean, reach = _interval(values[rows], bins, window, edges.size - 1)
-            curves.append(Curve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points"))
+            curves.append(
+                FoundCurve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points")
+            )
         says = _means(load[rows], bins, edges.size - 1)[shown]
-        curves.append(Curve("what the effect says" + where, x, says, kind="line"))
+        curves.append(FoundCurve("what the effect says" + where, x, says, kind="line"))
     return Picture(
         title=f"{effect.name} over {place.label}",
         x_label=place.label,
@@ -91,7 +92,7 @@ def _shares(
     word = across_word(effect.shapes)
     if not word:
         return [("", kept)]
-    across = FreeAxis(across_axis(effect.shapes), PLAIN, effect.shapes["across_scale"])
+    across = CurveAxis(across_axis(effect.shapes), PLAIN, effect.shapes["across_scale"])
     at = np.concatenate([part[::step] for part in abscissa(scenes, across)])[kept]
     levels = np.array([effect.shapes[f"z{k:02d}"] for k in range(int(effect.shapes["levels"]))])
     nearest = np.argmin(np.abs(at[:, None] - levels), axis=1)
@@ -143,7 +144,7 @@ def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floa
             np.gradient(s.commanded_thinned, s.stretch.law_period_s) * s.axis.torque_constant_nm_per_a for s in scenes
         ]
         return np.concatenate([rows.laws.rows(part) for part in torque])
-    own = FreeAxis(word, 0.0, MEMORY_S if word == "memory" and scale <= 0.0 else scale)
+    own = CurveAxis(word, 0.0, MEMORY_S if word == "memory" and scale <= 0.0 else scale)
     found = np.concatenate([part[::step] for part in abscissa(scenes, own)])
     if word in LOGARITHMIC:
         return np.asarray(np.log10(np.maximum(found, SMALLEST_TRAVEL_REV)))
@@ -241,7 +242,9 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
     return Ceiling(repeatable / max(whole, 1e-300), repeats, noise**0.5, share, note)
 
 
-def _repeats(stretch: Stretch, bounds: tuple[int, int], rows: Rows) -> list[tuple[Integers, Integers]]:
+def _repeats(
+    stretch: DiagnosisStretch, bounds: tuple[int, int], rows: DiagnosisRows
+) -> list[tuple[Integers, Integers]]:
     """Pairs of equally long ranges of rows of one stretch whose references are the same."""
     if stretch.reference_rps is None:
         return []

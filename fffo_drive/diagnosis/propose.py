@@ -21,7 +21,7 @@ from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
 from .base import NAMES
-from .curves import Curve, Pair, coarse_tables, curves, fine_table, kind_of_curve
+from .curves import Curve, CurvePair, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
 from .rows import HIGHEST_ORDER, SLOW_QUANTILE
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
@@ -264,7 +264,7 @@ class Search:
         pairs = list(in_threads(lambda one: _beyond(data, evidence, one), coarse))
         best = [pair for pair, _ in ranked(pairs, key=lambda item: -item[1])[:TABLES]]
 
-        def proposed(pair: Pair) -> Proposal | None:
+        def proposed(pair: CurvePair) -> Proposal | None:
             fine = fine_table(data.rows, scenes, pair)
             return None if fine is None else self._of_curve(data, evidence, fine)
 
@@ -282,7 +282,7 @@ class Search:
         return proposal(data, curve.name, kind_of_curve(curve), curve.shapes, columns, scored)
 
 
-def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[Pair, float]:
+def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[CurvePair, float]:
     """The axes of a coarse table, and what it explains beyond its two curves."""
     assert curve.beside is not None
     assert curve.pair is not None

@@ -55,7 +55,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Curve:
+class FoundCurve:
     """A line or a cloud of binned means of a picture, (n,) each."""
 
     label: str
@@ -75,7 +75,7 @@ class Picture:
     x_unit: str
     y_label: str
     y_unit: str
-    curves: tuple[Curve, ...]
+    curves: tuple[FoundCurve, ...]
     note: str = ""
 
 
@@ -139,7 +139,7 @@ class RunFigure:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ResidualChannel:
     """Where the residual lives: what a free curve over one axis explains of it, before and after."""
 
     name: str  # an axis word, or an event such as break_away
@@ -193,7 +193,7 @@ class Diagnosis:
     fit_before: ErrorFigures
     fit_after: ErrorFigures
     ceiling: Ceiling
-    channels: tuple[Channel, ...]
+    channels: tuple[ResidualChannel, ...]
     runs: tuple[RunFigure, ...]
     model_before: ModelFile
     model_after: ModelFile | None  # None: nothing was found that carries over

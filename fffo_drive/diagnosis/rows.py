@@ -148,7 +148,7 @@ def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
     return wanted_hz
 
 
-class Stretch(NamedTuple):
+class DiagnosisStretch(NamedTuple):
     """One stretch of a record without a gap: sensors and command at its own rate, (n,); motion at the laws', (l,)."""
 
     run: int
@@ -181,7 +181,7 @@ class Stretch(NamedTuple):
         return round(self.law_period_s / self.period_s)
 
 
-def stretches_of(records: Sequence[Record], filter_: Filter) -> list[Stretch]:
+def stretches_of(records: Sequence[Record], filter_: Filter) -> list[DiagnosisStretch]:
     """All stretches that are long enough, in the order of the records."""
     return [
         _stretch(number, record, part, round(filter_.law_period_s / filter_.period_s))
@@ -191,7 +191,7 @@ def stretches_of(records: Sequence[Record], filter_: Filter) -> list[Stretch]:
     ]
 
 
-def _stretch(number: int, record: Record, part: slice, thin: int) -> Stretch:
+def _stretch(number: int, record: Record, part: slice, thin: int) -> DiagnosisStretch:
     origin = record.position_rev[part.start]
     period_s = record.period_s
     position = np.ascontiguousarray(record.position_rev[part])
@@ -210,7 +210,7 @@ def _stretch(number: int, record: Record, part: slice, thin: int) -> Stretch:
     def slow(values: Floats) -> Floats:
         return np.ascontiguousarray(values[::thin])
 
-    return Stretch(
+    return DiagnosisStretch(
         number, record.name, record.begin_s + part.start * period_s, period_s, record.torque_constant_nm_per_a,
         record.lsb_rev, position, np.ascontiguousarray(record.current_a[part]), cut(record.measured_current_a),
         cut(record.reference_rps), thin * period_s, slow(smooth), slow(velocity), slow(acceleration), slow(path),
@@ -219,7 +219,7 @@ def _stretch(number: int, record: Record, part: slice, thin: int) -> Stretch:
     )  # fmt: skip
 
 
-class Rows(NamedTuple):
+class DiagnosisRows(NamedTuple):
     """What the rows of all stretches are, joined; (m,) each."""
 
     filter: Filter  # for signals at the record's rate
@@ -243,7 +243,7 @@ class Rows(NamedTuple):
         return float(np.ptp(self.position_rev))
 
 
-def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
+def rows_of(stretches: Sequence[DiagnosisStretch], filter_: Filter) -> DiagnosisRows:
     """Labels and kinematics of the rows."""
     laws = filter_.thinned()
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
@@ -269,7 +269,7 @@ def rows_of(stretches: Sequence[Stretch], filter_: Filter) -> Rows:
         bounds.append((begin, begin + count))
         begin += count
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return Rows(filter_, laws, tuple(bounds), folds=folds_of(bounds, filter_.row_period_s), **joined)
+    return DiagnosisRows(filter_, laws, tuple(bounds), folds=folds_of(bounds, filter_.row_period_s), **joined)
 
 
 def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:

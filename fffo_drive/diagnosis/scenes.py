@@ -21,7 +21,7 @@ from ..model.effects.registry import law_of
 from ..model.effects.table import Term, effects_along
 from .base import Along, axis_config
 from .kernels import contact_levels, wave_rows
-from .rows import Rows, Stretch, second_difference
+from .rows import DiagnosisRows, DiagnosisStretch, second_difference
 
 Floats = npt.NDArray[np.float64]
 Factors = dict[str, Floats]  # what waves are times, by kind: the same for all orders
@@ -79,7 +79,7 @@ class Scene(NamedTuple):
     explains itself: little of the motion may lie there.
     """
 
-    stretch: Stretch
+    stretch: DiagnosisStretch
     motion: Floats  # (n, slots.N_MOTION), with the model's torque
     commanded: Floats  # current as commanded, at the rate of the record
     axis: AxisConfig
@@ -92,7 +92,7 @@ class Scene(NamedTuple):
 
 
 def scenes_of(
-    stretches: Sequence[Stretch], physical: Floats, models: Sequence[Along],
+    stretches: Sequence[DiagnosisStretch], physical: Floats, models: Sequence[Along],
     loads_nm: Sequence[Floats] | None = None,
 ) -> list[Scene]:  # fmt: skip
     """Motion of all stretches under these base parameters; `loads_nm` are the torques of accepted effects along them.
@@ -161,7 +161,7 @@ def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
     return thinned(load_nm, thin)
 
 
-def load_rows(rows: Rows, scenes: Sequence[Scene], effect: Effect) -> Floats:
+def load_rows(rows: DiagnosisRows, scenes: Sequence[Scene], effect: Effect) -> Floats:
     """What an effect adds to the torque residual at all rows. (m,)"""
     if not in_closed_form(rows, effect.name, effect.shapes):
         parts = [load_along(scene, effect.name, effect.values(scene.stretch.run)) for scene in scenes]
@@ -179,7 +179,7 @@ def load_rows(rows: Rows, scenes: Sequence[Scene], effect: Effect) -> Floats:
     return found
 
 
-def in_closed_form(rows: Rows, name: str, shapes: Mapping[str, float]) -> bool:
+def in_closed_form(rows: DiagnosisRows, name: str, shapes: Mapping[str, float]) -> bool:
     """Whether a wave's column is made in closed form: that of friction, where its kernel would have too few samples."""
     wave = law_of(name).wave
     if wave != "friction":
@@ -194,7 +194,7 @@ def wave_order(shapes: Mapping[str, float]) -> float:
 
 
 def wave_columns(
-    rows: Rows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
+    rows: DiagnosisRows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
 ) -> Floats:
     """Cosine and sine of a wave at the rows, per unit of strength, as the filter leaves them. (m, 2)
 
@@ -213,7 +213,7 @@ def wave_columns(
     return found
 
 
-def wave_factor(rows: Rows, scenes: Sequence[Scene], wave: str) -> Floats:
+def wave_factor(rows: DiagnosisRows, scenes: Sequence[Scene], wave: str) -> Floats:
     """What a wave is times: one, the model's torque, or the friction without its viscous part. (m,)"""
     if wave == "torque":
         return np.concatenate([rows.laws.rows(_torque_nm(scene)) for scene in scenes])
@@ -240,7 +240,7 @@ class Columns(NamedTuple):
 
 
 def strength_columns(
-    rows: Rows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
+    rows: DiagnosisRows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
 ) -> Columns:
     """Regressors of a law at a shape, strength by strength, one datum in all runs."""
     law = law_of(name)
@@ -259,7 +259,7 @@ def strength_columns(
     return Columns(tuple(found), (-1,) * len(found), values)
 
 
-def with_datum(columns: Columns, name: str, rows: Rows) -> Columns:
+def with_datum(columns: Columns, name: str, rows: DiagnosisRows) -> Columns:
     """The same with a datum of its own in each run."""
     names, runs, values = [], [], []
     for label, column in zip(columns.names, columns.values.T, strict=True):

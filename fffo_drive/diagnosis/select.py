@@ -39,7 +39,7 @@ from .fitting import (
     unseen,
     with_levels,
 )
-from .gates import Reference, misshapen, objection
+from .gates import ReferenceAxis, misshapen, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect, load_rows, strength_columns
 
@@ -140,7 +140,7 @@ class Selector:
         self.visited: set[tuple[tuple[str, ...], ...]] = {()}
         self.first: tuple[Proposal, ...] = ()
         self.first_p = 1.0
-        self.reference: Reference | None = None
+        self.reference: ReferenceAxis | None = None
         self.ladder: Fitted | None = None
         self.inertia_ratios: tuple[float, ...] = ()
 
@@ -148,7 +148,7 @@ class Selector:
         """Up the ladder, then all that are left in free competition. `data` as they start."""
         whole = data
         data, standing, accepted = self._ladder(data)
-        self.reference = Reference.of(data, standing.fitted, standing.matrix)
+        self.reference = ReferenceAxis.of(data, standing.fitted, standing.matrix)
         for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
             while len(accepted) < MOST_EFFECTS:
                 self.told((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
@@ -159,7 +159,7 @@ class Selector:
                 data, standing = self._freed(whole, *found[:2])
             if rung == WAVE_RUNG:
                 self.ladder = standing.fitted
-                self.reference = self.reference.and_then(Reference.of(data, standing.fitted, standing.matrix))
+                self.reference = self.reference.and_then(ReferenceAxis.of(data, standing.fitted, standing.matrix))
         data, standing, accepted = self._pruned(data, standing, accepted, refit=True)
         plain = base_of(data)
         assert self.ladder is not None

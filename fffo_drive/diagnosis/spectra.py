@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from ..identification.ranking import ranked
-from .rows import Rows
+from .rows import DiagnosisRows
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Peak(NamedTuple):
     strength: float  # power over its neighbourhood's level
 
 
-def order_peaks(rows: Rows, values: Floats, count: int, highest: float = HIGHEST_ORDER) -> list[Peak]:
+def order_peaks(rows: DiagnosisRows, values: Floats, count: int, highest: float = HIGHEST_ORDER) -> list[Peak]:
     """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
     turns = rows.turns
     if turns * highest < LEAST_PERIODS:
@@ -48,7 +48,7 @@ def order_peaks(rows: Rows, values: Floats, count: int, highest: float = HIGHEST
     return _peaks(orders, power, count, least=1.0 / turns)
 
 
-def slow_orders(rows: Rows, values: Floats) -> tuple[float, ...]:
+def slow_orders(rows: DiagnosisRows, values: Floats) -> tuple[float, ...]:
     """The largest order of each band below SLOWEST_LINE.
 
     No line stands out there, where all else that a base lacks has its spectrum: what the order explains decides.
@@ -59,7 +59,7 @@ def slow_orders(rows: Rows, values: Floats) -> tuple[float, ...]:
     return tuple(_slow_peaks(*order_spectrum(rows, values, turns, HIGHEST_ORDER), 1.5 / turns))
 
 
-def order_spectrum(rows: Rows, values: Floats, turns: float, highest: float) -> tuple[Floats, Floats]:
+def order_spectrum(rows: DiagnosisRows, values: Floats, turns: float, highest: float) -> tuple[Floats, Floats]:
     """Orders up to the highest, and the power of each, the mean over the runs."""
     bins_per_turn = BINS_A_PERIOD * highest
     length = min(LONGEST_BINS, 1 << (math.ceil(2.0 * turns * bins_per_turn) - 1).bit_length())
@@ -106,7 +106,7 @@ def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[float]:
     return found
 
 
-def frequency_peaks(rows: Rows, values: Floats, count: int) -> list[Peak]:
+def frequency_peaks(rows: DiagnosisRows, values: Floats, count: int) -> list[Peak]:
     """Strongest frequencies of values (m,) over time."""
     period_s = rows.filter.row_period_s
     longest = max(end - begin for begin, end in rows.bounds)

@@ -21,7 +21,7 @@ from ..identification.regression import TorqueStart, start_problems
 from ..identification.threads import in_threads
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
-from .rows import Rows, Stretch
+from .rows import DiagnosisRows, DiagnosisStretch
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
     return Regression(values, float(np.mean(weight * left * left)), level)
 
 
-def rigid_start(stretches: Sequence[Stretch], rows: Rows) -> tuple[TorqueStart, float]:
+def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> tuple[TorqueStart, float]:
     """J, friction, delay, a falling Stribeck curve where there is one; and the level of what is left, Nm."""
     used = np.flatnonzero(rows.kept)
     if used.size < 2 * len(DELAYS_S):
@@ -91,7 +91,11 @@ def rigid_start(stretches: Sequence[Stretch], rows: Rows) -> tuple[TorqueStart, 
 
 
 def starting_data(
-    facts: DriveFacts, stretches: Sequence[Stretch], rows: Rows, runs: int, physical: Floats | None = None
+    facts: DriveFacts,
+    stretches: Sequence[DiagnosisStretch],
+    rows: DiagnosisRows,
+    runs: int,
+    physical: Floats | None = None,
 ) -> Data:
     """Data with the parameters to begin with, and one level of noise: that of the regression with its wave.
 
@@ -107,7 +111,7 @@ def starting_data(
     return Data(balanced(stretches, physical), rows, weight, runs, physical)
 
 
-def _physical(start: TorqueStart, stretches: Sequence[Stretch], rows: Rows) -> Floats:
+def _physical(start: TorqueStart, stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> Floats:
     """What the regression has not, presliding and its lag, from a grid."""
     lsb_rev = max(stretch.lsb_rev for stretch in stretches)
     candidates = [

@@ -17,7 +17,7 @@ LEVEL = 0.95
 RESAMPLES = 10_000
 
 
-class Interval(NamedTuple):
+class SeedInterval(NamedTuple):
     """A figure and its 95 % interval; both ends NaN with a single seed."""
 
     value: float
@@ -25,37 +25,37 @@ class Interval(NamedTuple):
     high: float
 
 
-def mean_interval(values: Floats) -> Interval:
+def mean_interval(values: Floats) -> SeedInterval:
     """Mean of independent values (n,) with Student's interval."""
     mean = float(values.mean())
     if values.size < 2:
-        return Interval(mean, float("nan"), float("nan"))
+        return SeedInterval(mean, float("nan"), float("nan"))
     half = float(student_t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
-    return Interval(mean, mean - half, mean + half)
+    return SeedInterval(mean, mean - half, mean + half)
 
 
-def ratio_interval(values: Floats, others: Floats) -> Interval:
+def ratio_interval(values: Floats, others: Floats) -> SeedInterval:
     """Ratio of the means of paired values (n,), with the percentile interval of resampled seeds."""
     total = float(others.mean())
     if total == 0.0:
-        return Interval(float("nan"), float("nan"), float("nan"))
+        return SeedInterval(float("nan"), float("nan"), float("nan"))
     ratio = float(values.mean()) / total
     if values.size < 2:
-        return Interval(ratio, float("nan"), float("nan"))
+        return SeedInterval(ratio, float("nan"), float("nan"))
     draws = np.random.default_rng(0).integers(0, values.size, (RESAMPLES, values.size))
     with np.errstate(divide="ignore", invalid="ignore"):  # a draw in which the other one is zero throughout
         ratios = values[draws].mean(axis=1) / others[draws].mean(axis=1)
     if not np.isfinite(ratios).all():
-        return Interval(ratio, float("nan"), float("nan"))
+        return SeedInterval(ratio, float("nan"), float("nan"))
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    return Interval(ratio, float(low), float(high))
+    return SeedInterval(ratio, float(low), float(high))
 
 
 class MetricComparison(NamedTuple):
     """One metric of all controllers, by name."""
 
-    absolute: dict[str, Interval]
-    percent: dict[str, Interval]  # of `base`, as Table II has it
+    absolute: dict[str, SeedInterval]
+    percent: dict[str, SeedInterval]  # of `base`, as Table II has it
     base: str
 
 
@@ -71,5 +71,5 @@ def compare_metric(values: dict[str, Floats], base: str | None = None) -> Metric
     percent = {}
     for name, own in values.items():
         ratio = ratio_interval(own, values[base])
-        percent[name] = Interval(100.0 * ratio.value, 100.0 * ratio.low, 100.0 * ratio.high)
+        percent[name] = SeedInterval(100.0 * ratio.value, 100.0 * ratio.low, 100.0 * ratio.high)
     return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, base)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..drive.simulated.effects.registry import EFFECTS
 from ..drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig
-from ..drive.simulated.surfaces import FrictionConfig, Surface
+from ..drive.simulated.surfaces import PlantFriction, Surface
 
 SPREAD = 0.3  # of the numbers of the axis
 DELAY_S = (0.001, 0.005)
@@ -120,7 +120,7 @@ def _fast_enough(resolver: ResolverConfig, delay_s: float) -> ResolverConfig:
     return replace(resolver, tracking_hz=2000.0 if delay_s < 0.0022 else resolver.tracking_hz)
 
 
-def _friction(law: str, nominal: FrictionConfig, rng: np.random.Generator, spread: float = SPREAD) -> FrictionConfig:
+def _friction(law: str, nominal: PlantFriction, rng: np.random.Generator, spread: float = SPREAD) -> PlantFriction:
     level, rise, velocity, stiffness, memory, viscous = (_factor(rng, spread) for _ in range(6))
     coulomb_nm, viscous_nm_per_rps = 0.025 * level, 0.003 * viscous
     if law == "2SEP":

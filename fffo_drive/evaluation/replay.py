@@ -68,7 +68,7 @@ from ..runtime.tick import (
     FLAG_LOOP_BEGAN,
     FLAG_NOT_OPERATIONAL,
     FLAG_REBOOT,
-    Law,
+    LawOutput,
     give_adapted,
     learn,
     terms_of_current,
@@ -278,7 +278,7 @@ def replay_into(
                 controller = with_limited(controller, True)
             adapted_nm = adapted.torque_nm
             if moves:
-                _, learned = learn(config, learned, adapted, Law(MODE_VELOCITY, reference, terms), controller)
+                _, learned = learn(config, learned, adapted, LawOutput(MODE_VELOCITY, reference, terms), controller)
             if limited:
                 limits |= LIMIT_CONTROLLER
             if found != TRIP_NONE and trip == TRIP_NONE and resetting == 0:

@@ -26,7 +26,7 @@ from ..control.envelope import (
 from ..control.reference import MODE_VELOCITY
 from ..control.set_point import SET_POINT_SIZE
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from ..recording.run_records import Kind, RunRecord
+from ..recording.run_records import RecordKind, RunRecord
 from ..runtime.records import block_of, effects_of, envelope_of, period_s_of, set_point_of
 from ..runtime.tick import (
     FLAG_BUS_OFF,
@@ -51,7 +51,7 @@ LIMITED = COMMANDS.index("limited_a")
 TRIP = WORDS.index("trip")
 
 
-class Law(NamedTuple):
+class ReplayedLaw(NamedTuple):
     """One law for all rows: another one than recorded, or that of a recording which does not name its blocks."""
 
     parameters: Floats  # (CONTROLLER_BLOCK_SIZE,)
@@ -106,13 +106,13 @@ class ReplayReport(NamedTuple):
 class Replayer:
     """Takes recordings one by one, in the order in which they were written."""
 
-    def __init__(self, instead: Law | None = None) -> None:
+    def __init__(self, instead: ReplayedLaw | None = None) -> None:
         """`instead`: a law to run on the recorded data in place of those that were in use."""
         self._instead = instead
         self._sessions: dict[str, _Session] = {}
         self._sum = _Sums()
 
-    def take(self, recorded: Rows, records: Iterable[RunRecord], fallback: Law | None = None) -> Replayed:
+    def take(self, recorded: Rows, records: Iterable[RunRecord], fallback: ReplayedLaw | None = None) -> Replayed:
         """Replay the rows and records of a file. `fallback`: the law of one that does not name its blocks.
 
         Raises ValueError for a recording that needs one and has none, or whose blocks are of other parameters.
@@ -146,7 +146,7 @@ class Replayer:
 def session_id(records: Iterable[RunRecord]) -> str | None:
     """Which session records are of; None where they do not say."""
     for record in records:
-        if record.kind == Kind.SESSION:
+        if record.kind == RecordKind.SESSION:
             return str(record.data["session"])
     return None
 
@@ -182,7 +182,7 @@ def as_current(rows: Rows) -> Rows:
 class _Session:
     """Blocks and memory of one session."""
 
-    def __init__(self, name: str, law: Law | None = None) -> None:
+    def __init__(self, name: str, law: ReplayedLaw | None = None) -> None:
         self.name = name
         self._replay = Replay()
         self._envelope = law.envelope if law else None
@@ -201,23 +201,23 @@ class _Session:
     def learn(self, records: tuple[RunRecord, ...]) -> None:
         """Blocks that a file tells of."""
         for record in records:
-            if record.kind == Kind.SESSION:
+            if record.kind == RecordKind.SESSION:
                 self._envelope = envelope_of(record)
                 self._period_s = period_s_of(record)
-            elif record.kind == Kind.PARAMETERS and record.number not in self._parameters_at:
+            elif record.kind == RecordKind.PARAMETERS and record.number not in self._parameters_at:
                 self._parameters_at[record.number] = len(self._parameters)
                 self._parameters.append(block_of(record))
                 self.models[record.number] = str(record.data.get("model", ""))
-            elif record.kind == Kind.EFFECTS and record.number not in self._effects_at:
+            elif record.kind == RecordKind.EFFECTS and record.number not in self._effects_at:
                 self._effects_at[record.number] = len(self._effects)
                 self._effects.append(effects_of(record))
-            elif record.kind == Kind.SET_POINT and record.number not in self._set_points_at:
+            elif record.kind == RecordKind.SET_POINT and record.number not in self._set_points_at:
                 self._set_points_at[record.number] = len(self._set_points)
                 self._set_points.append(set_point_of(record))
-            elif record.kind == Kind.PROFILE:
+            elif record.kind == RecordKind.PROFILE:
                 self._profiles[record.number] = record
 
-    def replay(self, rows: Rows, instead: Law | None) -> Replayed:
+    def replay(self, rows: Rows, instead: ReplayedLaw | None) -> Replayed:
         """The next rows."""
         if instead is not None:
             law = law_in_force([instead.parameters], [instead.effects], instead.envelope)

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from ..recording.errors import RecordingError
 from ..recording.load import read_log
 from ..recording.reader import Run
-from ..recording.table import SUFFIXES, Table, read_table
+from ..recording.table import SUFFIXES, LogTable, read_table
 from .facts import DriveFacts
-from .gaps import Timing, mended
+from .gaps import LogTiming, mended
 from .timebase import at_lower_rate, on_even_grid
 
 Floats = npt.NDArray[np.float64]
@@ -105,13 +105,13 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     """
     path = Path(path)
     if path.name.endswith(RECORDINGS):
-        log: Run | Table = read_log(path)
+        log: Run | LogTable = read_log(path)
     else:
         log = read_table(path, facts.column_map(), uneven_time=True)
     columns: dict[str, Floats] = {
         name: np.ascontiguousarray(log.columns[name], dtype=np.float64) for name in TAKEN if name in log.columns
     }
-    warnings = list(log.warnings) if isinstance(log, Table) else ([log.reason] if log.reason else [])
+    warnings = list(log.warnings) if isinstance(log, LogTable) else ([log.reason] if log.reason else [])
     fresh = None
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
@@ -220,7 +220,7 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
     names = ("tick", "velocity_age", "lateness_ns")
     if part.stop - part.start < 2 or any(name not in run.columns for name in names):
         return kept, None, ""
-    timing = Timing(*(run.columns[name][part].astype(np.int64) for name in names))
+    timing = LogTiming(*(run.columns[name][part].astype(np.int64) for name in names))
     whole = mended(kept, timing, float(np.median(np.diff(kept["time_s"]))))
     if not whole.filled:
         return whole.columns, None, ""

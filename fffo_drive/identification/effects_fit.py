@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..model.effects.table import Term
 from ..model.parameters import EffectModel, effect_model
 from .coordinates import MODEL_PARAMETERS, NUISANCES, PARAMETERS, Coordinates, coordinates, to_coordinates, to_physical
-from .layout import SHARED, EffectLayout, EffectStart, Scales, layout_of
+from .layout import SHARED, EffectLayout, EffectScales, EffectStart, layout_of
 from .prediction import Problem, jacobian
 from .solver import Solution, solve
 from .uncertainty import Uncertainty, uncertainty_of
@@ -78,12 +78,12 @@ class EffectsFit(NamedTuple):
         return [effect.term(run) for effect in self.effects]
 
 
-def scales_of(problem: Problem, physical: Floats) -> Scales:
+def scales_of(problem: Problem, physical: Floats) -> EffectScales:
     """Sizes of the data of a problem."""
     period_s = problem.shooting.period_s
     span = max(1, round(0.01 / period_s))
     speed = max(float(np.abs(s.position_rev[span:] - s.position_rev[:-span]).max()) for s in problem.stretches)
-    return Scales(
+    return EffectScales(
         max(float(physical[COULOMB]), float(physical[STATIC])),
         speed / (span * period_s),
         max(float(np.ptp(s.position_rev)) for s in problem.stretches),
@@ -147,7 +147,7 @@ def fit_effects(
     return EffectsFit(found, fitted, errors, matrix, movable, joint, space, solution, uncertainty)
 
 
-def _revived(start: Floats, scales: Scales) -> Floats:
+def _revived(start: Floats, scales: EffectScales) -> Floats:
     """The start with friction that a fit without the effects had driven out."""
     revived = start.copy()
     least_nm = LEAST_SHARE * scales.torque_nm

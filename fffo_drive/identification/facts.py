@@ -12,13 +12,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from .. import formats
-from ..documents import Record, load
-from ..recording.column_map import Column, ColumnMap
+from ..documents import StrictRecord, load
+from ..recording.column_map import ColumnMap, MappedColumn
 
 Count = Annotated[int, Field(ge=1, le=10_000)]
 
 
-class ColumnFact(Record):
+class ColumnFact(StrictRecord):
     """One column of a foreign log."""
 
     column: Annotated[str, Field(description="its name in the file")]
@@ -27,7 +27,7 @@ class ColumnFact(Record):
     offset: Annotated[float, Field(description="added after the scale")] = 0.0
 
 
-class DriveFacts(Record):
+class DriveFacts(StrictRecord):
     """What is declared about the drive."""
 
     format: Annotated[str, formats.FACTS.key] = formats.FACTS.word
@@ -73,9 +73,9 @@ class DriveFacts(Record):
         if self.columns is None:
             return None
         entries = [
-            Column(fact, signal)
+            MappedColumn(fact, signal)
             if isinstance(fact, str)
-            else Column(fact.column, signal, fact.unit, fact.scale, fact.offset)
+            else MappedColumn(fact.column, signal, fact.unit, fact.scale, fact.offset)
             for signal, fact in self.columns.items()
         ]
         timed = "time_s" in self.columns

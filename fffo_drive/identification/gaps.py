@@ -24,7 +24,7 @@ Integers = npt.NDArray[np.int64]
 LONGEST_FILL_S = 0.01
 
 
-class Timing(NamedTuple):
+class LogTiming(NamedTuple):
     """How the ticks of a record went, (n,) each."""
 
     tick: Integers  # number of the period, rising
@@ -45,7 +45,7 @@ class Mended(NamedTuple):
         return int(np.count_nonzero(~self.fresh))
 
 
-def mended(columns: dict[str, Floats], timing: Timing, period_s: float) -> Mended:
+def mended(columns: dict[str, Floats], timing: LogTiming, period_s: float) -> Mended:
     """The columns (n,) each on whole periods, `time_s` with a step where a gap stays. A sound record stays as it is.
 
     `time_s`, `current_command_a`, `position_rev` and `velocity_rps` are needed; other columns are interpolated.

@@ -19,7 +19,7 @@ FILLED_SHARE = 0.1  # of a filtered row's weight that may lie on samples which w
 SPEED_FLOOR_LSB = 3.0  # a speed below this many counts in the filter's memory has no sure sign
 
 
-class Motion(NamedTuple):
+class Kinematics(NamedTuple):
     """Kinematics of one stretch without a gap; (n,) each."""
 
     period_s: float
@@ -43,14 +43,14 @@ def central_difference(values: Floats, period_s: float) -> Floats:
     return np.asarray(np.gradient(values, period_s))
 
 
-def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Motion:
+def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Kinematics:
     """Filtered position of a stretch and its two derivatives."""
     origin = record.position_rev[part.start]
     position_rev = low_pass(record.position_rev[part] - origin, cutoff_hz, record.period_s) + origin
     velocity_rps = central_difference(position_rev, record.period_s)
     acceleration_rps2 = central_difference(velocity_rps, record.period_s)
     floor_rps = SPEED_FLOOR_LSB * record.lsb_rev * cutoff_hz
-    return Motion(record.period_s, position_rev, velocity_rps, acceleration_rps2, floor_rps)
+    return Kinematics(record.period_s, position_rev, velocity_rps, acceleration_rps2, floor_rps)
 
 
 def trusted(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Mask:
@@ -73,7 +73,7 @@ def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: flo
     return record.torque_constant_nm_per_a * low_pass(mean_a, cutoff_hz, record.period_s)
 
 
-def sure_direction(motion: Motion) -> Floats:
+def sure_direction(motion: Kinematics) -> Floats:
     """Sign of the motion under way, or of the last one that is sure; 0 where none ever was. (n,)"""
     direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
     sure = np.flatnonzero(direction)
@@ -84,7 +84,7 @@ def sure_direction(motion: Motion) -> Floats:
     )
 
 
-def travel_since_reversal_rev(motion: Motion) -> Floats:
+def travel_since_reversal_rev(motion: Kinematics) -> Floats:
     """Distance gone since the last sure change of direction; 0 where the motion is never sure. (n,)"""
     held = sure_direction(motion)
     if not held.any():
@@ -96,7 +96,7 @@ def travel_since_reversal_rev(motion: Motion) -> Floats:
     return np.asarray(path - path[starts[index]])
 
 
-def sliding_mask(motion: Motion, travel_rev: float, margin_s: float) -> Mask:
+def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float) -> Mask:
     """Where the axis slides for sure: fast enough, far enough behind a reversal, not at the ends. (n,)"""
     mask = np.abs(motion.velocity_rps) > motion.speed_floor_rps
     mask &= travel_since_reversal_rev(motion) > travel_rev

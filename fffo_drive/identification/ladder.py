@@ -22,7 +22,7 @@ from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER
 from .layout import EffectStart
 from .regression import TorqueStart
-from .rows import CONSTANT, Rows, least_squares, rigid_columns, rows_at, stretches_of, turns_one_way
+from .rows import CONSTANT, RegressionRows, least_squares, rigid_columns, rows_at, stretches_of, turns_one_way
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,7 +42,7 @@ WAVE_PERIODS = 2.0  # a wave has to come back
 SAME_COLUMNS = 1e-4  # of a column's squared norm has to be left beside what is known
 
 
-class Candidate(NamedTuple):
+class EffectCandidate(NamedTuple):
     """Something that may act: an effect at one shape."""
 
     rung: int
@@ -53,10 +53,10 @@ class Candidate(NamedTuple):
     per_run: bool  # a phase for each run
 
 
-class Accepted(NamedTuple):
+class AcceptedEffect(NamedTuple):
     """A candidate that stands, with what speaks for it given all others."""
 
-    candidate: Candidate
+    candidate: EffectCandidate
     coefficients: Floats  # strengths; of each run where it has a phase for each
     gain: float  # nats on rows that the fit did not see
     gain_sd: float
@@ -76,7 +76,7 @@ class Accepted(NamedTuple):
 class Ladder(NamedTuple):
     """What was accepted, and the start of the fit with it."""
 
-    accepted: tuple[Accepted, ...]
+    accepted: tuple[AcceptedEffect, ...]
     start: TorqueStart
     tried: int
     cutoff_hz: float
@@ -85,7 +85,7 @@ class Ladder(NamedTuple):
 class _Bench(NamedTuple):
     """The rows, and what every model has."""
 
-    rows: Rows
+    rows: RegressionRows
     folds: Folds
     base: Floats  # (m, p) columns of the axis itself
     classes: npt.NDArray[np.int64]
@@ -107,7 +107,7 @@ def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | Non
     linear = facts is not None and facts.units == "linear"
     bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
     same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
-    chosen: list[Candidate] = []
+    chosen: list[EffectCandidate] = []
     tried = 0
     for rung in range(CONSTANT_TORQUE, CONSTANT_TORQUE + 2 if linear else WAVES + 1):
         while len(chosen) < MOST_EFFECTS:
@@ -160,32 +160,32 @@ def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float
     return _Bench(rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records)), cutoff_hz
 
 
-def _slow_rps(rows: Rows) -> float:
+def _slow_rps(rows: RegressionRows) -> float:
     return float(np.quantile(np.abs(rows.velocity_rps[rows.sliding]), SLOW_QUANTILE))
 
 
 def _on_rung(
-    bench: _Bench, rung: int, chosen: Sequence[Candidate], facts: DriveFacts | None, same_zero: bool
-) -> tuple[list[Candidate], int]:
+    bench: _Bench, rung: int, chosen: Sequence[EffectCandidate], facts: DriveFacts | None, same_zero: bool
+) -> tuple[list[EffectCandidate], int]:
     """What may still be tried on a rung, and how many there were to look at."""
     if rung == CONSTANT_TORQUE:
-        found = [Candidate(rung, "torque_offset", ("torque_nm",), {}, 0.0, False)]
+        found = [EffectCandidate(rung, "torque_offset", ("torque_nm",), {}, 0.0, False)]
     elif rung == DIRECTION_RUNG:
         found = [
-            Candidate(rung, "asymmetric_coulomb", ("share",), {}, 0.0, False),
-            Candidate(rung, "asymmetric_viscous", ("excess_nm_per_rps",), {}, 0.0, False),
+            EffectCandidate(rung, "asymmetric_coulomb", ("share",), {}, 0.0, False),
+            EffectCandidate(rung, "asymmetric_viscous", ("excess_nm_per_rps",), {}, 0.0, False),
         ]
     elif rung == GRAVITY:
         ratios = {1.0, (facts.gear_ratio if facts is not None else None) or 1.0}
         found = [
-            Candidate(rung, "unbalance", ("cos_nm", "sin_nm"), {"ratio": ratio}, 1.0 / ratio, per_run)
+            EffectCandidate(rung, "unbalance", ("cos_nm", "sin_nm"), {"ratio": ratio}, 1.0 / ratio, per_run)
             for ratio in sorted(ratios, reverse=True)
             for per_run in ((False,) if same_zero else (False, True))
         ]
     else:
         orders, looked_at = _orders(bench, chosen, facts)
         found = [
-            Candidate(rung, "cogging", ("cos_nm", "sin_nm"), {"order": order}, order, per_run)
+            EffectCandidate(rung, "cogging", ("cos_nm", "sin_nm"), {"order": order}, order, per_run)
             for order in orders
             for per_run in ((False,) if same_zero else (False, True))
         ]
@@ -206,7 +206,7 @@ def _passed(bench: _Bench, order: float, periods: float) -> bool:
     return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= periods
 
 
-def _orders(bench: _Bench, chosen: Sequence[Candidate], facts: DriveFacts | None) -> tuple[list[float], int]:
+def _orders(bench: _Bench, chosen: Sequence[EffectCandidate], facts: DriveFacts | None) -> tuple[list[float], int]:
     """Declared orders and those that stand out of a scan of whole ones; and how many were looked at."""
     slow_rps = max(_slow_rps(bench.rows), 1e-9)
     highest = min(HIGHEST_ORDER, int(bench.rows.cutoff_hz / slow_rps))
@@ -239,7 +239,7 @@ def _scanned(bench: _Bench, white: _Weighted, highest: int) -> Floats:
     return found
 
 
-def _columns(bench: _Bench, candidate: Candidate) -> Floats:
+def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
     """What the strengths of a candidate multiply. (m, strengths), or (m, runs x strengths)"""
     rows = bench.rows
     if candidate.name == "torque_offset":
@@ -256,7 +256,7 @@ def _columns(bench: _Bench, candidate: Candidate) -> Floats:
     return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])
 
 
-def _weighted(bench: _Bench, chosen: Sequence[Candidate]) -> _Weighted:
+def _weighted(bench: _Bench, chosen: Sequence[EffectCandidate]) -> _Weighted:
     """The model with what was chosen: its columns and the target, each row over the noise of its class of speed."""
     kept, torque_nm = bench.rows.sliding, bench.rows.torque_nm
     known = np.column_stack([bench.base, *(_columns(bench, one) for one in chosen)])
@@ -301,7 +301,9 @@ def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> flo
     return hotelling_p(sums, tried)
 
 
-def _best(bench: _Bench, chosen: Sequence[Candidate], candidates: Sequence[Candidate], tried: int) -> Candidate | None:
+def _best(
+    bench: _Bench, chosen: Sequence[EffectCandidate], candidates: Sequence[EffectCandidate], tried: int
+) -> EffectCandidate | None:
     """The candidate of a rung with the largest gain; of those that are as good the first with the fewest numbers."""
     white = _weighted(bench, chosen)
     without = unseen_loss(white.residual, white.known, bench.folds)
@@ -327,7 +329,7 @@ def _best(bench: _Bench, chosen: Sequence[Candidate], candidates: Sequence[Candi
     return min(family, key=lambda one: one[3])[0]
 
 
-def _given_others(bench: _Bench, chosen: Sequence[Candidate], k: int, tried: int) -> Accepted:
+def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, tried: int) -> AcceptedEffect:
     """What one of them is worth beside all others."""
     others = [one for j, one in enumerate(chosen) if j != k]
     white = _weighted(bench, others)
@@ -337,17 +339,17 @@ def _given_others(bench: _Bench, chosen: Sequence[Candidate], k: int, tried: int
     without = unseen_loss(white.residual, white.known, bench.folds)
     found = gain(without, unseen_loss(white.residual, whole, bench.folds), bench.folds, bench.rows.sliding)
     solution, _ = least_squares(whole, white.target)
-    return Accepted(
+    return AcceptedEffect(
         chosen[k], solution[white.known.shape[1] :], found.value, found.sd,
         _chance(bench, white, columns, tried), _explained(white, columns),
     )  # fmt: skip
 
 
-def _stands(one: Accepted) -> bool:
+def _stands(one: AcceptedEffect) -> bool:
     return one.gain > SDS * one.gain_sd and one.share > LEAST_SHARE and one.p <= LARGEST_P
 
 
-def _improved(bench: _Bench, chosen: Sequence[Candidate], start: TorqueStart) -> TorqueStart:
+def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueStart) -> TorqueStart:
     """The start of the fit with what was accepted beside it; as it was where that makes no axis."""
     white = _weighted(bench, chosen)
     solution, _ = least_squares(white.known, white.target)

@@ -33,7 +33,7 @@ class EffectStart(NamedTuple):
     free: tuple[str, ...] | None = None  # None: `default_free`
 
 
-class Scales(NamedTuple):
+class EffectScales(NamedTuple):
     """Sizes of the data that make a step of a parameter neither large nor small."""
 
     torque_nm: float  # level of friction
@@ -91,7 +91,7 @@ def _counts_turns(p: Parameter) -> bool:
     return p.span or p.unit == PER_TURN
 
 
-def layout_of(effects: Sequence[EffectStart], scales: Scales) -> EffectLayout:
+def layout_of(effects: Sequence[EffectStart], scales: EffectScales) -> EffectLayout:
     """All parameters of the effects in their order; shapes that are not given are typical."""
     found: list[LayoutParameter] = []
     for k, effect in enumerate(effects):
@@ -109,7 +109,7 @@ def layout_of(effects: Sequence[EffectStart], scales: Scales) -> EffectLayout:
     return EffectLayout(tuple(effect.name for effect in effects), tuple(found))
 
 
-def _scale(p: Parameter, value: float, given: Mapping[str, float], scales: Scales) -> float:
+def _scale(p: Parameter, value: float, given: Mapping[str, float], scales: EffectScales) -> float:
     if p.kind == STRENGTH:
         viscous = scales.torque_nm / max(scales.highest_rps, 1e-9)
         own = {
@@ -134,7 +134,9 @@ def _counts_periods(p: Parameter) -> bool:
     return p.unit == "Hz" and not p.logarithmic
 
 
-def _bounds(law: Law, p: Parameter, value: float, given: Mapping[str, float], scales: Scales) -> tuple[float, float]:
+def _bounds(
+    law: Law, p: Parameter, value: float, given: Mapping[str, float], scales: EffectScales
+) -> tuple[float, float]:
     if p.kind == STRENGTH:
         return p.low, p.high
     reach = math.inf

@@ -32,7 +32,7 @@ JUMP = 0.5  # slopes of the two sides that differ by more than this share are th
 STEP = 2e-3  # of the finite differences, in coordinates
 
 
-class Stretch(NamedTuple):
+class PredictedStretch(NamedTuple):
     """One stretch without a gap."""
 
     record: int
@@ -46,7 +46,7 @@ class Stretch(NamedTuple):
 class Problem(NamedTuple):
     """Everything that the residual is made from."""
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[PredictedStretch, ...]
     shooting: ShootingConfig
     cluster_blocks: int
     lsb_rev: float
@@ -93,7 +93,9 @@ def make_problem(records: Sequence[Record], bandwidth_hz: float, longest_s: floa
             kept[:settling] = False
             kept &= _trusted_blocks(record, slice(part.start, stop), bandwidth_hz, block)
             current = np.ascontiguousarray(record.current_a[part.start : stop])
-            stretches.append(Stretch(number, part.start, current, position, kept, record.torque_constant_nm_per_a))
+            stretches.append(
+                PredictedStretch(number, part.start, current, position, kept, record.torque_constant_nm_per_a)
+            )
     clusters = max(1, round(CLUSTER_S / (block * period_s)))
     return Problem(tuple(stretches), shooting, clusters, max(record.lsb_rev for record in records))
 

@@ -18,7 +18,7 @@ from .ranking import lower
 from .rows import (
     CONSTANT,
     DIRECTION,
-    Rows,
+    RegressionRows,
     delay_between,
     least_squares,
     rigid_columns,
@@ -50,7 +50,7 @@ class TorqueStart(NamedTuple):
     constant_nm: float  # 0 where the axis turns one way
 
 
-def _solve(rows: Rows, bump: Floats | None = None) -> tuple[Floats, float]:
+def _solve(rows: RegressionRows, bump: Floats | None = None) -> tuple[Floats, float]:
     """Inertia, viscous and Coulomb friction, what multiplies `bump` (m,), a constant; and the squared residual.
 
     The constant is left out where the axis turns one way, and is then the same thing as Coulomb friction.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from .dataset import DataError, Record
 from .kinematics import (
-    Motion,
+    Kinematics,
     acting_torque_nm,
     low_pass,
     motion_of,
@@ -38,18 +38,18 @@ LONGEST_DELAY_SAMPLES = 24
 LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
 
 
-class Stretch(NamedTuple):
+class RegressionStretch(NamedTuple):
     """One stretch without a gap, filtered once: a delay and a filter commute. (n,) but for `rows`."""
 
     record: int
-    motion: Motion
+    motion: Kinematics
     torque_nm: Floats  # without delay
     direction: Floats  # sign of the motion behind the filter
     sliding: Mask  # surely
     rows: Integers  # samples that are rows
 
 
-class Rows(NamedTuple):
+class RegressionRows(NamedTuple):
     """Rows of all stretches, joined; (m,) each."""
 
     run: Integers  # number of the record
@@ -64,7 +64,7 @@ class Rows(NamedTuple):
     cutoff_hz: float
 
 
-def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[Stretch], float]:
+def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[RegressionStretch], float]:
     """Stretches of records of one rate, and the travel (rev) after which presliding is over for sure.
 
     Raises DataError where none is long enough for the filter.
@@ -86,11 +86,11 @@ def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[Stre
         direction = low_pass(sure_direction(motion), cutoff_hz, record.period_s)
         torque_nm = acting_torque_nm(record, part, 0.0, cutoff_hz)
         rows = np.arange(0, part.stop - part.start, step)
-        found.append(Stretch(number, motion, torque_nm, direction, sliding, rows))
+        found.append(RegressionStretch(number, motion, torque_nm, direction, sliding, rows))
     return found, travel_rev
 
 
-def _sliding_travel_rev(motions: Sequence[Motion], lsb_rev: float) -> float:
+def _sliding_travel_rev(motions: Sequence[Kinematics], lsb_rev: float) -> float:
     """Travel after which presliding is over: a share of a typical stroke, at least some counts."""
     strokes: list[Floats] = []
     for motion in motions:
@@ -102,7 +102,7 @@ def _sliding_travel_rev(motions: Sequence[Motion], lsb_rev: float) -> float:
     return max(20.0 * lsb_rev, min(0.1 * typical, 2000.0 * lsb_rev))
 
 
-def rows_at(stretches: Sequence[Stretch], cutoff_hz: float, delay_s: float) -> Rows:
+def rows_at(stretches: Sequence[RegressionStretch], cutoff_hz: float, delay_s: float) -> RegressionRows:
     """The rows of stretches, the torque `delay_s` behind the command."""
     period_s = stretches[0].motion.period_s
     step = int(stretches[0].rows[1] - stretches[0].rows[0])
@@ -113,7 +113,7 @@ def rows_at(stretches: Sequence[Stretch], cutoff_hz: float, delay_s: float) -> R
         begin += stretch.rows.size
         late = stretch.rows - delay_s / period_s
         torques.append(np.interp(late, np.arange(stretch.torque_nm.size), stretch.torque_nm))
-    return Rows(
+    return RegressionRows(
         np.concatenate([np.full(s.rows.size, s.record, dtype=np.int64) for s in stretches]),
         np.concatenate([s.motion.position_rev[s.rows] for s in stretches]),
         np.concatenate([s.motion.velocity_rps[s.rows] for s in stretches]),
@@ -127,12 +127,12 @@ def rows_at(stretches: Sequence[Stretch], cutoff_hz: float, delay_s: float) -> R
     )
 
 
-def rigid_columns(rows: Rows) -> Floats:
+def rigid_columns(rows: RegressionRows) -> Floats:
     """What inertia, viscous friction, Coulomb friction and a constant torque multiply, of all rows. (m, 4)"""
     return np.column_stack([rows.acceleration_rps2, rows.velocity_rps, rows.direction, np.ones(rows.run.size)])
 
 
-def delay_between(stretches: Sequence[Stretch], cutoff_hz: float) -> float:
+def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> float:
     """Delay (s) from command to torque at which the rigid balance leaves the least: scanned, a parabola at its end."""
     period_s = stretches[0].motion.period_s
     samples = max(LONGEST_DELAY_SAMPLES, math.ceil(LONGEST_DELAY_S / period_s))

@@ -24,7 +24,7 @@ from .rows import (
     CONSTANT,
     DIRECTION,
     VELOCITY,
-    Rows,
+    RegressionRows,
     least_squares,
     rigid_columns,
     rows_at,
@@ -110,7 +110,7 @@ def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ
     return RunsLook(looks, remarks, start.delay_s)
 
 
-def _without_stribeck(rows: Rows, start: TorqueStart) -> Rows:
+def _without_stribeck(rows: RegressionRows, start: TorqueStart) -> RegressionRows:
     """The rows without the falling part of the friction, where it explains something beside each run's own rigid fit.
 
     One coefficient for all runs, the runs' own columns projected out: what differs between runs does not go into it.
@@ -133,7 +133,7 @@ def _without_stribeck(rows: Rows, start: TorqueStart) -> Rows:
     return rows._replace(torque_nm=rows.torque_nm - products / squares * fall)
 
 
-def _look(record: Record, number: int, rows: Rows) -> RunLook:
+def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
     own = rows.sliding & (rows.run == number)
     one_way = turns_one_way(rows.direction[own])
     count = int(np.count_nonzero(own))
@@ -226,7 +226,7 @@ def _drift(name: str, told: Sequence[tuple[RunLook, Estimate]], scale: float) ->
     return Remark("drift", (name,), tuple(look.name for look, _ in ordered), text)
 
 
-def _confounded(records: Sequence[Record], rows: Rows, looks: Sequence[RunLook]) -> list[Remark]:
+def _confounded(records: Sequence[Record], rows: RegressionRows, looks: Sequence[RunLook]) -> list[Remark]:
     """What is one and the same thing over all runs together."""
     found = []
     names = tuple(record.name for record in records)
@@ -250,7 +250,7 @@ def _confounded(records: Sequence[Record], rows: Rows, looks: Sequence[RunLook])
     return found
 
 
-def _place_is_time(records: Sequence[Record], rows: Rows, names: tuple[str, ...]) -> list[Remark]:
+def _place_is_time(records: Sequence[Record], rows: RegressionRows, names: tuple[str, ...]) -> list[Remark]:
     """Runs that pass each place once: what depends on the place looks like what changes with time."""
     straight = []
     for number in range(len(records)):

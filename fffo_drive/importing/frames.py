@@ -13,7 +13,7 @@ from .recognise import Hints, Recognition, recognise
 from .source import source_of_arrays
 
 
-class Frame(Protocol):
+class DataFrameLike(Protocol):
     """What frames of pandas and polars have in common."""
 
     @property
@@ -24,7 +24,7 @@ class Frame(Protocol):
 
 
 def record_of(
-    data: Mapping[str, Any] | Frame, *, name: str = "data", hints: Hints | None = None, **declared: Any
+    data: Mapping[str, Any] | DataFrameLike, *, name: str = "data", hints: Hints | None = None, **declared: Any
 ) -> tuple[Record, DriveFacts, Recognition]:
     """A log in memory as `fffo-drive import` takes a file: the record for `identify` and `diagnose`, its facts, and
     what was recognised on what grounds.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from websockets.asyncio.server import ServerConnection
 
 from . import frames
-from .control_link import REFUSED, ControlLink, LinkError
+from .control_link import REFUSED, ControlLink, ControlLinkError
 from .feed import CAPTURE_S
 from .peer import DroppedError, Peer, is_key
 
@@ -25,7 +25,7 @@ NO_KEY = "this page only looks; `fffo-drive scope` says the address with the key
 STOPPED_SINCE = "the axis was stopped since this page showed its state; look at it, then start again"
 
 
-class Client(Peer):
+class LiveClient(Peer):
     """A page that was accepted."""
 
     def __init__(self, hub: Hub, connection: ServerConnection) -> None:
@@ -95,11 +95,11 @@ class Client(Peer):
         """Ask the daemon. Raises LinkError; one that says so when the epoch is the reason."""
         try:
             return await self._link.call(method, given)
-        except LinkError as error:
+        except ControlLinkError as error:
             if error.code == REFUSED and "epoch" in given:
                 status = await self._link.call("status")
                 if status.get("epoch") != given["epoch"]:
-                    raise LinkError(f"{STOPPED_SINCE} ({error})", REFUSED) from None
+                    raise ControlLinkError(f"{STOPPED_SINCE} ({error})", REFUSED) from None
             raise
 
     def _refuse(self, wanted: dict[str, Any], why: str) -> None:
@@ -108,7 +108,7 @@ class Client(Peer):
     async def _answer(self, wanted: dict[str, Any], call: Call) -> None:
         try:
             answer = frames.text("answer", id=_number(wanted), result=await call())
-        except LinkError as error:
+        except ControlLinkError as error:
             answer = frames.text("answer", id=_number(wanted), error=str(error))
         self.offer(answer)
 

@@ -14,7 +14,7 @@ ANSWER_S = 15.0  # beyond what a call itself waits
 REFUSED = -32000  # code of the control API: not possible in this state, or no more in this epoch
 
 
-class LinkError(Exception):
+class ControlLinkError(Exception):
     """The daemon refused (`code` of JSON-RPC) or does not answer (`code` 0)."""
 
     def __init__(self, message: str, code: int = 0) -> None:
@@ -51,7 +51,7 @@ class ControlLink:
         await self._open()
         writer = self._writer
         if writer is None:
-            raise LinkError("the daemon closed the connection")
+            raise ControlLinkError("the daemon closed the connection")
         self._number += 1
         number, answer = self._number, asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
@@ -60,7 +60,7 @@ class ControlLink:
         try:
             return await asyncio.wait_for(answer, patience_s)
         except TimeoutError:
-            raise LinkError("the daemon does not answer") from None
+            raise ControlLinkError("the daemon does not answer") from None
         finally:
             self._waiting.pop(number, None)
 
@@ -71,7 +71,7 @@ class ControlLink:
             try:
                 reader, self._writer = await asyncio.open_unix_connection(str(self._path), limit=LINE_LIMIT)
             except OSError as error:
-                raise LinkError(f"no daemon answers: {error.strerror}") from error
+                raise ControlLinkError(f"no daemon answers: {error.strerror}") from error
             self._reading = asyncio.create_task(self._read(reader))
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
@@ -89,7 +89,7 @@ class ControlLink:
         if answer is None or answer.done():
             return
         if "error" in message:
-            answer.set_exception(LinkError(message["error"]["message"], message["error"]["code"]))
+            answer.set_exception(ControlLinkError(message["error"]["message"], message["error"]["code"]))
         else:
             answer.set_result(message["result"])
 
@@ -99,7 +99,7 @@ class ControlLink:
             writer.close()
         for answer in self._waiting.values():
             if not answer.done():
-                answer.set_exception(LinkError("the daemon closed the connection"))
+                answer.set_exception(ControlLinkError("the daemon closed the connection"))
 
     def close(self) -> None:
         """Hang up; what the daemon does when a client that holds the axis goes away happens then."""

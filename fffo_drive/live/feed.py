@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..recording.ring_reader import Ring, RingReader
+from ..recording.ring_reader import ReadableRing, RingReader
 from ..recording.writer import wall_clock_offset_ns
 from ..runtime.ring import new_ring
 from ..signals import ROW
@@ -26,11 +26,11 @@ CHUNK_ROWS = 256  # of a capture, in one frame
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
-class Source(NamedTuple):
+class FeedSource(NamedTuple):
     """A loop that runs. `number` differs from that of the loop before; the constant turns terms in Nm into A."""
 
     number: int
-    ring: Ring
+    ring: ReadableRing
     rate_hz: float
     torque_constant_nm_per_a: float
 
@@ -81,7 +81,7 @@ class Capture:
 class Feed:
     """Follows whatever loop runs at the moment."""
 
-    def __init__(self, source: Callable[[], Source | None]) -> None:
+    def __init__(self, source: Callable[[], FeedSource | None]) -> None:
         self._source = source
         self._number = 0
         self._reader: RingReader | None = None
@@ -113,7 +113,7 @@ class Feed:
             lateness_counts(batch.rows), self._wall_offset_ns,
         )  # fmt: skip
 
-    def _follow(self, source: Source) -> None:
+    def _follow(self, source: FeedSource) -> None:
         self._number = source.number
         self._rate_hz = source.rate_hz
         self._wall_offset_ns = wall_clock_offset_ns()

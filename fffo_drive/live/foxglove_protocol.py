@@ -37,7 +37,7 @@ class Channel(NamedTuple):
     schema_encoding: str
 
 
-class Service(NamedTuple):
+class AdvertisedService(NamedTuple):
     """A service; the schemas are JSON schemas."""
 
     id: int
@@ -47,7 +47,7 @@ class Service(NamedTuple):
     response: Mapping[str, Any]
 
 
-class Subscribe(NamedTuple):
+class SubscribeRequest(NamedTuple):
     """Pairs of subscription and channel."""
 
     wanted: list[tuple[int, int]]
@@ -74,7 +74,7 @@ class Unserved(NamedTuple):
     operation: str
 
 
-Asked = Subscribe | Unsubscribe | ServiceCall | Unserved
+Asked = SubscribeRequest | Unsubscribe | ServiceCall | Unserved
 
 
 def server_info(name: str, session: str) -> str:
@@ -95,7 +95,7 @@ def advertise(channels: Iterable[Channel]) -> str:
     return _text("advertise", channels=told)
 
 
-def advertise_services(services: Iterable[Service]) -> str:
+def advertise_services(services: Iterable[AdvertisedService]) -> str:
     """These services exist."""
     told = [
         {
@@ -147,7 +147,7 @@ def _operation(text: str) -> Asked:
         raise ProtocolError("no JSON object with an `op`")
     if operation == "subscribe":
         wanted = _list(content, "subscriptions")
-        return Subscribe([(_id(one, "id"), _id(one, "channelId")) for one in wanted])
+        return SubscribeRequest([(_id(one, "id"), _id(one, "channelId")) for one in wanted])
     if operation == "unsubscribe":
         return Unsubscribe([_id({"id": one}, "id") for one in _list(content, "subscriptionIds")])
     return Unserved(operation[:40])

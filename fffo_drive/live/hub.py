@@ -13,8 +13,8 @@ from typing import Any, Protocol
 from websockets.asyncio.server import ServerConnection
 
 from . import frames
-from .client import Client
-from .control_link import ControlLink, LinkError
+from .client import LiveClient
+from .control_link import ControlLink, ControlLinkError
 from .decimation import LATENESS_EDGES_US
 from .feed import CAPTURE_S, Feed, Taken
 
@@ -54,7 +54,7 @@ class Hub:
 
     def __init__(self, feed: Feed, control_path: Path, key: str) -> None:
         self.feed, self.control_path, self.key = feed, control_path, key
-        self.clients: set[Client] = set()
+        self.clients: set[LiveClient] = set()
         self.audience: Audience | None = None
         self.link = ControlLink(control_path, self._hear)
         self.stops = ControlLink(control_path)  # open all the time, and nothing else goes this way
@@ -66,7 +66,7 @@ class Hub:
 
     async def serve(self, connection: ServerConnection) -> None:
         """One page, until it goes."""
-        client = Client(self, connection)
+        client = LiveClient(self, connection)
         greeting = await self._greeting()
         if greeting is None:
             return
@@ -88,7 +88,7 @@ class Hub:
         try:
             info, status = await self.link.call("info"), await self.link.call("status")
             events = await self.link.call("events", {"limit": EVENTS})
-        except LinkError:
+        except ControlLinkError:
             return None
         return frames.text(
             "hello", info={name: info[name] for name in ("axis", "profiles", "fffo_drive")}, status=status,
@@ -154,7 +154,7 @@ class Hub:
             if not self.link.is_open or wanted_hz != self._status_hz:
                 await self.link.call("subscribe", {"status_hz": wanted_hz, "events": True})
                 self._status_hz = wanted_hz
-        except LinkError:
+        except ControlLinkError:
             self._status_hz = -1.0
             await asyncio.sleep(RETRY_S)
 

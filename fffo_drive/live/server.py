@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..config.address import Address, in_unit, sandbox_problem
-from .feed import Feed, Source
+from .feed import Feed, FeedSource
 from .hub import Hub
 from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE, VIEWERS_FILE
-from .services import Method
+from .services import ServiceMethod
 from .viewers import Viewers
 from .web import Web
 
@@ -28,7 +28,7 @@ START_S, END_S = 120.0, 10.0  # a first start may compile
 THREAD_NAME = "fffo-live"  # for `top -H` as well
 
 
-class Wanted(NamedTuple):
+class WantedServices(NamedTuple):
     """What is to be served, and where; None: not at all."""
 
     scope: Address | None
@@ -39,8 +39,8 @@ class LiveServer:
     """Serves from `start` to `close`."""
 
     def __init__(
-        self, wanted: Wanted, directory: Path, control: str, source: Callable[[], Source | None],
-        methods: Mapping[str, Method], name: str = "axis",
+        self, wanted: WantedServices, directory: Path, control: str, source: Callable[[], FeedSource | None],
+        methods: Mapping[str, ServiceMethod], name: str = "axis",
     ) -> None:  # fmt: skip
         """`directory` has the daemon's socket `control`; addresses and key are left there as files.
 

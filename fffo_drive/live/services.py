@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 from pydantic import BaseModel, ValidationError
 
 from ..documents import wrong_parameters
-from .foxglove_protocol import Service
+from .foxglove_protocol import AdvertisedService
 from .peer import is_key
 
 PREFIX = "/fffo_drive/"
@@ -23,7 +23,7 @@ UNSERVED = ("subscribe", "schema")  # of the connection, or served as the servic
 KEY = {"type": "string", "description": "what `fffo-drive scope --viewers` says"}
 
 
-class Method(Protocol):
+class ServiceMethod(Protocol):
     """A method of the control API."""
 
     @property
@@ -46,7 +46,7 @@ class RefusedCallError(Exception):
     """A call that is not let through, and why."""
 
 
-class Kind(Enum):
+class MethodKind(Enum):
     """What a method is for. All but looking needs the key."""
 
     LOOKS = 0
@@ -59,30 +59,30 @@ class Request(NamedTuple):
 
     method: str
     params: dict[str, Any]
-    kind: Kind
+    kind: MethodKind
 
 
 class Services:
     """What may be asked for, and with what."""
 
-    def __init__(self, methods: Mapping[str, Method], key: str) -> None:
+    def __init__(self, methods: Mapping[str, ServiceMethod], key: str) -> None:
         self._key = key
         self._methods = {name: method for name, method in methods.items() if name not in UNSERVED}
         self._schemas = {name: method.parameters.model_json_schema() for name, method in self._methods.items()}
         self._names = dict(enumerate(self._methods, start=1))
 
-    def offered(self) -> list[Service]:
+    def offered(self) -> list[AdvertisedService]:
         """As they are advertised; their numbers are theirs for `checked`."""
         return [self._service(number, name) for number, name in self._names.items()]
 
-    def _service(self, number: int, name: str) -> Service:
+    def _service(self, number: int, name: str) -> AdvertisedService:
         method = self._methods[name]
         request: dict[str, Any] = {**self._schemas[name], "description": method.summary}
-        if self.kind(name) is not Kind.LOOKS:
+        if self.kind(name) is not MethodKind.LOOKS:
             key_name = self._key_name(name)
             request["properties"] = {key_name: KEY, **request.get("properties", {})}
             request["required"] = [key_name, *request.get("required", [])]
-        return Service(number, PREFIX + name, f"fffo_drive/{name}", request, {"type": "object"})
+        return AdvertisedService(number, PREFIX + name, f"fffo_drive/{name}", request, {"type": "object"})
 
     def checked(self, number: int, payload: bytes) -> Request:
         """The request in a payload: its key first, then its parameters. Raises RefusedCallError."""
@@ -90,7 +90,7 @@ class Services:
         if name is None:
             raise RefusedCallError("no such service")
         given = _given(payload)
-        if not is_key(given.pop(self._key_name(name), ""), self._key) and self.kind(name) is not Kind.LOOKS:
+        if not is_key(given.pop(self._key_name(name), ""), self._key) and self.kind(name) is not MethodKind.LOOKS:
             text = f"{name} needs the key: give what `fffo-drive scope --viewers` says as `{self._key_name(name)}`"
             raise RefusedCallError(text)
         try:
@@ -105,11 +105,11 @@ class Services:
         """What the key is called in a request: `set` has a parameter `key` of its own."""
         return "access_key" if "key" in self._schemas[name].get("properties", {}) else "key"
 
-    def kind(self, name: str) -> Kind:
+    def kind(self, name: str) -> MethodKind:
         """What it is for."""
         if name in ENDING:
-            return Kind.ENDS
-        return Kind.LOOKS if self._methods[name].watching else Kind.COMMANDS
+            return MethodKind.ENDS
+        return MethodKind.LOOKS if self._methods[name].watching else MethodKind.COMMANDS
 
 
 def _given(payload: bytes) -> dict[str, Any]:

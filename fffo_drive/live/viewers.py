@@ -24,16 +24,16 @@ from ..recording.schema import EVENT_TOPIC, MESSAGE_ENCODING, SCHEMA_ENCODING
 from ..signals import SIGNALS
 from . import foxglove_protocol as protocol
 from . import messages as m
-from .control_link import ControlLink, LinkError
+from .control_link import ControlLink, ControlLinkError
 from .decimation import LAST, LATENESS_EDGES_US
 from .feed import Taken
 from .listener import Listener
 from .peer import DroppedError, Peer
-from .services import Kind, Method, RefusedCallError, Request, Services
+from .services import MethodKind, RefusedCallError, Request, ServiceMethod, Services
 
 VIEWERS = 24
 REQUEST_BYTES = 256 * 1024  # a model file fits
-CALLS_IN_ALL = {Kind.LOOKS: 16, Kind.COMMANDS: 16, Kind.ENDS: math.inf}  # that wait at a time
+CALLS_IN_ALL = {MethodKind.LOOKS: 16, MethodKind.COMMANDS: 16, MethodKind.ENDS: math.inf}  # that wait at a time
 LATENESS_NS = 1_000_000_000
 DEADLINE = next(i for i, signal in enumerate(SIGNALS) if signal.name == "deadline_ns")
 
@@ -63,7 +63,7 @@ class Tally:
         return m.lateness_payload(self._counts.tolist(), self._ticks, self._late, self._lost)
 
 
-class Line:
+class ViewersLine:
     """A connection to the daemon for the calls of all viewers, on which so many may wait at a time."""
 
     def __init__(self, control_path: Path, most: float) -> None:
@@ -74,7 +74,7 @@ class Line:
     async def ask(self, request: Request) -> bytes:
         """The answer as JSON. Raises LinkError."""
         if self._waiting >= self._most:
-            raise LinkError(f"{self._most} calls of viewers wait already; ask again")
+            raise ControlLinkError(f"{self._most} calls of viewers wait already; ask again")
         self._waiting += 1
         try:
             return json.dumps(await self.link.call(request.method, request.params)).encode()
@@ -86,7 +86,7 @@ class Viewers:
     """The server, its topics and services. Everything runs on the live server's thread."""
 
     def __init__(
-        self, address: Address, name: str, key: str, control_path: Path, methods: Mapping[str, Method]
+        self, address: Address, name: str, key: str, control_path: Path, methods: Mapping[str, ServiceMethod]
     ) -> None:
         """`methods`: those of the control API, by name."""
         self._listener = Listener(
@@ -103,7 +103,7 @@ class Viewers:
             protocol.advertise(self.channels),
             protocol.advertise_services(self.services.offered()),
         )
-        self._lines = {kind: Line(control_path, CALLS_IN_ALL[kind]) for kind in Kind}
+        self._lines = {kind: ViewersLine(control_path, CALLS_IN_ALL[kind]) for kind in MethodKind}
         self._viewers: set[Viewer] = set()
         self.begin()
 
@@ -187,7 +187,7 @@ class Viewer(Peer):
             asked = protocol.parse(message)
         except protocol.ProtocolError as error:
             raise DroppedError(str(error)) from None
-        if isinstance(asked, protocol.Subscribe):
+        if isinstance(asked, protocol.SubscribeRequest):
             self._subscribe(asked)
         elif isinstance(asked, protocol.Unsubscribe):
             gone = set(asked.ids)
@@ -197,7 +197,7 @@ class Viewer(Peer):
         else:
             self.offer(protocol.status(protocol.ERROR, f"{asked.operation} is not offered"))
 
-    def _subscribe(self, asked: protocol.Subscribe) -> None:
+    def _subscribe(self, asked: protocol.SubscribeRequest) -> None:
         for subscription, channel in asked.wanted:
             if channel not in self._channels:
                 self.offer(protocol.status(protocol.ERROR, f"no channel {channel}"))
@@ -210,7 +210,7 @@ class Viewer(Peer):
             if call.encoding != protocol.ENCODING:
                 raise RefusedCallError(f"requests are {protocol.ENCODING}")
             request = self._all.services.checked(call.service, call.payload)
-            ends = request.kind is Kind.ENDS
+            ends = request.kind is MethodKind.ENDS
             if self.busy and not ends:
                 raise RefusedCallError("too many of your calls wait already")
         except RefusedCallError as error:
@@ -221,5 +221,5 @@ class Viewer(Peer):
     async def _answer(self, call: protocol.ServiceCall, request: Request) -> None:
         try:
             self.offer(protocol.service_answer(call, await self._all.ask(request)))
-        except LinkError as error:
+        except ControlLinkError as error:
             self.offer(protocol.service_failure(call, str(error)))

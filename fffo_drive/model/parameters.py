@@ -17,7 +17,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from .. import formats, units
-from ..documents import Record, load, refuse
+from ..documents import StrictRecord, load, refuse
 from .axis import AxisConfig
 from .effects.law import SHAPE
 from .effects.laws.lookup import UNKNOWN, CurveModel, curve_errors, curve_model, packed_curve, packed_sd
@@ -28,7 +28,7 @@ from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEGA_LITERAL}
 
 
-class Quantity(Record):
+class Quantity(StrictRecord):
     """One number of a model."""
 
     value: Annotated[float, Field(description="the number, in the unit of its key or of its law")]
@@ -41,7 +41,7 @@ class Quantity(Record):
         return self.source.startswith("assumed")
 
 
-class FrictionModel(Record):
+class FrictionModel(StrictRecord):
     """2SEP parameters as in Table I of the paper."""
 
     stribeck: Annotated[Literal["classical", "literal"], Field(description="falling curve, or the sign as printed")] = (
@@ -63,7 +63,7 @@ class FrictionModel(Record):
     ]
 
 
-class EffectModel(Record):
+class EffectModel(StrictRecord):
     """An effect beside J, Td and friction, by its name in model/effects; its torque is taken from the motor's."""
 
     name: Annotated[str, Field(description="a law of model/effects, or unknown:AXIS")]
@@ -113,7 +113,7 @@ def effect_model(
     return EffectModel(name=name, parameters=quantities, **common)
 
 
-class Provenance(Record):
+class Provenance(StrictRecord):
     """Where the model came from."""
 
     date: Annotated[str, Field(description="local date on which it was made, YYYY-MM-DD")] = ""
@@ -122,7 +122,7 @@ class Provenance(Record):
     note: Annotated[str, Field(description="a remark for whoever reads the file; it changes nothing")] = ""
 
 
-class ModelFile(Record):
+class ModelFile(StrictRecord):
     """A model of an axis."""
 
     format: Annotated[str, formats.MODEL.key] = formats.MODEL.word

@@ -48,7 +48,7 @@ _ALSO = {"A": ("V",)}  # an amplifier's input in volts stands in the place of th
 
 
 @dataclass(frozen=True)
-class Column:
+class MappedColumn:
     """`column` of the file, times `scale`, plus `offset`, is `signal` in `unit` (None: the signal's own)."""
 
     column: str
@@ -66,7 +66,7 @@ class ColumnMap:
     for m, m/s and N. `extra` columns are kept under their own names, unscaled.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[MappedColumn, ...]
     rate_hz: float | None = None
     linear: bool = False
     extra: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ class Conversion(NamedTuple):
 
 def identity_map(names: Iterable[str]) -> ColumnMap:
     """The map of a file whose columns are named as the signals are; others are left out."""
-    return ColumnMap(tuple(Column(name, name) for name in dict.fromkeys(names) if name in SIGNAL_UNITS))
+    return ColumnMap(tuple(MappedColumn(name, name) for name in dict.fromkeys(names) if name in SIGNAL_UNITS))
 
 
 def conversions(mapping: ColumnMap) -> dict[str, Conversion]:
@@ -109,7 +109,7 @@ def conversions(mapping: ColumnMap) -> dict[str, Conversion]:
     return found
 
 
-def _conversion(column: Column, linear: bool) -> Conversion:
+def _conversion(column: MappedColumn, linear: bool) -> Conversion:
     own = SIGNAL_UNITS.get(column.signal)
     if own is None:
         hint = did_you_mean(column.signal, SIGNAL_UNITS)

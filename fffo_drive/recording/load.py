@@ -7,10 +7,10 @@ from pathlib import Path
 from .column_map import ColumnMap
 from .errors import RecordingError
 from .reader import Run, read_run
-from .table import Table, read_table
+from .table import LogTable, read_table
 
 
-def read_log(path: Path | str, mapping: ColumnMap | None = None) -> Run | Table:
+def read_log(path: Path | str, mapping: ColumnMap | None = None) -> Run | LogTable:
     """MCAP (or .part) by `read_run`, the rest by `read_table`; both have `columns`, `units`, `column(name)`.
 
     Raises RecordingError for files that cannot be used, OSError for files that cannot be opened.

@@ -22,7 +22,7 @@ from .run_records import RECORD_TOPIC, RECORD_TYPE, RunRecord, decode_record
 from .scan import (
     HEAD_SIZE,
     DamagedRecordError,
-    Record,
+    McapRecord,
     Scanner,
     Segment,
     parse,
@@ -167,7 +167,7 @@ class _Collector:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
 
-    def take(self, record: Record, scanner: Scanner) -> None:
+    def take(self, record: McapRecord, scanner: Scanner) -> None:
         """One top-level record; a damaged one changes nothing."""
         if record.opcode == Opcode.CHUNK:
             data = scanner.contents(record)

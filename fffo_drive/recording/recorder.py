@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .events import Event, Level
-from .ring_reader import Ring, RingReader
+from .ring_reader import ReadableRing, RingReader
 from .run_files import RunFiles
 from .run_records import RecordBook, RunRecord
 from .settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
@@ -35,7 +35,7 @@ class Recorder:
 
     def __init__(
         self,
-        ring: Ring,
+        ring: ReadableRing,
         path: Path | str,
         header: RunHeader | None = None,
         settings: RecorderSettings | None = None,

@@ -17,7 +17,7 @@ from .errors import RecordingError
 from .scan import (
     HEAD_SIZE,
     DamagedRecordError,
-    Record,
+    McapRecord,
     Scanner,
     Segment,
     parse,
@@ -86,7 +86,7 @@ class _Rescue:
         self._channels: dict[int, str] = {}  # topic by channel
         self._counts: dict[int, int] = {}
 
-    def take(self, record: Record, scanner: Scanner) -> None:
+    def take(self, record: McapRecord, scanner: Scanner) -> None:
         """One top-level record of the torn file; a damaged one leaves no trace."""
         if record.opcode == Opcode.HEADER:
             header = parse(Header.read, record.body)

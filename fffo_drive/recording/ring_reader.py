@@ -20,7 +20,7 @@ HEAD = 0
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
-class Ring(Protocol):
+class ReadableRing(Protocol):
     """What is needed of a ring: `rows` (capacity,), a power of two; `words` (n,) int64, words[0] the head."""
 
     @property
@@ -45,7 +45,7 @@ def _head(words: Any) -> int:
 class RingReader:
     """Follows a ring with a tail of its own. Each row ever written is in one batch or counted as lost."""
 
-    def __init__(self, ring: Ring, from_now: bool = False) -> None:
+    def __init__(self, ring: ReadableRing, from_now: bool = False) -> None:
         """Begin with the oldest row, or, `from_now`, with the next that is written."""
         capacity = len(ring.rows)
         if capacity < 2 or capacity & (capacity - 1):

@@ -30,7 +30,7 @@ RECORD_FIELDS = (
 RECORD_SCHEMA = schema_of("What was in force, and what was asked for.", RECORD_FIELDS)
 
 
-class Kind(StrEnum):
+class RecordKind(StrEnum):
     """What a record tells of."""
 
     SESSION = "session"  # times of the loop, limits of the envelope, the session's id
@@ -51,10 +51,10 @@ class Kind(StrEnum):
 
 
 NAMED_BY_ROWS: dict[str, str] = {  # kind -> the row's field with its number
-    Kind.PARAMETERS: "parameters_number",
-    Kind.EFFECTS: "effects_number",
-    Kind.PROFILE: "profile_number",
-    Kind.SET_POINT: "set_point_number",
+    RecordKind.PARAMETERS: "parameters_number",
+    RecordKind.EFFECTS: "effects_number",
+    RecordKind.PROFILE: "profile_number",
+    RecordKind.SET_POINT: "set_point_number",
 }
 REQUEST_NUMBER = "request_number"
 
@@ -110,8 +110,8 @@ def still_in_force(records: Iterable[RunRecord], row: Any) -> list[RunRecord]:
         return record.number >= int(row[name]) if name else record.sequence > seen
 
     kept = [record for record in given if is_current(record) or last.get(record.kind) == record.sequence]
-    models = {record.data.get("model") for record in kept if record.kind == Kind.PARAMETERS}
-    kept += [record for record in given if record.kind == Kind.MODEL and record.data["content_hash"] in models]
+    models = {record.data.get("model") for record in kept if record.kind == RecordKind.PARAMETERS}
+    kept += [record for record in given if record.kind == RecordKind.MODEL and record.data["content_hash"] in models]
     by_sequence = {record.sequence: record for record in kept}
     return [by_sequence[number] for number in sorted(by_sequence)]
 

@@ -50,7 +50,7 @@ class DamagedRecordError(Exception):
     """Bytes that are there but are not what they claim to be. Never leaves this package."""
 
 
-class Record(NamedTuple):
+class McapRecord(NamedTuple):
     """A record of the file's top level."""
 
     opcode: int
@@ -58,7 +58,7 @@ class Record(NamedTuple):
     body: bytes  # empty for indexes
 
 
-def record_data(record: Record) -> bytes:
+def record_data(record: McapRecord) -> bytes:
     """A top-level record as it stands in the file, to be treated like a chunk with one record."""
     return _HEAD.pack(record.opcode, len(record.body)) + record.body
 
@@ -87,7 +87,7 @@ class Scanner:
         self.whole_bytes = 0  # up to the end of the last whole record
         self.tear: str | None = None
 
-    def __iter__(self) -> Iterator[Record]:
+    def __iter__(self) -> Iterator[McapRecord]:
         magic = self._file.read(len(MAGIC))
         if magic != MAGIC[: len(magic)]:
             raise RecordingError(f"{self._name}: not an MCAP file (it begins with {magic[:8]!r})")
@@ -115,18 +115,18 @@ class Scanner:
                 body = b""
             else:
                 body = self._file.read(length)
-            yield Record(opcode, self.whole_bytes, body)
+            yield McapRecord(opcode, self.whole_bytes, body)
             self.whole_bytes = begin + length
         if self._file.read(len(MAGIC)) != MAGIC:
             self.tear = f"ends at byte {self.size} without the closing magic"
             return
         self.whole_bytes += len(MAGIC)
 
-    def contents(self, record: Record) -> bytes:
+    def contents(self, record: McapRecord) -> bytes:
         """As `open_chunk`, within what this file may unpack to."""
         return open_chunk(record.body, self._allowance)
 
-    def damage(self, record: Record, reason: str) -> None:
+    def damage(self, record: McapRecord, reason: str) -> None:
         """Note that the scan ends at this record, which is all there but wrong."""
         self.tear = f"is damaged at byte {record.offset}, in {_title(record.opcode)}: {reason}"
         self.whole_bytes = record.offset

@@ -40,7 +40,7 @@ class _TableFile(Protocol):
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """An imported log."""
 
     path: Path
@@ -73,7 +73,7 @@ def read_table(
     *,
     require: Sequence[str] = (TIME,),
     uneven_time: bool = False,
-) -> Table:
+) -> LogTable:
     """Read a CSV or MAT file by `mapping`; None takes the columns that are named as signals are.
 
     `require` names signals that must be there. Raises RecordingError with all that is wrong with the data:
@@ -98,7 +98,7 @@ def read_table(
         later = _later(columns[TIME])
         if not later.all():
             columns = {name: values[later] for name, values in columns.items()}
-    return Table(Path(path), columns, {TIME: "s"} | units, source.scalars, (*source.warnings, *warnings), gaps)
+    return LogTable(Path(path), columns, {TIME: "s"} | units, source.scalars, (*source.warnings, *warnings), gaps)
 
 
 def _open(path: Path) -> _TableFile:

@@ -22,9 +22,9 @@ from ..recording.reader import Run
 from . import bench_figures as draw
 from .document import (
     Cell,
-    Column,
-    Provenance,
+    Heading,
     Report,
+    ReportProvenance,
     Row,
     Section,
     Table,
@@ -35,10 +35,10 @@ from .document import (
     source_file,
 )
 from .figures import Figure
-from .intervals import Interval, ratio_intervals
+from .intervals import ShownInterval, ratio_intervals
 from .page import ReportPaths, write_report
 
-Intervals = dict[str, dict[str, Interval]]
+Intervals = dict[str, dict[str, ShownInterval]]
 
 PICTURE_NAMES = ("bench.svg", "bench.png")
 STRETCH_S = 1.0
@@ -140,7 +140,7 @@ def overview_rows(report: Report) -> list[list[Figure]]:
     return [row for row in [*rows, [by_name["metrics"], by_name["lateness"]]] if row]
 
 
-def _sections(result: BenchResult, cutouts: list[draw.Cutout]) -> tuple[Section, ...]:
+def _sections(result: BenchResult, cutouts: list[draw.ShownPart]) -> tuple[Section, ...]:
     data = result.data
     friction = draw.friction_figures(data, cutouts)
     sections = [
@@ -227,9 +227,9 @@ def _percent(value: float, of: float) -> str:
 
 def _metrics_table(result: BenchResult) -> Table:
     percent = percent_of_smallest(result.metrics)
-    columns: list[Column] = []
+    columns: list[Heading] = []
     for name in result.metrics:
-        columns += [Column(label=label, group=name) for label in ("value", "% of best", "paper")]
+        columns += [Heading(label=label, group=name) for label in ("value", "% of best", "paper")]
     rows = []
     for key in ErrorMetrics._fields:
         cells: list[Cell] = []
@@ -264,10 +264,11 @@ def _share(share: float, interval: tuple[float, float] | None) -> Cell:
 
 def _ticks_table(result: BenchResult) -> Table:
     columns = [
-        Column(label="ticks"), Column(label="late"), Column(label="skipped"), Column(label="no answer"),
-        Column(label="late answer"), Column(label="wire errors"), Column(label="median", unit="µs", group="lateness"),
-        Column(label="99 %", unit="µs", group="lateness"), Column(label="largest", unit="µs", group="lateness"),
-        Column(label="turnaround", unit="µs, median"), Column(label="rows lost"),
+        Heading(label="ticks"), Heading(label="late"), Heading(label="skipped"), Heading(label="no answer"),
+        Heading(label="late answer"), Heading(label="wire errors"),
+        Heading(label="median", unit="µs", group="lateness"),
+        Heading(label="99 %", unit="µs", group="lateness"), Heading(label="largest", unit="µs", group="lateness"),
+        Heading(label="turnaround", unit="µs, median"), Heading(label="rows lost"),
     ]  # fmt: skip
     rows = []
     for name, t in result.ticks.items():
@@ -283,7 +284,7 @@ def _ticks_table(result: BenchResult) -> Table:
     )  # fmt: skip
 
 
-def _provenance(records: Mapping[str, BenchRecord]) -> Provenance:
+def _provenance(records: Mapping[str, BenchRecord]) -> ReportProvenance:
     parts = [part for record in records.values() for part in record.parts]
     first = parts[0]
     files = [source_file(part.path.name, part.path.read_bytes()) for part in parts]

@@ -11,12 +11,12 @@ from ..evaluation.metrics import PAPER_TABLE_2, ErrorMetrics, Rows, percent_of_s
 from ..units import NS_PER_S
 from .document import significant
 from .figures import (
-    Axis,
     Dash,
     Figure,
     Floats,
     Group,
-    Level,
+    LevelLine,
+    PlotAxis,
     Series,
     Span,
     Uniform,
@@ -24,7 +24,7 @@ from .figures import (
     histogram,
     normal_curve,
 )
-from .intervals import Interval
+from .intervals import ShownInterval
 
 COLOURS = {"PI": "orange", "PI+FBFO": "green", "PI+FFFO": "blue"}
 DASHES: dict[str, Dash] = {"PI+FBFO": "dashdot"}
@@ -38,8 +38,8 @@ LOW_SHARE = 0.02  # of the largest speed: 0.3 of 15 rps, near the paper's lowest
 TINY = 1e-4
 HISTOGRAM_BINS = 81
 FULL_RATE = 1 << 20
-TIME = Axis("time", "s")
-VELOCITY = Axis("velocity", "rps")
+TIME = PlotAxis("time", "s")
+VELOCITY = PlotAxis("velocity", "rps")
 
 
 class BenchData(NamedTuple):
@@ -57,7 +57,7 @@ class BenchData(NamedTuple):
         return self.reference_rps - self.velocity_rps[name]
 
 
-class Cutout(NamedTuple):
+class ShownPart(NamedTuple):
     """A part of the profile that is shown large: samples [begin, end)."""
 
     label: str
@@ -97,7 +97,7 @@ def colour_of(name: str, names: list[str]) -> str:
     return COLOURS.get(name) or SPARE_COLOURS[others.index(name) % len(SPARE_COLOURS)]
 
 
-def choose_cutouts(reference_rps: Floats, period_s: float) -> list[Cutout]:
+def choose_cutouts(reference_rps: Floats, period_s: float) -> list[ShownPart]:
     """Cut-outs around changes of direction: (a), (b) among gentle peaks, (c), (d) among the fastest."""
     most = float(np.abs(reference_rps).max())
     chosen: list[tuple[str, int, int]] = []
@@ -111,7 +111,7 @@ def choose_cutouts(reference_rps: Floats, period_s: float) -> list[Cutout]:
         gentle = np.abs(np.log((peaks + TINY) / LOW_SHARE)) + np.abs(np.log((swings + TINY) / LOW_SHARE))
         order = np.argsort(gentle if speed == "low" else -peaks * swings, kind="stable")
         chosen += [(speed, begin, begin + length) for begin in _apart(begins[order], length, chosen)]
-    return [Cutout(chr(ord("a") + number), begin, end, speed) for number, (speed, begin, end) in enumerate(chosen)]
+    return [ShownPart(chr(ord("a") + number), begin, end, speed) for number, (speed, begin, end) in enumerate(chosen)]
 
 
 def _apart(begins: np.ndarray, length: int, taken: list[tuple[str, int, int]]) -> list[int]:
@@ -126,7 +126,7 @@ def _apart(begins: np.ndarray, length: int, taken: list[tuple[str, int, int]]) -
     return sorted(found)
 
 
-def profile_figure(data: BenchData, cutouts: list[Cutout]) -> Figure:
+def profile_figure(data: BenchData, cutouts: list[ShownPart]) -> Figure:
     """Fig. 7: the reference, with the places of the cut-outs."""
     return Figure(
         "profile", "time", "Reference velocity profile",
@@ -136,11 +136,11 @@ def profile_figure(data: BenchData, cutouts: list[Cutout]) -> Figure:
     )  # fmt: skip
 
 
-def _span(data: BenchData, cutout: Cutout) -> Span:
+def _span(data: BenchData, cutout: ShownPart) -> Span:
     return Span(cutout.begin * data.period_s, cutout.end * data.period_s, cutout.label)
 
 
-def cutout_figures(data: BenchData, cutouts: list[Cutout]) -> list[Figure]:
+def cutout_figures(data: BenchData, cutouts: list[ShownPart]) -> list[Figure]:
     """Fig. 8: reference, PI and PI+FFFO in each cut-out, every sample."""
     shown = [name for name in data.velocity_rps if name in SHOWN] or list(data.velocity_rps)
     figures = []
@@ -192,7 +192,7 @@ def error_figures(data: BenchData) -> list[Figure]:
     return [
         Figure(
             f"error-{number}", "time", f"Error, {name}", "Reference minus measured velocity; one scale for all runs.",
-            TIME, Axis("error", "rps"),
+            TIME, PlotAxis("error", "rps"),
             (Series(name, x, data.error_rps(name), colour_of(name, names), weight=1.0, finest=40_000),),
             height_px=150, group="run", share_y=True,
         )
@@ -218,8 +218,8 @@ def histogram_figures(data: BenchData) -> list[Figure]:
                 "histogram",
                 f"({letter}) {name}",
                 f"STD {significant(float(errors[name].std()))} rps; {significant(beyond, 2)} % lie outside.",
-                Axis("error", "rps", limits=(-reach, reach)),
-                Axis("samples", "%", limits=(0.0, top)),
+                PlotAxis("error", "rps", limits=(-reach, reach)),
+                PlotAxis("samples", "%", limits=(0.0, top)),
                 (bars[name], curves[name]),
                 width="third",
                 height_px=230,
@@ -229,7 +229,7 @@ def histogram_figures(data: BenchData) -> list[Figure]:
 
 
 def metrics_figure(
-    metrics: Mapping[str, ErrorMetrics], intervals: Mapping[str, Mapping[str, Interval]]
+    metrics: Mapping[str, ErrorMetrics], intervals: Mapping[str, Mapping[str, ShownInterval]]
 ) -> Figure:  # fmt: skip
     """The metrics in per cent of the smallest, beside the paper's."""
     percent = percent_of_smallest(dict(metrics))
@@ -247,7 +247,7 @@ def metrics_figure(
     return Figure(
         "metrics", "bars", "Error metrics beside the paper's",
         "Per cent of the smallest of the three. Whiskers: 95 % interval of the ratio. Markers: Table II of the paper.",
-        Axis("metric", "-", categories=METRIC_NAMES), Axis("of the smallest", "%"),
+        PlotAxis("metric", "-", categories=METRIC_NAMES), PlotAxis("of the smallest", "%"),
         tuple(grouped_bars(groups, paper, "paper, Table II")), width="half", height_px=280,
     )  # fmt: skip
 
@@ -265,8 +265,8 @@ def exceedance_figure(data: BenchData) -> Figure:
     return Figure(
         "exceedance", "xy", "How often the error is larger",
         "Share of the samples whose error exceeds the abscissa in magnitude, logarithmic.",
-        Axis("magnitude of the error", "rps"), Axis("samples beyond", "%", log=True), tuple(series), width="half",
-        height_px=280,
+        PlotAxis("magnitude of the error", "rps"), PlotAxis("samples beyond", "%", log=True), tuple(series),
+        width="half", height_px=280,
     )  # fmt: skip
 
 
@@ -275,8 +275,9 @@ def lateness_figure(data: BenchData, late_us: float) -> Figure:
     return Figure(
         "lateness", "histogram", "How late the ticks woke",
         "Share of the ticks by lateness, logarithmic. Beyond the dashed line a tick counts as late.",
-        Axis("lateness", "µs"), Axis("ticks", "%", log=True), _outlines(data.lateness_us), width="half", height_px=280,
-        levels=(Level(late_us, _late_text(late_us), upright=True),),
+        PlotAxis("lateness", "µs"), PlotAxis("ticks", "%", log=True), _outlines(data.lateness_us),
+        width="half", height_px=280,
+        levels=(LevelLine(late_us, _late_text(late_us), upright=True),),
     )  # fmt: skip
 
 
@@ -286,8 +287,8 @@ def turnaround_figure(data: BenchData) -> Figure:
         "turnaround", "histogram", "How long the answer took",
         "Share of the answered ticks by the time from SYNC sent to feedback received, logarithmic; up to the 99.95th "
         "percentile.",
-        Axis("turnaround", "µs"), Axis("ticks", "%", log=True), _outlines(data.turnaround_us, 0.9995), width="half",
-        height_px=280,
+        PlotAxis("turnaround", "µs"), PlotAxis("ticks", "%", log=True), _outlines(data.turnaround_us, 0.9995),
+        width="half", height_px=280,
     )  # fmt: skip
 
 
@@ -298,9 +299,9 @@ def lateness_courses(data: BenchData, late_us: float) -> list[Figure]:
     return [
         Figure(
             f"lateness-{number}", "time", f"Lateness, {name}", "Of each bucket the earliest and the latest tick.",
-            TIME, Axis("lateness", "µs"),
+            TIME, PlotAxis("lateness", "µs"),
             (Series(name, x, data.lateness_us[name], colour_of(name, names), weight=1.0),),
-            height_px=130, group="run", share_y=True, levels=(Level(late_us, _late_text(late_us)),),
+            height_px=130, group="run", share_y=True, levels=(LevelLine(late_us, _late_text(late_us)),),
         )
         for number, name in enumerate(names)
     ]  # fmt: skip
@@ -327,7 +328,7 @@ def _outlines(values_us: Mapping[str, Floats], share: float = 1.0) -> tuple[Seri
     return tuple(outlines)
 
 
-def friction_figures(data: BenchData, cutouts: list[Cutout]) -> list[Figure]:
+def friction_figures(data: BenchData, cutouts: list[ShownPart]) -> list[Figure]:
     """The observer's estimate over the reference at low and high speed, of the runs that have one."""
     names = [name for name, values in data.friction_nm.items() if np.nanmax(np.abs(values)) > 0.0]
     figures = []
@@ -348,8 +349,8 @@ def friction_figures(data: BenchData, cutouts: list[Cutout]) -> list[Figure]:
                 "xy",
                 f"Friction estimate, {speed} speed",
                 f"Torque of the observer over the reference in cut-out ({label}).",
-                Axis("reference velocity", "rps"),
-                Axis("friction estimate", "mNm"),
+                PlotAxis("reference velocity", "rps"),
+                PlotAxis("friction estimate", "mNm"),
                 tuple(series),
                 width="half",
                 height_px=280,

@@ -14,9 +14,9 @@ import numpy as np
 from .. import formats
 from ..evaluation.metrics import ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
-from .document import Cell, Column, Provenance, Report, Row, Section, Standing, Table, Verdict, count, number
+from .document import Cell, Heading, Report, ReportProvenance, Row, Section, Standing, Table, Verdict, count, number
 from .figures import Floats
-from .intervals import Interval, ratio_intervals
+from .intervals import ShownInterval, ratio_intervals
 from .page import ReportPaths, write_report
 
 KIND = "close-the-loop"
@@ -37,7 +37,7 @@ class CircleRun(NamedTuple):
     longest_s: float  # between two answers
 
 
-class Pair(NamedTuple):
+class BeforeAfter(NamedTuple):
     """Metrics of the run before the adoption and of the one with it (None: there was none)."""
 
     before: ErrorMetrics
@@ -47,8 +47,8 @@ class Pair(NamedTuple):
 class Tracking(NamedTuple):
     """The error before and after."""
 
-    metrics: dict[str, Pair]  # by kind: measured, and true where the drive knows the shaft
-    intervals: dict[str, dict[str, Interval]]  # of after over before, by kind and metric
+    metrics: dict[str, BeforeAfter]  # by kind: measured, and true where the drive knows the shaft
+    intervals: dict[str, dict[str, ShownInterval]]  # of after over before, by kind and metric
     data: draw.BenchData
 
 
@@ -64,7 +64,7 @@ class CircleSource(NamedTuple):
     model_error: dict[str, Any]  # before, after: held-out figures of the diagnosis
     tracking: Tracking
     runs: tuple[CircleRun, ...]
-    provenance: Provenance
+    provenance: ReportProvenance
 
     @property
     def adopted(self) -> bool:
@@ -78,14 +78,14 @@ def tracking_of(before: Rows, after: Rows | None, period_s: float, samples: int)
     The integral stands for the whole profile, so that runs compare in which other ticks were skipped.
     """
     rows = {"before": before} | ({"after": after} if after is not None else {})
-    metrics: dict[str, Pair] = {}
-    intervals: dict[str, dict[str, Interval]] = {}
+    metrics: dict[str, BeforeAfter] = {}
+    intervals: dict[str, dict[str, ShownInterval]] = {}
     for kind, column in COLUMNS.items():
         errors = {name: _error(run, column, samples) for name, run in rows.items()}
         if any(not np.isfinite(error).any() for error in errors.values()):
             continue
         found = [_metrics(error, period_s) for error in errors.values()]
-        metrics[kind] = Pair(found[0], found[1] if after is not None else None)
+        metrics[kind] = BeforeAfter(found[0], found[1] if after is not None else None)
         if after is not None:
             against = dict.fromkeys(ErrorMetrics._fields, "before")
             stretch = max(1, round(STRETCH_S / period_s))
@@ -140,7 +140,7 @@ def as_object(source: CircleSource) -> dict[str, Any]:
     }
 
 
-def _ratio(pair: Pair, key: str) -> float | None:
+def _ratio(pair: BeforeAfter, key: str) -> float | None:
     before = float(getattr(pair.before, key))
     return None if pair.after is None or before == 0.0 else float(getattr(pair.after, key)) / before
 
@@ -221,7 +221,7 @@ def _cautions(runs: Sequence[CircleRun]) -> list[str]:
 
 def _tracking_table(tracking: Tracking) -> Table:
     columns = [
-        Column(label=label, unit=unit, group=KINDS[kind])
+        Heading(label=label, unit=unit, group=KINDS[kind])
         for kind in tracking.metrics
         for label, unit in (("before", ""), ("after", ""), ("after over before", ""))
     ]
@@ -246,7 +246,7 @@ def _tracking_table(tracking: Tracking) -> Table:
 
 
 def _gates_table(gates: Sequence[dict[str, Any]]) -> Table:
-    columns = [Column(label="", words=True), Column(label="found", words=True)]
+    columns = [Heading(label="", words=True), Heading(label="found", words=True)]
     rows = [
         Row(label=gate["name"], cells=[Cell(text="passed" if gate["passed"] else "refused"), Cell(text=gate["text"])])
         for gate in gates
@@ -257,8 +257,8 @@ def _gates_table(gates: Sequence[dict[str, Any]]) -> Table:
 
 def _runs_table(runs: Sequence[CircleRun]) -> Table:
     columns = [
-        Column(label="rate", unit="Hz"), Column(label="ticks"), Column(label="skipped or no answer", unit="%"),
-        Column(label="longest silence", unit="ms"),
+        Heading(label="rate", unit="Hz"), Heading(label="ticks"), Heading(label="skipped or no answer", unit="%"),
+        Heading(label="longest silence", unit="ms"),
     ]  # fmt: skip
     rows = [
         Row(

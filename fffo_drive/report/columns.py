@@ -20,7 +20,7 @@ from ..importing.recognise import (
     Guess,
 )
 from ..units import name_on, text_on, unit_in, unit_on
-from .figures import Axis, Figure, Series
+from .figures import Figure, PlotAxis, Series
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def column_figures(
         rows.append([
             Figure(
                 guess.signal, "xy", "\n".join([heading, *textwrap.wrap(grounds, WIDTH)]), f"{grounds}.",
-                Axis("Time", "s"), Axis(name, units[guess.signal]), tuple(series), height_px=190,
+                PlotAxis("Time", "s"), PlotAxis(name, units[guess.signal]), tuple(series), height_px=190,
             )
         ])  # fmt: skip
     return rows

@@ -16,7 +16,7 @@ from ..identification.dataset import Record
 from ..identification.kinematics import motion_of
 from ..units import unit_on
 from .document import Section
-from .figures import Axis, Figure, Floats, Level, Series, Uniform, Width
+from .figures import Figure, Floats, LevelLine, PlotAxis, Series, Uniform, Width
 
 MOST_RUNS = 4  # that are drawn over time
 COLOURS = ("blue", "orange", "green", "purple")
@@ -67,7 +67,7 @@ def coverage_figures(records: Sequence[Record], coverage: Coverage, linear: bool
                 "data-velocity", "time", "Velocity",
                 f"The derivative of the position, below {coverage.cutoff_hz:.3g} Hz. Presliding is seen where it "
                 f"changes its sign, break-away where it rests.{more}",
-                Axis("time", "s"), Axis("velocity", speed), tuple(over_time),
+                PlotAxis("time", "s"), PlotAxis("velocity", speed), tuple(over_time),
             ),
         ],
         [
@@ -75,26 +75,26 @@ def coverage_figures(records: Sequence[Record], coverage: Coverage, linear: bool
                 "data-input", "xy", "Input against acceleration",
                 f"{'Mass' if linear else 'Inertia'} is the slope: it takes points on both sides. What lies above and "
                 f"below is friction and all else.{more}",
-                Axis("acceleration", acceleration), Axis("input", "-"), tuple(against),
+                PlotAxis("acceleration", acceleration), PlotAxis("input", "-"), tuple(against),
             ),
             _shares(
                 "data-speeds", "Speeds", "How much of the time is spent at which speed. Viscous friction takes several "
-                "peaks, the Stribeck curve some of them near zero.", Axis("velocity", speed), velocity,
+                "peaks, the Stribeck curve some of them near zero.", PlotAxis("velocity", speed), velocity,
             ),
             _shares(
                 "data-places", "Places", "How much of the time is spent where. What depends on the place is seen where "
-                "the axis has been.", Axis("position", turn), position,
+                "the axis has been.", PlotAxis("position", turn), position,
             ),
         ],
         [_waves(velocity, coverage, linear), _frequencies(records, coverage)],
     ]  # fmt: skip
 
 
-def _shares(name: str, title: str, caption: str, axis: Axis, values: Floats) -> Figure:
+def _shares(name: str, title: str, caption: str, axis: PlotAxis, values: Floats) -> Figure:
     counts, edges = np.histogram(values, bins=CLASSES)
     share = 100.0 * counts / max(1, values.size)
     return Figure(
-        name, "histogram", title, caption, axis, Axis("share of the time", "%"),
+        name, "histogram", title, caption, axis, PlotAxis("share of the time", "%"),
         (Series(title, edges, share, "blue", draw="filled"),),
     )  # fmt: skip
 
@@ -109,7 +109,7 @@ def _waves(velocity_rps: Floats, coverage: Coverage, linear: bool) -> Figure:
         "data-waves", "xy", "Waves of the position",
         f"Up to which order a wave of the position is seen: {coverage.cutoff_hz:.3g} Hz over the speed. Slow motion "
         "shows fine waves.",
-        Axis("share of the motion that is slower", "%"), Axis("highest order", unit, log=True),
+        PlotAxis("share of the motion that is slower", "%"), PlotAxis("highest order", unit, log=True),
         (Series("highest order", share, coverage.cutoff_hz / speed_rps, "blue"),),
     )  # fmt: skip
 
@@ -133,6 +133,6 @@ def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
         "data-frequencies", "xy", "Frequencies of the input",
         "Which frequencies the input drives; delay, resonances and lags are seen there. Beyond the line a fit sees "
         "nothing.",
-        Axis("frequency", "Hz", log=True), Axis("amplitude density", "1/√Hz", log=True), tuple(series),
-        levels=(Level(coverage.cutoff_hz, "fit", upright=True),),
+        PlotAxis("frequency", "Hz", log=True), PlotAxis("amplitude density", "1/√Hz", log=True), tuple(series),
+        levels=(LevelLine(coverage.cutoff_hz, "fit", upright=True),),
     )  # fmt: skip

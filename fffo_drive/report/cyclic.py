@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..identification.cyclic import ARCMIN, CyclicError
-from .document import Column, Row, Section, Table, number
-from .figures import Axis, Figure, Series
+from .document import Heading, Row, Section, Table, number
+from .figures import Figure, PlotAxis, Series
 
 SHOWN_ORDERS = 12
 
@@ -35,7 +35,7 @@ def cyclic_table(found: CyclicError) -> Table:
         name="cyclic", title="Position sensor", corner="order", rows=rows,
         note="Position less that of the reference encoder, by periods a turn; 95 % intervals. The error at the angle x "
              "is the sum of amplitude times cos(order x - phase). No torque is needed for it.",
-        columns=[Column(label="amplitude", unit="arcmin"), Column(label="phase", unit="deg")],
+        columns=[Heading(label="amplitude", unit="arcmin"), Heading(label="phase", unit="deg")],
     )  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def cyclic_section(found: CyclicError) -> Section:
     figure = Figure(
         "cyclic", "xy", "Cyclic error over a turn",
         "Mean in each degree, lag and offset taken off; the line is the sum of the orders in the table.",
-        Axis("angle of the sensor", "deg"), Axis("error", "arcmin"),
+        PlotAxis("angle of the sensor", "deg"), PlotAxis("error", "arcmin"),
         (
             Series("measured", 360.0 * found.angle_rev, ARCMIN * found.mean_rev, "orange", draw="points"),
             Series("by orders", 360.0 * fine, ARCMIN * found.error_rev(fine), "blue"),

@@ -22,13 +22,13 @@ from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import inertia_kg_m2
-from .diagnose_figures import PAIR, Words, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
 from .document import (
     Cell,
-    Column,
+    Heading,
     Listing,
-    Provenance,
     Report,
+    ReportProvenance,
     Row,
     Section,
     Standing,
@@ -63,7 +63,7 @@ class DiagnosisSource(NamedTuple):
     """What is diagnosed, and where it comes from."""
 
     name: str
-    provenance: Provenance
+    provenance: ReportProvenance
     model_path: str = ""  # of the updated model file; empty where none was written
     data: Section | None = None  # what the fitted runs can show, of report.coverage
 
@@ -181,7 +181,7 @@ def _not_finite(diagnosis: Diagnosis) -> bool:
     return not all(math.isfinite(after) for _, _, after in _held_out_errors(diagnosis))
 
 
-def _rest(rest: Rest, words: Words) -> str:
+def _rest(rest: Rest, words: DiagnosisWords) -> str:
     left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
     text = (
         f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
@@ -194,7 +194,7 @@ def _rest(rest: Rest, words: Words) -> str:
     return text + "."
 
 
-def _reason(finding: Finding, words: Words) -> str:
+def _reason(finding: Finding, words: DiagnosisWords) -> str:
     family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
     share = 100.0 * finding.explained_fraction
     chance = significant(finding.false_alarm_probability, 2)
@@ -217,16 +217,16 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: Words) -> Table:
+def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     columns = [
-        Column(label="takes away", unit="%"),
-        Column(label="fitted runs", unit="nats", group="gain"),
-        Column(label="held out", unit="nats", group="gain"),
-        Column(label="size", unit="% of friction"),
-        Column(label="false alarm", unit="p"),
-        Column(label="not distinguishable from", words=True),
-        Column(label="axis", words=True),
-        Column(label="feed-forward", words=True),
+        Heading(label="takes away", unit="%"),
+        Heading(label="fitted runs", unit="nats", group="gain"),
+        Heading(label="held out", unit="nats", group="gain"),
+        Heading(label="size", unit="% of friction"),
+        Heading(label="false alarm", unit="p"),
+        Heading(label="not distinguishable from", words=True),
+        Heading(label="axis", words=True),
+        Heading(label="feed-forward", words=True),
     ]
     rows = [
         Row(
@@ -270,7 +270,7 @@ def _scaled(found: Interval, factor: float) -> Interval:
     return Interval(found.value * factor, found.low * factor, found.high * factor)
 
 
-def _errors(figures: ErrorFigures | None, words: Words) -> list[Cell]:
+def _errors(figures: ErrorFigures | None, words: DiagnosisWords) -> list[Cell]:
     if figures is None:
         return [DASH] * 3
     torque = _scaled(figures.torque_rms_nm, words.torque_scale)
@@ -279,9 +279,9 @@ def _errors(figures: ErrorFigures | None, words: Words) -> list[Cell]:
     return [_interval(figures.torque_relative_percent), _interval(torque), _interval(velocity) if simulated else DASH]
 
 
-def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Words) -> Table:
+def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     labels = [(words.torque, "%"), (words.torque, words.small_torque), ("velocity", words.small_speed)]
-    columns = [Column(label=a, unit=b, group=group) for group in ("before", "after") for a, b in labels]
+    columns = [Heading(label=a, unit=b, group=group) for group in ("before", "after") for a, b in labels]
     names = {finding.name for finding in accepted}
     pairs = [("held out", diagnosis.before, diagnosis.after)]
     pairs += [(f.name, f.regime_before, f.regime_after) for f in accepted]
@@ -316,7 +316,7 @@ def _axes(finding: Finding) -> str:
     return finding.axis if across is None else f"{finding.axis} x {across}"
 
 
-def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
+def _parameters(accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     rows = []
     for finding in accepted:
         for one in finding.parameters if finding.curve is None else ():
@@ -326,14 +326,14 @@ def _parameters(accepted: Sequence[Finding], words: Words) -> Table:
             rows.append(Row(label=name, unit=words.unit(one.unit), cells=[number(one.value, 4, low, high)]))
     return Table(
         name="parameters", title="Parameters of the effects", corner="Parameter", rows=rows,
-        columns=[Column(label="value")],
+        columns=[Heading(label="value")],
         note="Refitted together with everything else; 95 % intervals where a parameter was fitted and not searched. "
         "The knots of a free curve are in the model file; its picture shows them.",
     )  # fmt: skip
 
 
 def _rivals(accepted: Sequence[Finding]) -> Table:
-    columns = [Column(label="gain in its place", unit="% of its"), Column(label="distinguished", words=True)]
+    columns = [Heading(label="gain in its place", unit="% of its"), Heading(label="distinguished", words=True)]
     rows = [
         Row(
             label=f"{rival.name} for {finding.name}",
@@ -354,14 +354,16 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
     )
 
 
-def _channels(diagnosis: Diagnosis, words: Words) -> Table:
+def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
     single = [channel for channel in diagnosis.channels if PAIR not in channel.name]
     pairs = [channel for channel in diagnosis.channels if PAIR in channel.name]
     pairs.sort(key=lambda channel: -max(channel.explained_before, channel.explained_after))
     columns = [
-        Column(label="explained", unit="%", group="before"), Column(label="beyond chance", words=True, group="before"),
-        Column(label="explained", unit="%", group="after"), Column(label="beyond chance", words=True, group="after"),
-        Column(label="samples"),
+        Heading(label="explained", unit="%", group="before"),
+        Heading(label="beyond chance", words=True, group="before"),
+        Heading(label="explained", unit="%", group="after"),
+        Heading(label="beyond chance", words=True, group="after"),
+        Heading(label="samples"),
     ]  # fmt: skip
     rows = [
         Row(
@@ -386,9 +388,9 @@ def _channels(diagnosis: Diagnosis, words: Words) -> Table:
 
 def _rejected(rejected: Sequence[Finding]) -> Table:
     columns = [
-        Column(label="would explain", unit="%"),
-        Column(label="false alarm", unit="p"),
-        Column(label="why not", words=True),
+        Heading(label="would explain", unit="%"),
+        Heading(label="false alarm", unit="p"),
+        Heading(label="why not", words=True),
     ]
     rows = [
         Row(
@@ -412,12 +414,12 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     )
 
 
-def _runs(look: RunsLook, words: Words) -> Table:
+def _runs(look: RunsLook, words: DiagnosisWords) -> Table:
     inertia = 1.0 if words.linear else inertia_kg_m2(1.0)
     columns = [
-        Column(label="M, mass" if words.linear else "J, inertia", unit="kg" if words.linear else "kg m²"),
-        Column(label="viscous", unit=words.unit("Nm/rps")), Column(label="Coulomb", unit=words.unit("Nm")),
-        Column(label="offset", unit=words.unit("Nm")), Column(label="moves" if words.linear else "turns", words=True),
+        Heading(label="M, mass" if words.linear else "J, inertia", unit="kg" if words.linear else "kg m²"),
+        Heading(label="viscous", unit=words.unit("Nm/rps")), Heading(label="Coulomb", unit=words.unit("Nm")),
+        Heading(label="offset", unit=words.unit("Nm")), Heading(label="moves" if words.linear else "turns", words=True),
     ]  # fmt: skip
     scales = {"inertia_nm_s2_per_rev": inertia, "viscous_nm_per_rps": 1.0, "coulomb_nm": 1.0, "offset_nm": 1.0}
     rows = [
@@ -445,7 +447,7 @@ def _estimate(one: Estimate | None, scale: float) -> Cell:
     return number(value, 4, value - reach, value + reach)
 
 
-def _base(diagnosis: Diagnosis, words: Words) -> Table:
+def _base(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
     rows = [
         Row(label=SYMBOLS["inertia_nm_s2_per_rev"].label, unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))
     ]
@@ -456,7 +458,7 @@ def _base(diagnosis: Diagnosis, words: Words) -> Table:
         rows.append(Row(label=symbol.label, unit=words.unit(symbol.unit), cells=_model_cells(diagnosis, name)))
     return Table(
         name="base", title="Base model", corner="Parameter", rows=rows,
-        columns=[Column(label="before"), Column(label="with the effects")],
+        columns=[Heading(label="before"), Heading(label="with the effects")],
         note="All are refitted with each effect; 95 % intervals where a parameter was fitted.",
     )  # fmt: skip
 

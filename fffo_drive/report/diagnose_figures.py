@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..diagnosis.results import Channel, Curve, Diagnosis, Finding, Picture, RunFigure
+from ..diagnosis.results import Diagnosis, Finding, FoundCurve, Picture, ResidualChannel, RunFigure
 from ..units import axis_word_on, name_on, text_on, unit_on
-from .figures import Axis, Figure, Floats, Group, Series, Uniform, grouped_bars
+from .figures import Figure, Floats, Group, PlotAxis, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
 PAIR = " x "  # in the name of a channel over two axes
@@ -19,7 +19,7 @@ POINTS = (BEFORE, AFTER, "green", "purple")
 LINES = (LAW, "ink", "purple", "green")
 
 
-class Words(NamedTuple):
+class DiagnosisWords(NamedTuple):
     """What quantities are called on this kind of axis."""
 
     torque: str = "torque"
@@ -51,16 +51,16 @@ class Words(NamedTuple):
         return self.small_speed if quantity == "velocity" else self.small_torque
 
 
-ROTARY = Words()
-LINEAR = Words("force", "N", "N", 1.0, "mm/s", linear=True)
+ROTARY = DiagnosisWords()
+LINEAR = DiagnosisWords("force", "N", "N", 1.0, "mm/s", linear=True)
 
 
-def words_of(diagnosis: Diagnosis) -> Words:
+def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
     """The words of the axis that was diagnosed."""
     return LINEAR if diagnosis.units == "linear" else ROTARY
 
 
-def effect_figures(findings: Sequence[Finding], words: Words) -> tuple[Figure, ...]:
+def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:
     """The picture of each finding that has one."""
     pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
     return tuple(
@@ -70,7 +70,7 @@ def effect_figures(findings: Sequence[Finding], words: Words) -> tuple[Figure, .
     )
 
 
-def _effect(name: str, effect: str, picture: Picture, width: str, words: Words) -> Figure:
+def _effect(name: str, effect: str, picture: Picture, width: str, words: DiagnosisWords) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
     series = [_series(curve, POINTS[k % len(POINTS)], words) for k, curve in enumerate(clouds)]
@@ -81,14 +81,14 @@ def _effect(name: str, effect: str, picture: Picture, width: str, words: Words) 
         kind="xy",
         title=words.text(picture.title),
         caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
-        x=Axis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
-        y=Axis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
+        x=PlotAxis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
+        y=PlotAxis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
         width="full" if width == "full" else "half",
     )
 
 
-def _series(curve: Curve, colour: str, words: Words) -> Series:
+def _series(curve: FoundCurve, colour: str, words: DiagnosisWords) -> Series:
     order = np.argsort(curve.x, kind="stable")
     low, high = (None if end is None else np.asarray(end)[order] for end in (curve.low, curve.high))
     x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
@@ -111,7 +111,7 @@ def _distinct(series: Sequence[Series]) -> list[Series]:
     return found
 
 
-def run_figures(runs: Sequence[RunFigure], words: Words) -> tuple[Figure, ...]:
+def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figure, ...]:
     """The residual of each run over time: its envelope before and after."""
     roles = {"fit": "chosen and fitted on it", "held_out": "held out: never seen by the fit"}
     ordered = sorted(runs, key=lambda run: run.role != "held_out")
@@ -121,8 +121,8 @@ def run_figures(runs: Sequence[RunFigure], words: Words) -> tuple[Figure, ...]:
             kind="time",
             title=f"{run.name} ({roles[run.role]})",
             caption="Smallest and largest residual in each piece of time.",
-            x=Axis("time", "s"),
-            y=Axis(f"{words.torque} that is left", words.torque_unit),
+            x=PlotAxis("time", "s"),
+            y=PlotAxis(f"{words.torque} that is left", words.torque_unit),
             series=(
                 _envelope("before", run.time_s, run.before_low_nm, run.before_high_nm, BEFORE),
                 _envelope("after", run.time_s, run.after_low_nm, run.after_high_nm, AFTER),
@@ -142,7 +142,7 @@ def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str)
     return Series(name, Uniform(float(time_s[0]), 0.5 * step), np.asarray(both, dtype=np.float64), colour, weight=1.0)
 
 
-def channel_figure(channels: Sequence[Channel], words: Words) -> Figure | None:
+def channel_figure(channels: Sequence[ResidualChannel], words: DiagnosisWords) -> Figure | None:
     """Share of the residual that a free curve over each axis explains, before and after; pairs are in the table."""
     single = [channel for channel in channels if PAIR not in channel.name]
     shown = sorted(single, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
@@ -157,13 +157,13 @@ def channel_figure(channels: Sequence[Channel], words: Words) -> Figure | None:
         kind="bars",
         title="Where the residual lives",
         caption="Share of the squared residual that a free curve over this axis alone explains.",
-        x=Axis(
+        x=PlotAxis(
             "axis",
             "-",
             categories=tuple(
                 words.axis(c.name) if words.linear else SHORT.get(c.name, words.axis(c.name)) for c in shown
             ),
         ),
-        y=Axis("explained", "%"),
+        y=PlotAxis("explained", "%"),
         series=tuple(grouped_bars(groups, {}, "")),
     )

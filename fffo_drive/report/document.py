@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from .. import __version__, formats
-from ..documents import Record
+from ..documents import StrictRecord
 from ..units import text_on
 from .figures import Figure
 
@@ -26,7 +26,7 @@ VERSIONED = ("numpy", "numba", "scipy")
 Standing = Literal["good", "caution", "bad"]
 
 
-class Verdict(Record):
+class Verdict(StrictRecord):
     """The first thing that is read: one sentence, and what it rests on."""
 
     standing: Standing
@@ -37,7 +37,7 @@ class Verdict(Record):
     )
 
 
-class Column(Record):
+class Heading(StrictRecord):
     """A column of a table; neighbours of one `group` stand under one heading."""
 
     label: str
@@ -46,7 +46,7 @@ class Column(Record):
     words: Annotated[bool, Field(description="texts, not numbers")] = False
 
 
-class Cell(Record):
+class Cell(StrictRecord):
     """One number as it is, as it is printed, and its interval; or a text alone."""
 
     text: str
@@ -56,7 +56,7 @@ class Cell(Record):
     best: Annotated[bool, Field(description="the smallest, or best, of its row")] = False
 
 
-class Row(Record):
+class Row(StrictRecord):
     """A line of a table."""
 
     label: str
@@ -64,18 +64,18 @@ class Row(Record):
     unit: str = ""
 
 
-class Table(Record):
+class Table(StrictRecord):
     """A table of numbers."""
 
     name: str
     title: str
     note: str
     corner: Annotated[str, Field(description="heading of the column of labels")] = ""
-    columns: list[Column]
+    columns: list[Heading]
     rows: list[Row]
 
 
-class Listing(Record):
+class Listing(StrictRecord):
     """A text that is to be copied: a file that was written, or commands."""
 
     name: str
@@ -84,7 +84,7 @@ class Listing(Record):
     text: str
 
 
-class SourceFile(Record):
+class SourceFile(StrictRecord):
     """A file that the report rests on."""
 
     name: str
@@ -93,7 +93,7 @@ class SourceFile(Record):
     text: Annotated[str | None, Field(description="content, of a short text")] = None
 
 
-class Provenance(Record):
+class ReportProvenance(StrictRecord):
     """Where the numbers come from."""
 
     date: str
@@ -102,7 +102,7 @@ class Provenance(Record):
     facts: dict[str, str] = Field(default_factory=dict)
 
 
-class FigureEntry(Record):
+class FigureEntry(StrictRecord):
     """A figure of the page, without its points."""
 
     name: str
@@ -114,7 +114,7 @@ class FigureEntry(Record):
     series: list[str]
 
 
-class ReportFile(Record):
+class ReportFile(StrictRecord):
     """report.json."""
 
     format: Annotated[str, formats.REPORT.key] = formats.REPORT.word
@@ -124,7 +124,7 @@ class ReportFile(Record):
     tables: list[Table]
     listings: list[Listing] = Field(default_factory=list)
     figures: list[FigureEntry]
-    provenance: Provenance
+    provenance: ReportProvenance
     results: Annotated[dict[str, Any], Field(description="what the kind of report adds for programs")] = Field(
         default_factory=dict
     )
@@ -149,7 +149,7 @@ class Report:
     verdict: Verdict
     tables: tuple[Table, ...]
     sections: tuple[Section, ...]
-    provenance: Provenance
+    provenance: ReportProvenance
     results: dict[str, Any] = field(default_factory=dict)
     listings: tuple[Listing, ...] = ()
 
@@ -187,7 +187,7 @@ def of_linear_axis(report: Report) -> Report:
         cells = [cell.model_copy(update={"text": said(cell.text)}) for cell in row.cells]
         return row.model_copy(update={"label": said(row.label), "unit": said(row.unit), "cells": cells})
 
-    def column_of(column: Column) -> Column:
+    def column_of(column: Heading) -> Heading:
         return column.model_copy(update={"label": said(column.label), "unit": said(column.unit)})
 
     def table_of(table: Table) -> Table:
@@ -252,9 +252,9 @@ def source_file(name: str, data: bytes, text: bool = False) -> SourceFile:
     return SourceFile(name=name, bytes=len(data), sha256=sha256(data).hexdigest(), text=content)
 
 
-def provenance(files: list[SourceFile], facts: Mapping[str, str], now: datetime | None = None) -> Provenance:
+def provenance(files: list[SourceFile], facts: Mapping[str, str], now: datetime | None = None) -> ReportProvenance:
     """Provenance with the versions of what computed."""
     versions = {"fffo-drive": __version__, "Python": platform.python_version()}
     versions |= {name: version(name) for name in VERSIONED}
     date = (now or datetime.now(UTC)).isoformat(timespec="seconds")
-    return Provenance(date=date, versions=versions, files=files, facts=dict(facts))
+    return ReportProvenance(date=date, versions=versions, files=files, facts=dict(facts))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .decimation import thinned
-from .figures import Axis, Figure, Floats, Series, Uniform
+from .figures import Figure, Floats, PlotAxis, Series, Uniform
 
 SHORT = 4096  # up to here float32 costs nothing
 LEVELS = 32767
@@ -81,7 +81,7 @@ def _figure(figure: Figure, most: int) -> dict[str, Any]:
     }
 
 
-def _axis(axis: Axis) -> dict[str, Any]:
+def _axis(axis: PlotAxis) -> dict[str, Any]:
     return {**axis._asdict(), "text": axis.text}
 
 

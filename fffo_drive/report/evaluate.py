@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..evaluation.campaign import Cutout, Evaluation
-from ..evaluation.compare import Interval
+from ..evaluation.compare import SeedInterval
 from ..evaluation.measures import Yardstick
 from ..evaluation.metrics import PAPER_TABLE_2
 from ..evaluation.summary import Summary, as_object
-from .document import Cell, Column, Provenance, Report, Row, Section, Table, Verdict, number, significant
-from .figures import Axis, Dash, Figure, Group, Series, Uniform, grouped_bars
+from .document import Cell, Heading, Report, ReportProvenance, Row, Section, Table, Verdict, number, significant
+from .figures import Dash, Figure, Group, PlotAxis, Series, Uniform, grouped_bars
 from .page import ReportPaths, write_report
 
 METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}
@@ -24,7 +24,7 @@ KINDS = {"measured": "measured velocity", "true": "true velocity"}
 PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
 COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
 DASHES: tuple[Dash, ...] = ("solid", "dashdot", "solid", "dashed", "dotted", "solid")
-VELOCITY = Axis("velocity", "rps")
+VELOCITY = PlotAxis("velocity", "rps")
 LARGEST_SKIPPED_SHARE = 0.001  # of a run's samples, above which its figures say something about the machine as well
 
 
@@ -35,7 +35,7 @@ class EvaluationSource(NamedTuple):
     subtitle: str
     yardstick: Yardstick
     cautions: Sequence[str]
-    provenance: Provenance
+    provenance: ReportProvenance
 
 
 def write_evaluation_report(
@@ -93,7 +93,7 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     return Verdict(standing="caution" if cautions else "good", headline=headline, reasons=[order], cautions=cautions)
 
 
-def _cell(interval: Interval, best: bool = False) -> Cell:
+def _cell(interval: SeedInterval, best: bool = False) -> Cell:
     if not np.isfinite(interval.low):
         return number(interval.value, best=best)
     return number(interval.value, low=interval.low, high=interval.high, best=best)
@@ -104,7 +104,7 @@ def _table_2(summary: Summary) -> Table:
     base = summary.figures["measured.ise"].base
     columns = []
     for title in METRICS.values():
-        columns += [Column(label="here", unit="%", group=title), Column(label="paper", unit="%", group=title)]
+        columns += [Heading(label="here", unit="%", group=title), Heading(label="paper", unit="%", group=title)]
     rows = []
     for controller in summary.controllers:
         published = PAPER_TABLE_2.get(PAPER_NAMES.get(controller, ""))
@@ -123,7 +123,7 @@ def _table_2(summary: Summary) -> Table:
 
 
 def _metrics_table(summary: Summary, kind: str) -> Table:
-    columns = [Column(label=title, unit=UNITS[key]) for key, title in METRICS.items()]
+    columns = [Heading(label=title, unit=UNITS[key]) for key, title in METRICS.items()]
     return Table(
         name=f"metrics-{kind}", title=f"Error against {KINDS[kind]}", corner="Control", columns=columns,
         note="Mean over seeds with its 95 % interval; seeds differ in noise and, for a multi-sine, in the reference.",
@@ -146,10 +146,10 @@ def _interval_cell(summary: Summary, name: str, controller: str) -> Cell:
 
 def _bands_table(summary: Summary, yardstick: Yardstick, kind: str) -> Table:
     edges = yardstick.band_edges_rps
-    columns = [Column(label="near reversals", unit="rps")]
+    columns = [Heading(label="near reversals", unit="rps")]
     for low, high in itertools.pairwise(edges):
         label = f"above {low:g}" if high == edges[-1] else f"{low:g} to {high:g}"
-        columns.append(Column(label=label, unit="rps", group="by the reference's speed"))
+        columns.append(Heading(label=label, unit="rps", group="by the reference's speed"))
     names = [f"{kind}.reversals.mae", *(f"{kind}.band{n}.mae" for n in range(len(edges) - 1))]
     return Table(
         name="bands", title=f"MAE by speed, against {KINDS[kind]}", corner="Control", columns=columns,
@@ -163,7 +163,7 @@ def _lag_table(summary: Summary, kinds: Sequence[str]) -> Table:
         "p95_absolute_ms": ("95 % of |lag|", "ms"),
         "missed": ("missed", ""),
     }
-    columns = [Column(label=a, unit=b, group=KINDS[kind]) for kind in kinds for a, b in parts.values()]
+    columns = [Heading(label=a, unit=b, group=KINDS[kind]) for kind in kinds for a, b in parts.values()]
     names = [f"{kind}.lag.{part}" for kind in kinds for part in parts]
     total = summary.figures.get("measured.lag.reversals")
     count = f"{next(iter(total.absolute.values())).value:.0f} reversals a run. " if total else ""
@@ -183,7 +183,7 @@ def _effort_table(summary: Summary) -> Table:
     }  # fmt: skip
     return Table(
         name="effort", title="Control effort", corner="Control", note="Of the command on the wire.",
-        columns=[Column(label=a, unit=b) for a, b in parts.values()],
+        columns=[Heading(label=a, unit=b) for a, b in parts.values()],
         rows=_rows(summary, [f"effort.{part}" for part in parts]),
     )  # fmt: skip
 
@@ -203,7 +203,7 @@ def _bars(summary: Summary, kind: str) -> Figure:
     return Figure(
         name=f"bars-{kind}", kind="bars", title=f"Error against {KINDS[kind]}",
         caption=f"Per cent of {base}" + ("; markers: the paper's Table II." if marks else "."),
-        x=Axis("metric", "-", categories=tuple(METRICS.values())), y=Axis(f"share of {base}", "%"),
+        x=PlotAxis("metric", "-", categories=tuple(METRICS.values())), y=PlotAxis(f"share of {base}", "%"),
         series=tuple(grouped_bars(groups, marks, "paper")), width="half" if kind == "true" else "full",
     )  # fmt: skip
 
@@ -227,7 +227,7 @@ def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
                 kind="time",
                 title=f"From {start_s:g} s",
                 caption="Reference and velocity; the shaft's own where it is known.",
-                x=Axis("time", "s"),
+                x=PlotAxis("time", "s"),
                 y=VELOCITY,
                 series=tuple(series),
                 width="half",
@@ -252,8 +252,8 @@ def _histograms(summary: Summary, yardstick: Yardstick, kinds: Sequence[str]) ->
                 kind="histogram",
                 title=f"Error against {KINDS[kind]}",
                 caption="Share of all samples in each bin; the outermost bins hold what is beyond.",
-                x=Axis("velocity error", "rps"),
-                y=Axis("share of samples", "%"),
+                x=PlotAxis("velocity error", "rps"),
+                y=PlotAxis("share of samples", "%"),
                 series=tuple(series),
                 width="half",
             )

@@ -30,7 +30,7 @@ class Uniform(NamedTuple):
         return self.start + self.step * np.arange(n, dtype=np.float64)
 
 
-class Axis(NamedTuple):
+class PlotAxis(NamedTuple):
     """An axis. `unit` is never empty: '-' stands for a number, '%' for a share. Categories stand at 0, 1, 2, ..."""
 
     label: str
@@ -53,7 +53,7 @@ class Span(NamedTuple):
     label: str
 
 
-class Level(NamedTuple):
+class LevelLine(NamedTuple):
     """A line across the figure: at `value` of the ordinate, or of the abscissa when `upright`."""
 
     value: float
@@ -105,15 +105,15 @@ class Figure:
     kind: Kind
     title: str
     caption: str
-    x: Axis
-    y: Axis
+    x: PlotAxis
+    y: PlotAxis
     series: tuple[Series, ...]
     width: Width = "full"
     height_px: int = 260
     group: str = ""
     share_y: bool = False
     spans: tuple[Span, ...] = ()
-    levels: tuple[Level, ...] = ()
+    levels: tuple[LevelLine, ...] = ()
 
     def __post_init__(self) -> None:
         said = {"title": self.title, "caption": self.caption, "x label": self.x.label, "x unit": self.x.unit}

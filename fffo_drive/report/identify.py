@@ -23,10 +23,10 @@ from .coverage import coverage_section
 from .cyclic import cyclic_section, cyclic_table
 from .document import (
     Cell,
-    Column,
+    Heading,
     Listing,
-    Provenance,
     Report,
+    ReportProvenance,
     Row,
     Section,
     SourceFile,
@@ -40,14 +40,14 @@ from .document import (
     source_file,
 )
 from .figures import Figure
-from .identify_figures import Words
+from .identify_figures import IdentifyWords
 
 LARGE_RESIDUAL_PERCENT = 10.0  # of the torque: the model misses something that matters
 USELESS_RESIDUAL_PERCENT = 50.0
 TOLD_SHARE = 0.02  # of the residual's power that a function of the motion explains
 SURE = 1e-3
-ROTARY = Words()
-LINEAR = Words("force", "N", "m", "m/s", "N s/m", "command", "A", linear=True)
+ROTARY = IdentifyWords()
+LINEAR = IdentifyWords("force", "N", "m", "m/s", "N s/m", "command", "A", linear=True)
 
 
 class IdentifySource(NamedTuple):
@@ -59,7 +59,7 @@ class IdentifySource(NamedTuple):
     model_file: Path
 
 
-def words_of(facts: DriveFacts) -> Words:
+def words_of(facts: DriveFacts) -> IdentifyWords:
     """What quantities are called on this axis; the command's unit as declared for its column."""
     words = LINEAR if facts.units == "linear" else ROTARY
     column = (facts.columns or {}).get("current_command_a")
@@ -95,7 +95,7 @@ def identify_report(
     )
 
 
-def _verdict(results: dict[str, Any], words: Words) -> Verdict:
+def _verdict(results: dict[str, Any], words: IdentifyWords) -> Verdict:
     doubted = [doubt["symbol"] for doubt in results["doubts"]]
     fitted = [row["symbol"] for row in results["parameters"] if row["of_the_model"] and row["fitted"]]
     told = [symbol for symbol in fitted if symbol not in doubted]
@@ -125,7 +125,7 @@ def _span(values: Any) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _quality(results: dict[str, Any], words: Words) -> list[str]:
+def _quality(results: dict[str, Any], words: IdentifyWords) -> list[str]:
     """The quality line: torque, velocity over free windows, what the residual remembers."""
     runs = results["residuals"].values()
     median = _span([run["velocity_median_rps"] for run in runs])
@@ -196,9 +196,9 @@ def _parameters(results: dict[str, Any]) -> Table:
         "effect, bear on it. Velocity lag: of the drive's velocity behind its position."
     )
     columns = [
-        Column(label="value"), Column(label="sd"), Column(label="sd", unit="%"),
-        Column(label="noise", group="parts of sd"), Column(label="specification", group="parts of sd"),
-        Column(label="windows"), Column(label="source", words=True),
+        Heading(label="value"), Heading(label="sd"), Heading(label="sd", unit="%"),
+        Heading(label="noise", group="parts of sd"), Heading(label="specification", group="parts of sd"),
+        Heading(label="windows"), Heading(label="source", words=True),
     ]  # fmt: skip
     return Table(name="parameters", title="Parameters", note=note, corner="parameter", columns=columns, rows=rows)
 
@@ -228,7 +228,7 @@ def _parameter_row(label: str, unit: str, p: dict[str, Any], source: str) -> Row
     return Row(label=label, unit="" if unit == "-" else unit.replace("^2", "²"), cells=cells)
 
 
-def _effects(results: dict[str, Any], words: Words) -> Table:
+def _effects(results: dict[str, Any], words: IdentifyWords) -> Table:
     rows = []
     for effect in results["effects"]:
         for k, p in enumerate(effect["parameters"]):
@@ -253,8 +253,8 @@ def _effects(results: dict[str, Any], words: Words) -> Table:
              + words.text("constant torque, direction, gravity, waves of the angle.")
              + " Share: of the squared residual that all others leave. p: of chance, over all that was tried.",
         columns=[
-            Column(label="value"), Column(label="sd"), Column(label="share", unit="%"), Column(label="p"),
-            Column(label="what it is", words=True),
+            Heading(label="value"), Heading(label="sd"), Heading(label="share", unit="%"), Heading(label="p"),
+            Heading(label="what it is", words=True),
         ],
     )  # fmt: skip
 
@@ -276,24 +276,24 @@ def _doubts(results: dict[str, Any]) -> Table:
         name="doubts", title="What the data do not determine", corner="parameter",
         note="Values of these are in the model file all the same: do not rely on them.",
         columns=[
-            Column(label="why", words=True), Column(label="goes with", words=True),
-            Column(label="excitation that would determine it", words=True),
+            Heading(label="why", words=True), Heading(label="goes with", words=True),
+            Heading(label="excitation that would determine it", words=True),
         ],
         rows=rows,
     )  # fmt: skip
 
 
-def _runs(results: dict[str, Any], words: Words) -> Table:
+def _runs(results: dict[str, Any], words: IdentifyWords) -> Table:
     columns = [
-        Column(label="length", unit="s"), Column(label="loop"), Column(label="gaps"),
-        Column(label="rms", unit=words.torque_unit, group=f"{words.torque} residual"),
-        Column(label="of all", unit="%", group=f"{words.torque} residual"),
-        Column(label="sliding", unit=words.torque_unit, group=f"{words.torque} residual"),
-        Column(label="presliding", unit=words.torque_unit, group=f"{words.torque} residual"),
-        Column(label="mean forward", unit=words.torque_unit, group=f"{words.torque} residual"),
-        Column(label="mean backward", unit=words.torque_unit, group=f"{words.torque} residual"),
-        Column(label="rms", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
-        Column(label="median", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
+        Heading(label="length", unit="s"), Heading(label="loop"), Heading(label="gaps"),
+        Heading(label="rms", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Heading(label="of all", unit="%", group=f"{words.torque} residual"),
+        Heading(label="sliding", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Heading(label="presliding", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Heading(label="mean forward", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Heading(label="mean backward", unit=words.torque_unit, group=f"{words.torque} residual"),
+        Heading(label="rms", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
+        Heading(label="median", unit=words.velocity_unit, group="velocity, free for 0.2 s"),
     ]  # fmt: skip
     rows = []
     for run in results["runs"]:
@@ -318,11 +318,11 @@ def _runs(results: dict[str, Any], words: Words) -> Table:
     )  # fmt: skip
 
 
-def _dependence(results: dict[str, Any], words: Words) -> Table:
+def _dependence(results: dict[str, Any], words: IdentifyWords) -> Table:
     runs = results["residuals"]
-    columns: list[Column] = []
+    columns: list[Heading] = []
     for name in runs:
-        columns += [Column(label="r", group=name), Column(label="p", group=name)]
+        columns += [Heading(label="r", group=name), Heading(label="p", group=name)]
     functions = list(dict.fromkeys(d["function"] for run in runs.values() for d in run["dependence"]))
     rows = []
     for function in functions:
@@ -369,7 +369,7 @@ def _p(value: float) -> Cell:
 
 
 def _sections(
-    fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any], words: Words
+    fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any], words: IdentifyWords
 ) -> tuple[Section, ...]:
     summaries = results["residuals"]
     measured: list[Figure] = [figure for run in runs for figure in draw.cutout_figures(run, words)]
@@ -405,7 +405,7 @@ def _next_steps(source: IdentifySource) -> Listing:
     )  # fmt: skip
 
 
-def _provenance(source: IdentifySource, records: Sequence[Record], results: dict[str, Any]) -> Provenance:
+def _provenance(source: IdentifySource, records: Sequence[Record], results: dict[str, Any]) -> ReportProvenance:
     files = [
         SourceFile(name=record.path.name, bytes=record.path.stat().st_size, sha256=record.digest) for record in records
     ]

@@ -14,7 +14,7 @@ from ..identification.residuals import BLOCK_S, LONGEST_LAG, RunResidual, effect
 from ..model.friction import steady_friction_nm
 from ..units import text_on
 from .document import significant
-from .figures import Axis, Figure, Floats, Level, Series, Uniform, histogram, normal_curve
+from .figures import Figure, Floats, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
 
 COLOURS = ("blue", "orange", "green", "purple", "grey", "ink")
 LONGEST = 12_000  # points of one record on the page
@@ -26,7 +26,7 @@ FRICTION_BINS = 14
 LEAST_IN_BIN = 40
 
 
-class Words(NamedTuple):
+class IdentifyWords(NamedTuple):
     """What the quantities are called on this kind of axis, and their units."""
 
     torque: str = "torque"
@@ -47,13 +47,13 @@ class Words(NamedTuple):
         """What a sentence about a rotary axis says of this one."""
         return text_on(rotary, self.linear)
 
-    def velocity(self, name: str = "velocity") -> Axis:
+    def velocity(self, name: str = "velocity") -> PlotAxis:
         """An axis of velocities."""
-        return Axis(name, self.velocity_unit)
+        return PlotAxis(name, self.velocity_unit)
 
-    def residual(self) -> Axis:
+    def residual(self) -> PlotAxis:
         """An axis of residuals."""
-        return Axis(f"{self.torque} residual", self.torque_unit)
+        return PlotAxis(f"{self.torque} residual", self.torque_unit)
 
 
 def figure_name(prefix: str, record: str) -> str:
@@ -81,7 +81,7 @@ def free_velocities(run: RunResidual) -> tuple[Uniform, Floats, Floats]:
     return Uniform(record.begin_s, block * record.period_s), measured, simulated
 
 
-def course_figures(run: RunResidual, words: Words) -> list[Figure]:
+def course_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
     """One record: command, velocity measured and simulated, torque residual. They zoom together."""
     record, found = run.record, run.torque
     grid, measured, simulated = free_velocities(run)
@@ -90,9 +90,9 @@ def course_figures(run: RunResidual, words: Words) -> list[Figure]:
     places = np.rint((found.time_s - record.begin_s) / record.period_s).astype(np.int64)
     residual[places] = np.where(found.kept, found.residual_nm, np.nan)
     group = figure_name("time", record.name)
-    clock = Axis("time", "s")
-    parts: list[tuple[str, str, Axis, tuple[Series, ...], int]] = [
-        ("command", f"What was commanded in {record.name}.", Axis(words.command, words.command_unit),
+    clock = PlotAxis("time", "s")
+    parts: list[tuple[str, str, PlotAxis, tuple[Series, ...], int]] = [
+        ("command", f"What was commanded in {record.name}.", PlotAxis(words.command, words.command_unit),
          (Series("command", time, record.current_a, "ink", weight=1.0, finest=LONGEST),), 170),
         ("velocity", "Measured (derivative of the position over 5 ms) and simulated without looking at the measurement "
          "for 0.2 s at a time; a window in which nothing moves is left out.", words.velocity(),
@@ -111,7 +111,7 @@ def course_figures(run: RunResidual, words: Words) -> list[Figure]:
     ]  # fmt: skip
 
 
-def cutout_figures(run: RunResidual, words: Words) -> list[Figure]:
+def cutout_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
     """Fig. 3: two stretches of a record, one with slow reversals and one with the fastest motion."""
     grid, measured, simulated = free_velocities(run)
     length = min(measured.size, round(CUTOUT_S / grid.step))
@@ -137,7 +137,7 @@ def cutout_figures(run: RunResidual, words: Words) -> list[Figure]:
                 name=figure_name(f"cutout-{number + 1}", run.record.name), kind="time",
                 title=f"{run.record.name}: {kind}",
                 caption=f"{CUTOUT_S:g} s from {shown.start:.4g} s; the simulation starts anew every 0.2 s.",
-                x=Axis("time", "s"), y=words.velocity(), width="half", height_px=220,
+                x=PlotAxis("time", "s"), y=words.velocity(), width="half", height_px=220,
                 series=(
                     Series("measured", shown, measured[part], "orange", weight=2.4),
                     Series("simulated", shown, simulated[part], "blue", dash="dashed", weight=1.3),
@@ -147,7 +147,7 @@ def cutout_figures(run: RunResidual, words: Words) -> list[Figure]:
     return figures
 
 
-def histogram_figure(run: RunResidual, words: Words) -> Figure:
+def histogram_figure(run: RunResidual, words: IdentifyWords) -> Figure:
     """Fig. 4: distribution of the torque residual against a normal one of the same mean and deviation."""
     values = run.torque.residual_nm[run.torque.kept]
     limit = float(np.quantile(np.abs(values), 0.998)) if values.size else 1.0
@@ -155,12 +155,12 @@ def histogram_figure(run: RunResidual, words: Words) -> Figure:
     return Figure(
         name=figure_name("histogram", run.record.name), kind="histogram", title=f"{run.record.name}: distribution",
         caption="Share of all moving samples in each bin, and a normal distribution of the same mean and deviation.",
-        x=words.residual(), y=Axis("share of samples", "%"), width="half", height_px=220,
+        x=words.residual(), y=PlotAxis("share of samples", "%"), width="half", height_px=220,
         series=(histogram("residual", values, edges, "blue"), normal_curve("normal", values, edges)),
     )  # fmt: skip
 
 
-def autocorrelation_figure(runs: Sequence[RunResidual], words: Words) -> Figure:
+def autocorrelation_figure(runs: Sequence[RunResidual], words: IdentifyWords) -> Figure:
     """How long the residual remembers; the band is that of white noise."""
     series, smallest = [], np.inf
     step_s = 0.0
@@ -178,12 +178,12 @@ def autocorrelation_figure(runs: Sequence[RunResidual], words: Words) -> Figure:
         name="autocorrelation", kind="time", title=f"Autocorrelation of the {words.torque} residual",
         caption="The filter of 40 Hz alone makes neighbours alike within 0.01 s; what remembers longer is a rough "
                 "surface, or something that the model lacks. Dashed: 95 % of white noise.",
-        x=Axis("lag", "s"), y=Axis("correlation", "-"), series=tuple(series), height_px=220,
-        levels=(Level(bound, "white"), Level(-bound, "")),
+        x=PlotAxis("lag", "s"), y=PlotAxis("correlation", "-"), series=tuple(series), height_px=220,
+        levels=(LevelLine(bound, "white"), LevelLine(-bound, "")),
     )  # fmt: skip
 
 
-def over_speed_figure(run: RunResidual, words: Words) -> Figure:
+def over_speed_figure(run: RunResidual, words: IdentifyWords) -> Figure:
     """Torque residual over velocity, sliding and presliding apart."""
     series = []
     for name, mask, colour in (("sliding", run.sliding, "blue"), ("presliding", run.presliding, "orange")):
@@ -213,7 +213,7 @@ def _binned(x: Floats, y: Floats, bins: int = 40) -> tuple[Floats, Floats] | Non
     return np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts])
 
 
-def by_frequency_figure(summaries: dict[str, dict[str, Any]], words: Words) -> Figure:
+def by_frequency_figure(summaries: dict[str, dict[str, Any]], words: IdentifyWords) -> Figure:
     """Residual by octaves of frequency, beside the torque itself."""
     series = []
     for number, (name, run) in enumerate(summaries.items()):
@@ -225,12 +225,12 @@ def by_frequency_figure(summaries: dict[str, dict[str, Any]], words: Words) -> F
         series.append(Series(f"{words.torque}, {name}", at, torque, colour, dash="dotted"))
     return Figure(
         name="by-frequency", kind="xy", title="Error by frequency",
-        caption=f"Rms of residual and {words.torque} in octaves.", x=Axis("frequency", "Hz", log=True),
-        y=Axis(f"{words.torque}, rms", words.torque_unit, log=True), series=tuple(series), height_px=220,
+        caption=f"Rms of residual and {words.torque} in octaves.", x=PlotAxis("frequency", "Hz", log=True),
+        y=PlotAxis(f"{words.torque}, rms", words.torque_unit, log=True), series=tuple(series), height_px=220,
     )  # fmt: skip
 
 
-def by_speed_figure(summaries: dict[str, dict[str, Any]], words: Words) -> Figure:
+def by_speed_figure(summaries: dict[str, dict[str, Any]], words: IdentifyWords) -> Figure:
     """Residual by speed, sliding and presliding apart."""
     series = []
     for number, (name, run) in enumerate(summaries.items()):
@@ -246,7 +246,7 @@ def by_speed_figure(summaries: dict[str, dict[str, Any]], words: Words) -> Figur
     return Figure(
         name="by-speed", kind="xy", title="Error by amplitude and regime",
         caption="Rms of the residual in bins of speed.",
-        x=Axis("speed", words.velocity_unit, log=True), y=Axis("residual, rms", words.torque_unit, log=True),
+        x=PlotAxis("speed", words.velocity_unit, log=True), y=PlotAxis("residual, rms", words.torque_unit, log=True),
         series=tuple(series), height_px=220,
     )  # fmt: skip
 
@@ -270,7 +270,7 @@ def _steady(physical: Floats, speeds: Floats) -> Floats:
     return np.array([steady_friction_nm(friction, float(speed)) for speed in speeds])
 
 
-def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: Words) -> Figure:
+def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: IdentifyWords) -> Figure:
     """Stribeck curve with its band, and what the records say at each speed, both ways."""
     speed = np.concatenate([np.abs(run.torque.velocity_rps[run.sliding]) for run in runs])
     highest = float(speed.max()) if speed.size else 1.0
@@ -291,7 +291,7 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: Words) -> Figu
         caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus "
                 f"{words.inertia} a in the records while sliding, mean of each bin, whiskers its middle 90 %. "
                 "Frictional lag stands in the points and not in the curve.",
-        x=Axis("speed", words.velocity_unit, log=True), y=Axis(f"friction {words.torque}", words.torque_unit),
+        x=PlotAxis("speed", words.velocity_unit, log=True), y=PlotAxis(f"friction {words.torque}", words.torque_unit),
         series=tuple(series), height_px=300,
     )  # fmt: skip
 

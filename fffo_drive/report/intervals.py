@@ -19,7 +19,7 @@ RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample: resampling
 LEAST_STRETCHES = 8
 
 
-class Interval(NamedTuple):
+class ShownInterval(NamedTuple):
     """Ends of a 95 % interval."""
 
     low: float
@@ -28,7 +28,7 @@ class Interval(NamedTuple):
 
 def ratio_intervals(
     errors: Mapping[str, Floats], against: Mapping[str, str], stretch: int, draws: int = 2000, seed: int = 1
-) -> dict[str, dict[str, Interval]]:
+) -> dict[str, dict[str, ShownInterval]]:
     """Per run and metric the interval of metric(run) / metric(against[metric]), as a plain ratio.
 
     `errors`: error (n,) of each run on one time grid, NaN where a sample is missing. `against` names a run for each
@@ -40,13 +40,13 @@ def ratio_intervals(
         return {}
     drawn = np.random.default_rng(seed).integers(0, stretches, (draws, stretches))
     metrics = {name: _metrics(block[drawn].sum(axis=1)) for name, block in sums.items()}
-    found: dict[str, dict[str, Interval]] = {}
+    found: dict[str, dict[str, ShownInterval]] = {}
     for name, own in metrics.items():
         found[name] = {}
         for metric in RESAMPLED:
             with np.errstate(divide="ignore", invalid="ignore"):
                 low, high = np.percentile(own[metric] / metrics[against[metric]][metric], [2.5, 97.5])
-            found[name][metric] = Interval(float(low), float(high))
+            found[name][metric] = ShownInterval(float(low), float(high))
     return found
 
 

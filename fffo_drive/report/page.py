@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from ..documents import DocumentError
 from . import palette
-from .document import Column, Report, interval_text
+from .document import Heading, Report, interval_text
 from .encoding import encode_figures
 
 PAGE_NAME = "report.html"
@@ -78,7 +78,7 @@ def script_json(content: object) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def column_groups(columns: Iterable[Column]) -> list[tuple[str, int]]:
+def column_groups(columns: Iterable[Heading]) -> list[tuple[str, int]]:
     """Headings over neighbouring columns of one group, and how many each spans; none when no group has a name."""
     groups = [(name, len(list(members))) for name, members in groupby(columns, key=lambda column: column.group)]
     return groups if any(name for name, _ in groups) else []

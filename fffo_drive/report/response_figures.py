@@ -15,15 +15,15 @@ from ..identification.frequency_response import LEAST_COHERENCE, FrequencyRespon
 from ..model.axis import AxisState, simulate
 from ..model.friction import REST, steady_friction_nm
 from .document import significant
-from .figures import Axis, Dash, Figure, Floats, Series
-from .identify_figures import COLOURS, Words, figure_name
+from .figures import Dash, Figure, Floats, PlotAxis, Series
+from .identify_figures import COLOURS, IdentifyWords, figure_name
 
 BALANCE_ANGLES = 64
 LEAST_SHOWN = 0.2  # coherence below which a point says nothing
 DASHES: tuple[Dash, ...] = ("dotted", "dashdot", "dashed")
 
 
-class Response(NamedTuple):
+class ChirpResponse(NamedTuple):
     """What one chirp tells, and the same chirp on the fitted model."""
 
     record: Record
@@ -34,7 +34,7 @@ class Response(NamedTuple):
     amplitude_rps: float  # rms velocity times the root of two
 
 
-def responses(records: Sequence[Record], found: dict[str, Any], physical: Floats) -> list[Response]:
+def responses(records: Sequence[Record], found: dict[str, Any], physical: Floats) -> list[ChirpResponse]:
     """Of the records that have a fit in results["frequency_response"]; the model goes through the same estimate."""
     result = []
     for record in records:
@@ -45,7 +45,7 @@ def responses(records: Sequence[Record], found: dict[str, Any], physical: Floats
         measured = FrequencyResponse(*(np.array(column) for column in columns))
         fit = entry["first_order"]
         result.append(
-            Response(
+            ChirpResponse(
                 record, measured, _modelled(record, physical), fit["gain_rps_per_a"], fit["time_constant_s"],
                 _amplitude(record),
             )
@@ -69,11 +69,13 @@ def _modelled(record: Record, physical: Floats) -> FrequencyResponse | None:
         return None
 
 
-def response_figures(response: Response, damping: list[dict[str, float]], inertia: float, words: Words) -> list[Figure]:
+def response_figures(
+    response: ChirpResponse, damping: list[dict[str, float]], inertia: float, words: IdentifyWords
+) -> list[Figure]:
     """Gain with first-order plants by amplitude, phase, coherence: of one chirp."""
     record, measured = response.record, response.measured
     frequency = measured.frequency_hz
-    hz = Axis("frequency", "Hz", log=True)
+    hz = PlotAxis("frequency", "Hz", log=True)
     used = measured.coherence > LEAST_COHERENCE
     seen = measured.coherence > LEAST_SHOWN
     gain = [
@@ -110,17 +112,17 @@ def response_figures(response: Response, damping: list[dict[str, float]], inerti
     coherence = Series("coherence", frequency, measured.coherence, "orange", "points")
     return [
         Figure(figure_name("gain", record.name), "xy", f"{record.name}: gain", caption, hz,
-               Axis("gain", unit, log=True), tuple(gain), height_px=300, group=group),
+               PlotAxis("gain", unit, log=True), tuple(gain), height_px=300, group=group),
         Figure(figure_name("phase", record.name), "xy", f"{record.name}: phase",
-               "Not used for the fit: frictional lag and delay bend it.", hz, Axis("phase", "deg"), tuple(phase),
+               "Not used for the fit: frictional lag and delay bend it.", hz, PlotAxis("phase", "deg"), tuple(phase),
                width="half", height_px=190, group=group),
         Figure(figure_name("coherence", record.name), "xy", f"{record.name}: coherence",
                "Below 0.6 a point is not used; friction that changes with amplitude lowers it too.", hz,
-               Axis("coherence", "-", limits=(0.0, 1.05)), (coherence,), width="half", height_px=190, group=group),
+               PlotAxis("coherence", "-", limits=(0.0, 1.05)), (coherence,), width="half", height_px=190, group=group),
     ]  # fmt: skip
 
 
-def _first_order(response: Response, frequency_hz: Floats) -> Floats:
+def _first_order(response: ChirpResponse, frequency_hz: Floats) -> Floats:
     return np.asarray(response.gain_rps_per_a / np.hypot(1.0, 2.0 * np.pi * frequency_hz * response.time_constant_s))
 
 
@@ -128,7 +130,7 @@ def _unwrapped(phase_deg: Floats) -> Floats:
     return np.degrees(np.unwrap(np.radians(phase_deg)))
 
 
-def damping_figure(damping: list[dict[str, float]], physical: Floats, words: Words) -> Figure:
+def damping_figure(damping: list[dict[str, float]], physical: Floats, words: IdentifyWords) -> Figure:
     """Damping over amplitude (17): from the records, and from the model's steady curve by harmonic balance."""
     amplitude = np.array([point["amplitude_rps"] for point in damping])
     measured = np.array([point["damping_nm_per_rps"] for point in damping])
@@ -140,8 +142,8 @@ def damping_figure(damping: list[dict[str, float]], physical: Floats, words: Wor
         caption="Power that friction takes over the mean square of the velocity, in windows of 0.5 s; line: steady "
                 "friction of the model by harmonic balance; dotted: viscous part alone. Presliding and lag are in "
                 "the points only.",
-        x=Axis("amplitude of the velocity", words.velocity_unit, log=True),
-        y=Axis("damping", words.damping_unit, log=True), width="half",
+        x=PlotAxis("amplitude of the velocity", words.velocity_unit, log=True),
+        y=PlotAxis("damping", words.damping_unit, log=True), width="half",
         series=(
             Series("measured", amplitude, measured, "orange", "points"),
             Series("model, steady", grid, steady, "blue", weight=2.0),

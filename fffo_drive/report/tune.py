@@ -15,7 +15,7 @@ from ..units import TWO_PI, inertia_nm_s2_per_rev
 from . import tune_figures as draw
 from .document import (
     Cell,
-    Column,
+    Heading,
     Listing,
     Report,
     Row,
@@ -130,7 +130,7 @@ def _gains(tuning: Tuning) -> Table:
     ]
     return Table(
         name="gains", title="Gains", corner="gain", rows=rows,
-        columns=[Column(label="value"), Column(label="what it is", words=True)],
+        columns=[Heading(label="value"), Heading(label="what it is", words=True)],
         note="As written into the controller section, there to four digits.",
     )  # fmt: skip
 
@@ -162,7 +162,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
         rows.append(_margin_row(f"the same, {_letter(source.model)} and Td at the ends of their intervals", worst))
     return Table(
         name="margins", title="Margins", corner="loop", rows=rows,
-        columns=[Column(label="phase", unit="deg"), Column(label="gain"), Column(label="crossover", unit="Hz")],
+        columns=[Heading(label="phase", unit="deg"), Heading(label="gain"), Heading(label="crossover", unit="Hz")],
         note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Wished: at least "
              f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.{'' if axis.estimator is None else TWO_CUTS}",
     )  # fmt: skip
@@ -217,7 +217,7 @@ def _checks(tuning: Tuning, model: ModelFile) -> Table:
     ]  # fmt: skip
     return Table(
         name="checks", title="Conditions", corner="what", rows=rows,
-        columns=[Column(label="value"), Column(label="meaning", words=True)],
+        columns=[Heading(label="value"), Heading(label="meaning", words=True)],
         note="Condition (14) in torque units, Ki Kt + L ≥ 2 B, belongs to the loop with observer and is not a margin.",
     )  # fmt: skip
 
@@ -252,7 +252,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
     ]  # fmt: skip
     return Table(
         name="axis", title="The axis", corner="parameter", rows=rows,
-        columns=[Column(label="value"), Column(label="sd"), Column(label="source", words=True)],
+        columns=[Heading(label="value"), Heading(label="sd"), Heading(label="source", words=True)],
         note="From the model file; below each value its 95 % interval where it was fitted.",
     )  # fmt: skip
 

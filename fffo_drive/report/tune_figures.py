@@ -10,7 +10,7 @@ from ..control.stability import LinearAxis, Margins, loop_margins
 from ..identification.tuning import Design, Gains, Wish, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
-from .figures import Axis, Dash, Figure, Floats, Level, Series, Span, Uniform
+from .figures import Dash, Figure, Floats, LevelLine, PlotAxis, Series, Span, Uniform
 from .response_figures import harmonic_damping
 
 LOCUS_GAINS = 401
@@ -62,7 +62,7 @@ def locus_figures(tuning: Tuning) -> list[Figure]:
         f"PI and first-order plant at its smallest damping, without delay, Kp from {significant(range_a[0])} to "
         f"{significant(range_a[-1])} A/rps at Ti = {significant(tuning.integral_time_s)} s."
     )
-    x, y = Axis("real part", "1/s"), Axis("imaginary part", "1/s")
+    x, y = PlotAxis("real part", "1/s"), PlotAxis("imaginary part", "1/s")
     figures = [Figure("root-locus", "xy", "Root locus", f"Fig. 6: {caption}", x, y, tuple(series), height_px=240)]
     if bound > 0.0:
         near = x._replace(limits=(4.0 * zero, 0.4 * abs(zero)))
@@ -86,14 +86,14 @@ def poles_figure(tuning: Tuning) -> Figure:
     gains = np.geomspace(min(0.02 * chosen, 0.5 * bound if bound > 0.0 else chosen), 10.0 * chosen, LOCUS_GAINS)
     first, second = _branches(tuning, gains)
     turning = np.abs(first.imag)
-    levels = [Level(chosen, "chosen", upright=True)]
+    levels = [LevelLine(chosen, "chosen", upright=True)]
     if bound > 0.0:
-        levels.append(Level(bound, "real", upright=True))
+        levels.append(LevelLine(bound, "real", upright=True))
     return Figure(
         name="poles", kind="xy", title="Poles over the gain",
         caption="Distance of the poles from the imaginary axis, and their frequency where they are a pair. Both are "
                 f"real for good from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
-        x=Axis("Kp", "A/rps", log=True), y=Axis("pole", "1/s", log=True), width="half",
+        x=PlotAxis("Kp", "A/rps", log=True), y=PlotAxis("pole", "1/s", log=True), width="half",
         series=(
             Series("−Re", gains, -first.real, "blue", weight=2.0),
             Series("−Re, other", gains, -second.real, "purple", dash="dashed", weight=2.0),
@@ -126,7 +126,7 @@ def step_figure(tuning: Tuning) -> Figure:
                 f"{significant(design.overshoot_percent, 2)} % over, within 2 % after "
                 f"{significant(1e3 * design.settled_s, 2)} ms. At worst the observer is one more integral action of L; "
                 "friction that is compensated is not in this figure.",
-        x=Axis("time", "s"), y=Axis("velocity", "rps"), series=tuple(series), levels=(Level(1.0, ""),),
+        x=PlotAxis("time", "s"), y=PlotAxis("velocity", "rps"), series=tuple(series), levels=(LevelLine(1.0, ""),),
     )  # fmt: skip
 
 
@@ -145,23 +145,23 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
         turned = np.degrees(np.unwrap(np.angle(loop)))
         phase.append(Series(name, hz, turned, colour, dash=dash, weight=1.8))
         if observer > 0.0 and np.isfinite(margins.crossover_hz):
-            levels.append(Level(margins.crossover_hz, "", upright=True))
+            levels.append(LevelLine(margins.crossover_hz, "", upright=True))
     wanted = tuning.wish.phase_margin_deg
-    x = Axis("frequency", "Hz", log=True)
+    x = PlotAxis("frequency", "Hz", log=True)
     return [
         Figure(
             name="bode-gain", kind="xy", title="Open loop: gain", group="bode", width="half",
             caption=f"From velocity error to velocity. Crossover {significant(design.margins_pi.crossover_hz)} Hz "
                     f"with PI, {significant(design.margins_observer.crossover_hz)} Hz with L; gain margins "
                     f"{significant(design.margins_pi.gain)} and {significant(design.margins_observer.gain)}.",
-            x=x, y=Axis("gain", "-", log=True), series=tuple(gain), levels=(Level(1.0, ""), *levels),
+            x=x, y=PlotAxis("gain", "-", log=True), series=tuple(gain), levels=(LevelLine(1.0, ""), *levels),
         ),
         Figure(
             name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
             caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
                     f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° were wished.",
-            x=x, y=Axis("phase", "deg"), series=tuple(phase),
-            levels=(Level(-180.0, "−180°"), Level(wanted - 180.0, f"{wanted:g}° margin"), *levels),
+            x=x, y=PlotAxis("phase", "deg"), series=tuple(phase),
+            levels=(LevelLine(-180.0, "−180°"), LevelLine(wanted - 180.0, f"{wanted:g}° margin"), *levels),
         ),
     ]  # fmt: skip
 
@@ -189,7 +189,7 @@ def damping_figures(tuning: Tuning) -> list[Figure]:
             )
             phase[name].append(margins.phase_deg if np.isfinite(margins.phase_deg) else np.nan)
     held, real = tuning.design.within_margins, tuning.design.without_overshoot
-    x = Axis("friction damping D", "Nm/rps", log=True)
+    x = PlotAxis("friction damping D", "Nm/rps", log=True)
     amplitude = np.geomspace(1e-3, 50.0, DAMPINGS)
     friction = np.array([harmonic_damping(tuning.friction, float(a)) for a in amplitude])
     return [
@@ -198,20 +198,20 @@ def damping_figures(tuning: Tuning) -> list[Figure]:
             caption=f"Margins hold from {significant(held.lowest)} to {significant(held.highest)} Nm/rps; poles are "
                     f"real and not ten times slower from {significant(real.lowest)} to {significant(real.highest)}. "
                     "A line ends where the gain no longer crosses 1.",
-            x=x, y=Axis("phase margin", "deg"),
+            x=x, y=PlotAxis("phase margin", "deg"),
             series=(
                 Series("PI", damping, np.array(phase["PI"]), "blue", weight=1.8),
                 Series("PI and L", damping, np.array(phase["PI and L"]), "orange", dash="dashdot", weight=1.8),
             ),
             spans=(Span(held.lowest, held.highest, "margins hold"),),
-            levels=(Level(tuning.wish.phase_margin_deg, "wished"), Level(own, "smallest", upright=True)),
+            levels=(LevelLine(tuning.wish.phase_margin_deg, "wished"), LevelLine(own, "smallest", upright=True)),
         ),
         Figure(
             name="damping-over-amplitude", kind="xy", title="Friction's damping over amplitude", width="half",
             caption="Steady friction of the model by harmonic balance (17). Between the lines both poles are real and "
                     "neither is ten times slower than 1/Ti; above, the loop follows only with friction compensated.",
-            x=Axis("amplitude of the velocity", "rps", log=True), y=Axis("damping", "Nm/rps", log=True),
+            x=PlotAxis("amplitude of the velocity", "rps", log=True), y=PlotAxis("damping", "Nm/rps", log=True),
             series=(Series("model", amplitude, friction, "blue", weight=2.0),),
-            levels=(Level(real.lowest, "least"), Level(real.highest, "most")),
+            levels=(LevelLine(real.lowest, "least"), LevelLine(real.highest, "most")),
         ),
     ]  # fmt: skip

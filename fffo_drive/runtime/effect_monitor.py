@@ -77,7 +77,7 @@ class Moments(NamedTuple):
         return math.sqrt(self.squares / (self.number - 1)) if self.number > 1 else 1.0
 
 
-class Trial(NamedTuple):
+class EffectTrial(NamedTuple):
     """Some effects tried on top of others."""
 
     base: int  # bits in service in every window
@@ -97,7 +97,7 @@ class Trial(NamedTuple):
 class MonitorState(NamedTuple):
     """Memory of the monitor."""
 
-    trial: Trial | None  # None: what is kept is in service
+    trial: EffectTrial | None  # None: what is kept is in service
     kept: int  # bits that no trial has taken out
     queue: tuple[int, ...] = ()  # to be tried one by one
     usual: Moments = Moments()  # logarithm of the squared error in service
@@ -116,7 +116,7 @@ class MonitorState(NamedTuple):
         return self.kept if self.trial is None else self.trial.wanted
 
 
-class Verdict(NamedTuple):
+class EffectVerdict(NamedTuple):
     """The end of a trial, or the beginning of another one."""
 
     effects: int  # bits that it speaks of
@@ -129,12 +129,12 @@ class Decision(NamedTuple):
     """What is to be in service next."""
 
     effects: int  # bits
-    verdict: Verdict | None = None
+    verdict: EffectVerdict | None = None
 
 
 def monitor_start(effects: int = 1) -> MonitorState:
     """A trial of these bits together begins."""
-    return MonitorState(Trial(0, effects), effects)
+    return MonitorState(EffectTrial(0, effects), effects)
 
 
 def monitor_step(config: MonitorConfig, state: MonitorState, window: Window) -> tuple[MonitorState, Decision]:
@@ -150,10 +150,10 @@ def monitor_step(config: MonitorConfig, state: MonitorState, window: Window) -> 
         state = state._replace(trial=trial)
         return state, Decision(state.wanted)
     state = _after(state, trial, worse)
-    return state, Decision(state.wanted, Verdict(trial.tried, worse, trial.ratios.mean, trial.ratios.number))
+    return state, Decision(state.wanted, EffectVerdict(trial.tried, worse, trial.ratios.mean, trial.ratios.number))
 
 
-def _with_window(trial: Trial, logarithm: float) -> Trial:
+def _with_window(trial: EffectTrial, logarithm: float) -> EffectTrial:
     """The trial with one more window of the kind that it wanted."""
     with_them = trial.wanted != trial.base
     number, pending = trial.number + 1, trial.pending
@@ -167,7 +167,7 @@ def _with_window(trial: Trial, logarithm: float) -> Trial:
     return trial._replace(number=number, pending=math.nan, ratios=trial.ratios.added(ratio))
 
 
-def _outcome(config: MonitorConfig, trial: Trial) -> bool | None:
+def _outcome(config: MonitorConfig, trial: EffectTrial) -> bool | None:
     """Worse, or not; None while it is open."""
     ratios = trial.ratios
     if not math.isnan(trial.pending) or ratios.number < config.least_pairs:
@@ -183,14 +183,14 @@ def _outcome(config: MonitorConfig, trial: Trial) -> bool | None:
     return None
 
 
-def _after(state: MonitorState, trial: Trial, worse: bool) -> MonitorState:
+def _after(state: MonitorState, trial: EffectTrial, worse: bool) -> MonitorState:
     """The next trial, or service."""
     kept = trial.base if worse else trial.base | trial.tried
     several = _bits(trial.tried)
     queue = several if len(several) > 1 else state.queue
     if queue:
         others = kept & ~queue[0]
-        return MonitorState(Trial(others, queue[0]), kept, queue[1:])
+        return MonitorState(EffectTrial(others, queue[0]), kept, queue[1:])
     return MonitorState(None, kept, (), trial.without if worse else trial.with_them)
 
 
@@ -205,10 +205,10 @@ def _watched(config: MonitorConfig, state: MonitorState, logarithm: float) -> tu
         state = state._replace(growth=growth)
         return state, Decision(state.wanted)
     again = monitor_start(state.kept)
-    return again, Decision(again.wanted, Verdict(state.kept, False))
+    return again, Decision(again.wanted, EffectVerdict(state.kept, False))
 
 
-def sentence(verdict: Verdict, names: Sequence[str]) -> str:
+def sentence(verdict: EffectVerdict, names: Sequence[str]) -> str:
     """A verdict in words; `names` by the number of the bit."""
     said = ", ".join(names[k] if k < len(names) else f"effect {k}" for k in range(8) if verdict.effects >> k & 1)
     if math.isnan(verdict.change):
@@ -243,7 +243,7 @@ class EffectMonitor:
             found += self._take(part, acting)
         return found
 
-    def sentence(self, verdict: Verdict) -> str:
+    def sentence(self, verdict: EffectVerdict) -> str:
         """A verdict in words."""
         return sentence(verdict, self.names)
 

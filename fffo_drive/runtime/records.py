@@ -13,21 +13,21 @@ from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig
 from ..control.reference import Profile
 from ..control.set_point import SET_POINT_NAMES, SetPoint
-from ..recording.run_records import Kind, RunRecord
+from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Floats
 from .tick import LoopConfig
 
 WORD_KINDS = {  # control words whose changes are records of their own
-    b.STOP: Kind.STOP,
-    b.GOAL: Kind.GOAL,
-    b.TOGGLE: Kind.TOGGLE,
-    b.PROFILE_ABORT: Kind.ABORT,
-    b.SET_POINT_ABORT: Kind.SET_POINT_ABORT,
-    b.RESET_NUMBER: Kind.RESET,
-    b.AUTOSTOP: Kind.AUTOSTOP,
-    b.EFFECTS: Kind.IN_SERVICE,
+    b.STOP: RecordKind.STOP,
+    b.GOAL: RecordKind.GOAL,
+    b.TOGGLE: RecordKind.TOGGLE,
+    b.PROFILE_ABORT: RecordKind.ABORT,
+    b.SET_POINT_ABORT: RecordKind.SET_POINT_ABORT,
+    b.RESET_NUMBER: RecordKind.RESET,
+    b.AUTOSTOP: RecordKind.AUTOSTOP,
+    b.EFFECTS: RecordKind.IN_SERVICE,
 }
 REACTION = "envelope.reactions."
 LONGEST_TEXT = 1000  # characters of a value in a request
@@ -45,7 +45,7 @@ class Unnumbered(NamedTuple):
     """A record without its place: what `Session` adds to its book."""
 
     number: int
-    kind: Kind
+    kind: RecordKind
     names: tuple[str, ...]
     values: tuple[float, ...]
     data: Mapping[str, Any]
@@ -58,24 +58,24 @@ def of_session(session_id: str, loop: LoopConfig, envelope: EnvelopeConfig) -> U
     reactions = limits.pop("reactions")
     values |= {f"envelope.{name}": value for name, value in limits.items()}
     values |= {f"{REACTION}{trip}": reaction for trip, reaction in enumerate(reactions)}
-    return Unnumbered(0, Kind.SESSION, tuple(values), _floats(values.values()), {"session": session_id})
+    return Unnumbered(0, RecordKind.SESSION, tuple(values), _floats(values.values()), {"session": session_id})
 
 
 def of_model(number: int, model: ModelNote) -> Unnumbered:
     """A model file."""
-    return Unnumbered(number, Kind.MODEL, (), (), model._asdict())
+    return Unnumbered(number, RecordKind.MODEL, (), (), model._asdict())
 
 
 def of_parameters(number: int, block: Floats, model: ModelNote | None) -> Unnumbered:
     """A packed controller block, and which model it was made with."""
     data = {} if model is None else {"model": model.content_hash}
-    return Unnumbered(number, Kind.PARAMETERS, CONTROLLER_NAMES, _floats(block), data)
+    return Unnumbered(number, RecordKind.PARAMETERS, CONTROLLER_NAMES, _floats(block), data)
 
 
 def of_effects(number: int, table: Floats) -> Unnumbered:
     """A table of compensated effects."""
     names, numbers = table_numbers(table)
-    return Unnumbered(number, Kind.EFFECTS, tuple(names), _floats(numbers), {"effects": effect_names(table)})
+    return Unnumbered(number, RecordKind.EFFECTS, tuple(names), _floats(numbers), {"effects": effect_names(table)})
 
 
 def of_profile(number: int, profile: Profile) -> Unnumbered:
@@ -84,13 +84,17 @@ def of_profile(number: int, profile: Profile) -> Unnumbered:
     extremes = (float(profile.values.min()), float(profile.values.max())) if profile.values.size else (0.0, 0.0)
     values = _floats((profile.mode, profile.period_s, profile.values.size, *extremes))
     return Unnumbered(
-        number, Kind.PROFILE, names, values, {"name": profile.name, "values_sha256": values_digest(profile.values)}
+        number,
+        RecordKind.PROFILE,
+        names,
+        values,
+        {"name": profile.name, "values_sha256": values_digest(profile.values)},
     )
 
 
 def of_set_point(number: int, set_point: SetPoint) -> Unnumbered:
     """A live set point: from these the reference is made again."""
-    return Unnumbered(number, Kind.SET_POINT, SET_POINT_NAMES, _floats(set_point), {})
+    return Unnumbered(number, RecordKind.SET_POINT, SET_POINT_NAMES, _floats(set_point), {})
 
 
 def values_digest(values: Floats) -> str:
@@ -98,16 +102,16 @@ def values_digest(values: Floats) -> str:
     return hashlib.sha256(np.ascontiguousarray(values, "<f8").tobytes()).hexdigest()
 
 
-def of_word(kind: Kind, value: int) -> Unnumbered:
+def of_word(kind: RecordKind, value: int) -> Unnumbered:
     """A control word that was written."""
-    return Unnumbered(value if kind is Kind.RESET else 0, kind, (kind.value,), (float(value),), {})
+    return Unnumbered(value if kind is RecordKind.RESET else 0, kind, (kind.value,), (float(value),), {})
 
 
 def of_request(who: str, what: str, values: Mapping[str, Any], epoch: int | None) -> Unnumbered:
     """Who asked for what. Long texts (a model has its own record) are told by their digest."""
     told = {} if epoch is None else {"epoch": epoch}
     short = {name: _shortened(value) for name, value in values.items()}
-    return Unnumbered(0, Kind.REQUEST, (), (), {"who": who, "what": what, "values": short, **told})
+    return Unnumbered(0, RecordKind.REQUEST, (), (), {"who": who, "what": what, "values": short, **told})
 
 
 def _shortened(value: Any) -> Any:

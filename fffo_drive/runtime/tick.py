@@ -102,7 +102,7 @@ class ProfileCursor(NamedTuple):
     mode: int  # reference.MODE_*; MODE_IDLE holds zero velocity
 
 
-class Law(NamedTuple):
+class LawOutput(NamedTuple):
     """What the law asked for in this tick."""
 
     mode: int
@@ -269,7 +269,7 @@ def give_adapted(
 
 @njit
 def learn(
-    config: ControllerConfig, state: AdaptationState, adapted: Adapted, law: Law, controller: ControllerState
+    config: ControllerConfig, state: AdaptationState, adapted: Adapted, law: LawOutput, controller: ControllerState
 ) -> tuple[bool, AdaptationState]:
     """Learn from what P and I give: in motion, on the reference, and not where the command was limited."""
     if not config.adaptation.used or law.mode != MODE_VELOCITY or controller.toggle != TOGGLE_FEEDFORWARD:
@@ -284,14 +284,14 @@ def learn(
 def apply_law(
     config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
     toggle: int, active: bool, added_nm: float, followed_rps: float,
-) -> tuple[Law, ControllerState]:  # fmt: skip
+) -> tuple[LawOutput, ControllerState]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
-        return Law(MODE_IDLE, steady_reference(0.0), terms_of_current(0.0)), controller_at_rest()
+        return LawOutput(MODE_IDLE, steady_reference(0.0), terms_of_current(0.0)), controller_at_rest()
     if mode == MODE_CURRENT:
-        return Law(MODE_CURRENT, steady_reference(0.0), terms_of_current(reference.value)), controller_at_rest()
+        return LawOutput(MODE_CURRENT, steady_reference(0.0), terms_of_current(reference.value)), controller_at_rest()
     terms, state = controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps)
-    return Law(MODE_VELOCITY, reference, terms), state
+    return LawOutput(MODE_VELOCITY, reference, terms), state
 
 
 @njit
@@ -318,7 +318,7 @@ def ignores_target(served_bits: int, statusword: int) -> bool:
 
 @njit
 def look(
-    feedback: Any, config: LoopConfig, timing: Timing, baseline: Baseline, law: Law, wanted: bool, enabled: bool,
+    feedback: Any, config: LoopConfig, timing: Timing, baseline: Baseline, law: LawOutput, wanted: bool, enabled: bool,
     skipped_ticks: int,
 ) -> EnvelopeInputs:  # fmt: skip
     """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
@@ -369,7 +369,7 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool, adapts: bo
 
 @njit
 def write_row(
-    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: Law, effects_nm: float, adapted: Adapted,
+    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: LawOutput, effects_nm: float, adapted: Adapted,
     learned: AdaptationState, estimate: VelocityEstimatorTerms, seen: EnvelopeInputs, feedback: Any,
 ) -> Any:  # fmt: skip
     """Fill a row with what is known before the command is sent; the loop adds the rest and publishes it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from .findings import Finding, Wanted, failure, ok, warning
+from .findings import HostFinding, Wanted, failure, ok, warning
 from .host import Host
 
 IP_LINK = ("ip", "-details", "-json", "link")
@@ -32,7 +32,7 @@ def interface_bitrate_hz(host: Host, bus: str) -> int | None:
     return found if isinstance(found, int) else None
 
 
-def bus_findings(host: Host, wanted: Wanted) -> list[Finding]:
+def bus_findings(host: Host, wanted: Wanted) -> list[HostFinding]:
     """All about the bus: of the axis's interface, or of every CAN interface when no axis is given."""
     subject = "can"
     kind, _, name = (wanted.bus or "").partition(":")
@@ -61,7 +61,7 @@ def bus_findings(host: Host, wanted: Wanted) -> list[Finding]:
     return interface_findings(host, wanted, links[name])
 
 
-def interface_findings(host: Host, wanted: Wanted, link: dict[str, Any]) -> list[Finding]:
+def interface_findings(host: Host, wanted: Wanted, link: dict[str, Any]) -> list[HostFinding]:
     """All about one interface."""
     name, kind = link["ifname"], link.get("linkinfo", {}).get("info_kind", "")
     data = link.get("linkinfo", {}).get("info_data", {})
@@ -74,7 +74,7 @@ def interface_findings(host: Host, wanted: Wanted, link: dict[str, Any]) -> list
     return findings
 
 
-def driver(host: Host, wanted: Wanted, name: str, kind: str) -> Finding:
+def driver(host: Host, wanted: Wanted, name: str, kind: str) -> HostFinding:
     """Which driver; USB adapters and serial lines are too slow for fast loops."""
     subject = f"can {name} driver"
     if kind in ("vcan", "vxcan"):
@@ -98,7 +98,7 @@ def driver(host: Host, wanted: Wanted, name: str, kind: str) -> Finding:
     return ok(subject, f"{program} on {bus or 'an unknown bus'}")
 
 
-def bit_rate(wanted: Wanted, name: str, link: dict[str, Any], data: dict[str, Any]) -> Finding:
+def bit_rate(wanted: Wanted, name: str, link: dict[str, Any], data: dict[str, Any]) -> HostFinding:
     """Up, with the bit rate of the axis file."""
     subject = f"can {name}"
     command = f"ip link set {name} down; ip link set {name} up type can bitrate {wanted.bitrate_hz} restart-ms 100"
@@ -113,7 +113,7 @@ def bit_rate(wanted: Wanted, name: str, link: dict[str, Any], data: dict[str, An
     return ok(subject, f"up, {found} bit/s, sample point {sample}")
 
 
-def restart(name: str, data: dict[str, Any]) -> Finding:
+def restart(name: str, data: dict[str, Any]) -> HostFinding:
     """What happens after a bus-off, and where the controller is now."""
     subject = f"can {name} bus-off"
     state = data.get("state", "unknown state")
@@ -137,7 +137,7 @@ def restart(name: str, data: dict[str, Any]) -> Finding:
     return ok(subject, f"{state}, joins again {restart_ms} ms after a bus-off")
 
 
-def controller_mode(name: str, data: dict[str, Any]) -> Finding:
+def controller_mode(name: str, data: dict[str, Any]) -> HostFinding:
     """Modes in which the controller cannot talk, or talks to itself."""
     subject = f"can {name} mode"
     modes = set(data.get("ctrlmode", []))
@@ -154,7 +154,7 @@ def controller_mode(name: str, data: dict[str, Any]) -> Finding:
     return ok(subject, ", ".join(sorted(modes)).lower() or "ordinary")
 
 
-def queue(name: str, link: dict[str, Any]) -> Finding:
+def queue(name: str, link: dict[str, Any]) -> HostFinding:
     """The transmit queue: room for a period, not for old commands."""
     subject = f"can {name} queue"
     length = link.get("txqlen", 0)

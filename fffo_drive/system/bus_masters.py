@@ -6,7 +6,7 @@ from ..can.lease import bus_holder
 from ..can.link import LinkError
 from ..drive.canopen.config import ONE_MASTER, CanopenDriveConfig
 from ..drive.canopen.listening import Listening
-from .findings import Finding, failure, ok, warning
+from .findings import HostFinding, failure, ok, warning
 
 SUBJECT = "bus master"
 
@@ -23,7 +23,7 @@ class BusMasters:
         except LinkError as error:
             self._listening = error
 
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[HostFinding]:
         """Who was there."""
         bus = self._config.bus
         try:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .findings import Finding, ok, warning
+from .findings import HostFinding, ok, warning
 
 SERVICE_CACHES = "/var/cache/private/fffo-drive"  # where DynamicUser= has the service's CacheDirectory=
 LOOP_INDEX = "loop.*.nbi"  # numba's index of runtime/loop.py
 
 
-def cache_findings(directory: Path, digest: str, services: Path = Path(SERVICE_CACHES)) -> list[Finding]:
+def cache_findings(directory: Path, digest: str, services: Path = Path(SERVICE_CACHES)) -> list[HostFinding]:
     """The cache of this user and those of services; `directory` and `digest` are those of `fffo_drive.jit`."""
     findings = [_cache("kernel cache", directory, "the first run compiles for half a minute, once")]
     try:
@@ -23,7 +23,7 @@ def cache_findings(directory: Path, digest: str, services: Path = Path(SERVICE_C
     ]
 
 
-def _cache(subject: str, directory: Path, remedy: str) -> Finding:
+def _cache(subject: str, directory: Path, remedy: str) -> HostFinding:
     if any(directory.rglob(LOOP_INDEX)):
         return ok(subject, f"warm: {directory}")
     return warning(subject, f"cold: {directory} has no compiled loop of this version", remedy)

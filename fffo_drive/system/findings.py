@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 
-class Level(StrEnum):
+class Severity(StrEnum):
     """How bad it is."""
 
     OK = "ok"
@@ -14,11 +14,11 @@ class Level(StrEnum):
     FAILURE = "failure"  # this loop at this rate will not work
 
 
-class Finding(NamedTuple):
+class HostFinding(NamedTuple):
     """One line. `remedy`: what to type or to write where; empty when nothing is to be done."""
 
     subject: str
-    level: Level
+    level: Severity
     text: str
     remedy: str = ""
 
@@ -40,16 +40,16 @@ class Wanted(NamedTuple):
         return 1e6 / self.rate_hz
 
 
-def ok(subject: str, text: str) -> Finding:
+def ok(subject: str, text: str) -> HostFinding:
     """Nothing to be done."""
-    return Finding(subject, Level.OK, text)
+    return HostFinding(subject, Severity.OK, text)
 
 
-def warning(subject: str, text: str, remedy: str) -> Finding:
+def warning(subject: str, text: str, remedy: str) -> HostFinding:
     """Goes on, and could be better."""
-    return Finding(subject, Level.WARNING, text, remedy)
+    return HostFinding(subject, Severity.WARNING, text, remedy)
 
 
-def failure(subject: str, text: str, remedy: str) -> Finding:
+def failure(subject: str, text: str, remedy: str) -> HostFinding:
     """Will not work."""
-    return Finding(subject, Level.FAILURE, text, remedy)
+    return HostFinding(subject, Severity.FAILURE, text, remedy)

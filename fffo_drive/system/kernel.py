@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 
-from .findings import Finding, Wanted, failure, ok, warning
+from .findings import HostFinding, Wanted, failure, ok, warning
 from .host import Host
 
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
@@ -14,7 +14,7 @@ SMALLEST_SHARE = 0.5  # of a CPU for real-time threads: the loop needs a quarter
 RT_LIMITS = "/etc/security/limits.d/90-fffo-drive.conf"
 
 
-def kernel_findings(host: Host, wanted: Wanted) -> list[Finding]:
+def kernel_findings(host: Host, wanted: Wanted) -> list[HostFinding]:
     """All about the kernel, in the order in which it is to be read."""
     return [
         preemption(host),
@@ -41,7 +41,7 @@ def kernel_options(host: Host) -> dict[str, str]:
     return dict(re.findall(r"^(CONFIG_\w+)=(.*)$", text or "", re.MULTILINE))
 
 
-def preemption(host: Host) -> Finding:
+def preemption(host: Host) -> HostFinding:
     """PREEMPT_RT, or which lesser model."""
     subject = "kernel"
     release = host.text("/proc/sys/kernel/osrelease")
@@ -73,7 +73,7 @@ def _dynamic_model(host: Host, version: str) -> str:
     return "full" if "PREEMPT" in version.replace("PREEMPT_DYNAMIC", "") else "unknown"
 
 
-def machine(host: Host) -> Finding:
+def machine(host: Host) -> HostFinding:
     """Hardware, or a guest of a hypervisor."""
     subject = "machine"
     processors = host.text("/proc/cpuinfo")
@@ -88,7 +88,7 @@ def machine(host: Host) -> Finding:
     return ok(subject, f"no hypervisor seen ({vendor})")
 
 
-def throttling(host: Host) -> Finding:
+def throttling(host: Host) -> HostFinding:
     """How much of a CPU real-time threads may use."""
     subject = "rt throttling"
     runtime_us = host.number("/proc/sys/kernel/sched_rt_runtime_us")
@@ -109,7 +109,7 @@ def throttling(host: Host) -> Finding:
     return ok(subject, f"real-time threads get up to {100 * share:g} % of a CPU")
 
 
-def group_scheduling(host: Host) -> Finding:
+def group_scheduling(host: Host) -> HostFinding:
     """CONFIG_RT_GROUP_SCHED refuses SCHED_FIFO in every control group without a budget, whatever the rights."""
     subject = "rt groups"
     options = kernel_options(host)
@@ -135,7 +135,7 @@ def group_scheduling(host: Host) -> Finding:
     )  # fmt: skip
 
 
-def priority_limit(host: Host, wanted: Wanted) -> Finding:
+def priority_limit(host: Host, wanted: Wanted) -> HostFinding:
     """RLIMIT_RTPRIO of this shell; the service has its own."""
     subject = "limit rtprio"
     if wanted.priority == 0:
@@ -153,7 +153,7 @@ def priority_limit(host: Host, wanted: Wanted) -> Finding:
     return ok(subject, f"{limit:g}; the loop asks for {wanted.priority}")
 
 
-def memory_limit(host: Host, wanted: Wanted) -> Finding:
+def memory_limit(host: Host, wanted: Wanted) -> HostFinding:
     """RLIMIT_MEMLOCK of this shell; the service has its own."""
     subject = "limit memlock"
     if not wanted.lock_memory:
@@ -183,7 +183,7 @@ def _capable(host: Host, capability: int) -> bool:
     return line is not None and bool(int(line.group(1), 16) >> capability & 1)
 
 
-def clock(host: Host) -> Finding:
+def clock(host: Host) -> HostFinding:
     """The clock source: one that is read without a system call."""
     subject = "clock source"
     directory = "/sys/devices/system/clocksource/clocksource0"

@@ -11,7 +11,7 @@ from ..jit import njit
 from ..jit.libc import monotonic_ns, sleep_until
 from ..runtime.realtime import RealtimeReport, RealtimeRequest, enter_realtime, unlock_memory
 from ..units import NS_PER_S
-from .findings import Finding, Wanted, failure, ok, warning
+from .findings import HostFinding, Wanted, failure, ok, warning
 
 MOST_LATE = 0.01  # share of late ticks from which it will not do
 
@@ -58,7 +58,7 @@ def measure_lateness(wanted: Wanted, seconds: float) -> Lateness:
     return found[0]
 
 
-def lateness_findings(measured: Lateness, wanted: Wanted) -> list[Finding]:
+def lateness_findings(measured: Lateness, wanted: Wanted) -> list[HostFinding]:
     """What the measurement says, and what the system refused."""
     subject = "lateness"
     late_us = measured.lateness_ns / 1e3

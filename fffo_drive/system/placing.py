@@ -16,7 +16,7 @@ from .service_files import MANIFEST, UNIT, UNITS, ServiceFile, digest_of
 INSTALLED, UPDATED, UNCHANGED, KEPT, REMOVED = "installed", "updated", "unchanged", "kept", "removed"
 
 
-class Outcome(NamedTuple):
+class PlacedFiles(NamedTuple):
     """What became of one file or link. `path` is relative to the root directory."""
 
     path: str
@@ -42,7 +42,7 @@ def read_manifest(root: Path) -> Manifest:
         raise ValueError(f"{path}: not a manifest of fffo-drive install ({error}); delete it to start anew") from error
 
 
-def place_files(root: Path, files: Sequence[ServiceFile]) -> list[Outcome]:
+def place_files(root: Path, files: Sequence[ServiceFile]) -> list[PlacedFiles]:
     """Write all files. One that is there and is not what an earlier installation wrote is kept as it is.
 
     Files of an earlier installation that are no longer among these are removed.
@@ -58,7 +58,7 @@ def place_files(root: Path, files: Sequence[ServiceFile]) -> list[Outcome]:
             digests[file.path] = file.digest
         elif file.path in before.files:
             digests[file.path] = before.files[file.path]  # edited: still known as ours, so that it is named again
-        outcomes.append(Outcome(file.path, action))
+        outcomes.append(PlacedFiles(file.path, action))
     gone = {path: digest for path, digest in before.files.items() if path not in {file.path for file in files}}
     outcomes += [_remove(root, path, digest) for path, digest in gone.items()]
     text = json.dumps({"files": digests, "directories": directories}, indent=2) + "\n"
@@ -66,10 +66,10 @@ def place_files(root: Path, files: Sequence[ServiceFile]) -> list[Outcome]:
     return outcomes
 
 
-def remove_files(root: Path) -> list[Outcome]:
+def remove_files(root: Path) -> list[PlacedFiles]:
     """Take away what was put in place and not edited since, links that enable the service, and empty directories."""
     manifest = read_manifest(root)
-    outcomes = [Outcome(path, REMOVED) for path in enabling_links(root)]
+    outcomes = [PlacedFiles(path, REMOVED) for path in enabling_links(root)]
     for outcome in outcomes:
         (root / outcome.path).unlink()
         _remove_if_empty((root / outcome.path).parent)
@@ -110,15 +110,15 @@ def _write(root: Path, path: str, content: bytes, directories: list[str]) -> Non
     os.replace(temporary, target)
 
 
-def _remove(root: Path, path: str, digest: str) -> Outcome:
+def _remove(root: Path, path: str, digest: str) -> PlacedFiles:
     target = root / path
     try:
         if digest_of(target.read_bytes()) != digest:
-            return Outcome(path, KEPT)
+            return PlacedFiles(path, KEPT)
         target.unlink()
     except FileNotFoundError:
         pass
-    return Outcome(path, REMOVED)
+    return PlacedFiles(path, REMOVED)
 
 
 def _remove_if_empty(directory: Path) -> None:

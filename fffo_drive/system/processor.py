@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from .findings import Finding, Wanted, failure, ok, warning
+from .findings import HostFinding, Wanted, failure, ok, warning
 from .host import Host, cpu_list
 
 SYSTEM = "/sys/devices/system/cpu"
@@ -30,7 +30,7 @@ def choose_cpu(host: Host, wanted: Wanted) -> Chosen:
     return Chosen(cpu, allowed, isolated)
 
 
-def processor_findings(host: Host, wanted: Wanted) -> list[Finding]:
+def processor_findings(host: Host, wanted: Wanted) -> list[HostFinding]:
     """All about the loop's CPU."""
     chosen = choose_cpu(host, wanted)
     findings = [placement(host, wanted, chosen)]
@@ -44,7 +44,7 @@ def processor_findings(host: Host, wanted: Wanted) -> list[Finding]:
     return findings
 
 
-def placement(host: Host, wanted: Wanted, chosen: Chosen) -> Finding:
+def placement(host: Host, wanted: Wanted, chosen: Chosen) -> HostFinding:
     """Which CPU, and whether there is another one for the rest."""
     subject = "cpu"
     online = cpu_list(host.text(f"{SYSTEM}/online"))
@@ -71,7 +71,7 @@ def placement(host: Host, wanted: Wanted, chosen: Chosen) -> Finding:
     return ok(subject, f"CPU {chosen.cpu} for the loop, {count}")
 
 
-def isolation(host: Host, cpu: int, chosen: Chosen) -> Finding:
+def isolation(host: Host, cpu: int, chosen: Chosen) -> HostFinding:
     """Whether the scheduler keeps other programs off the CPU and its hyper-thread."""
     subject = "isolation"
     siblings = cpu_list(host.text(f"{SYSTEM}/cpu{cpu}/topology/thread_siblings_list")) | {cpu}
@@ -90,7 +90,7 @@ def isolation(host: Host, cpu: int, chosen: Chosen) -> Finding:
     return ok(subject, f"CPU {_shown(siblings)} isolated{tail}")
 
 
-def frequency(host: Host, cpu: int) -> Finding:
+def frequency(host: Host, cpu: int) -> HostFinding:
     """The frequency governor."""
     subject = "governor"
     governor = host.text(f"{SYSTEM}/cpu{cpu}/cpufreq/scaling_governor")
@@ -104,7 +104,7 @@ def frequency(host: Host, cpu: int) -> Finding:
     )  # fmt: skip
 
 
-def idle_states(host: Host, cpu: int, wanted: Wanted) -> Finding:
+def idle_states(host: Host, cpu: int, wanted: Wanted) -> HostFinding:
     """Idle states that take long to wake from."""
     subject = "idle states"
     directory = f"{SYSTEM}/cpu{cpu}/cpuidle"
@@ -122,7 +122,7 @@ def idle_states(host: Host, cpu: int, wanted: Wanted) -> Finding:
     return ok(subject, f"CPU {cpu}: {f'{name}, {deepest_us} us to wake' if name else 'none that delays'}")
 
 
-def interrupts(host: Host, cpu: int, wanted: Wanted) -> Finding:
+def interrupts(host: Host, cpu: int, wanted: Wanted) -> HostFinding:
     """Interrupts of devices that came to the CPU and are still led there. The bus's own may: the loop waits for it."""
     subject = "interrupts"
     table = host.text("/proc/interrupts")

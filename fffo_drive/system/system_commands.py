@@ -16,7 +16,7 @@ RUNNING_UDEV = Path("/run/udev/control")
 SYSTEM_PATHS = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 
-class Command(NamedTuple):
+class SystemCommand(NamedTuple):
     """One program to run. `purpose` is what is missing without it."""
 
     words: tuple[str, ...]
@@ -26,31 +26,31 @@ class Command(NamedTuple):
 class Result(NamedTuple):
     """What came of it: an empty `problem` when it worked."""
 
-    command: Command
+    command: SystemCommand
     problem: str
 
 
-def after_install(root: Path) -> list[Command]:
+def after_install(root: Path) -> list[SystemCommand]:
     """The group; on this machine itself also news for systemd and udev."""
-    made = Command(("systemd-sysusers", f"--root={root}", "fffo-drive.conf"), f"group {GROUP}")
+    made = SystemCommand(("systemd-sysusers", f"--root={root}", "fffo-drive.conf"), f"group {GROUP}")
     if not is_live(root):
         return [made]
     return [made._replace(words=("systemd-sysusers", "fffo-drive.conf")), *_news()]
 
 
-def after_removal(root: Path) -> list[Command]:
+def after_removal(root: Path) -> list[SystemCommand]:
     """The same backwards."""
     purpose = f"group {GROUP} away"
     if not is_live(root):
-        return [Command(("groupdel", "--prefix", str(root), GROUP), purpose)]
-    return [Command(("groupdel", GROUP), purpose), *_news()]
+        return [SystemCommand(("groupdel", "--prefix", str(root), GROUP), purpose)]
+    return [SystemCommand(("groupdel", GROUP), purpose), *_news()]
 
 
-def _news() -> list[Command]:
+def _news() -> list[SystemCommand]:
     """What running programs are told; nothing in a chroot or a container without them."""
     news = [
-        (RUNNING_SYSTEMD, Command(("systemctl", "daemon-reload"), "systemd knows of the unit")),
-        (RUNNING_UDEV, Command(("udevadm", "control", "--reload"), "udev knows of the rules")),
+        (RUNNING_SYSTEMD, SystemCommand(("systemctl", "daemon-reload"), "systemd knows of the unit")),
+        (RUNNING_UDEV, SystemCommand(("udevadm", "control", "--reload"), "udev knows of the rules")),
     ]
     return [command for sign, command in news if sign.exists()]
 
@@ -69,7 +69,7 @@ def has_group(root: Path) -> bool:
     return any(line.startswith(f"{GROUP}:") for line in lines)
 
 
-def run_commands(commands: Sequence[Command]) -> list[Result]:
+def run_commands(commands: Sequence[SystemCommand]) -> list[Result]:
     """Run all; one that fails or is not installed does not keep the next from running."""
     return [Result(command, _problem(command.words)) for command in commands]
 

@@ -20,7 +20,7 @@ from ..documents import check, parse
 from ..drive.canopen.told import ToldObjects
 from ..model.parameters import ModelFile
 from ..units import TWO_PI, rps_from_rpm
-from .drive_facts import ASSUMED, DriveFacts, Fact
+from .drive_facts import ASSUMED, Fact, SourcedFacts
 
 # what is assumed of an axis that nobody has measured yet
 ACCELERATION_RPS2 = 1000.0  # by the rated torque
@@ -61,7 +61,7 @@ class Place(NamedTuple):
     patience_ticks: int = 0  # longest time without feedback that was seen on a loopback bus, with a margin
 
 
-def make_draft(place: Place, facts: DriveFacts, objects: ToldObjects) -> Draft:
+def make_draft(place: Place, facts: SourcedFacts, objects: ToldObjects) -> Draft:
     """The files for facts in which nothing is missing. Raises DocumentError if they make no axis."""
     model_text = _model_text(place, facts)
     axis_text = _axis_text(place, facts, objects)
@@ -72,7 +72,7 @@ def make_draft(place: Place, facts: DriveFacts, objects: ToldObjects) -> Draft:
     return Draft(axis_text, model_text, axis, check(model_data, ModelFile, place.model_name, model_lines))
 
 
-def drive_section(place: Place, facts: DriveFacts) -> list[tuple[str, Fact]]:
+def drive_section(place: Place, facts: SourcedFacts) -> list[tuple[str, Fact]]:
     """Keys of the drive section, in order; those of its profile need not stand in it."""
     lines: list[tuple[str, Fact]] = [
         ("kind", Fact("canopen", "")),
@@ -102,7 +102,7 @@ def drive_section(place: Place, facts: DriveFacts) -> list[tuple[str, Fact]]:
     return lines
 
 
-def _axis_text(place: Place, facts: DriveFacts, objects: ToldObjects) -> str:
+def _axis_text(place: Place, facts: SourcedFacts, objects: ToldObjects) -> str:
     rated_a = float(facts.scales["rated_current_a"].value)
     constant = float(facts.scales["torque_constant_nm_per_a"].value)
     peak, peak_source = PEAK_FACTOR, "assumed: 1.5 of the rated current"
@@ -170,7 +170,7 @@ def _axis_text(place: Place, facts: DriveFacts, objects: ToldObjects) -> str:
     return "\n".join([*head, *lines]) + "\n"
 
 
-def inertia_kg_m2(facts: DriveFacts) -> Fact:
+def inertia_kg_m2(facts: SourcedFacts) -> Fact:
     """As given, or assumed."""
     if "inertia_kg_m2" in facts.scales:
         return facts.scales["inertia_kg_m2"]
@@ -179,7 +179,7 @@ def inertia_kg_m2(facts: DriveFacts) -> Fact:
     return Fact(float(f"{value:.3g}"), source)
 
 
-def _model_text(place: Place, facts: DriveFacts) -> str:
+def _model_text(place: Place, facts: SourcedFacts) -> str:
     rated_nm = float(facts.scales["rated_torque_nm"].value)
     period_s = 1.0 / float(place.rate_hz.value)
     constant, inertia = facts.scales["torque_constant_nm_per_a"], inertia_kg_m2(facts)

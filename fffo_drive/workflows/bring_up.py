@@ -28,15 +28,15 @@ from ..drive.canopen.told import ToldObjects
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..system.bus import interface_bitrate_hz
-from ..system.findings import Finding, Level, failure, ok, warning
+from ..system.findings import HostFinding, Severity, failure, ok, warning
 from ..system.host import Host
 from .axis_draft import Draft, Place, make_draft, model_file_of
-from .drive_facts import OPTIONS, Answers, DriveFacts, Fact, drive_facts, named_profile
+from .drive_facts import OPTIONS, Answers, Fact, SourcedFacts, drive_facts, named_profile
 from .rate_trial import (
     RATES_HZ,
     Choice,
+    RateTrial,
     RoundTrip,
-    Trial,
     choose_rate,
     objections,
     problems_at,
@@ -83,7 +83,7 @@ class Wishes(NamedTuple):
     seconds: float = 2.0  # at each rate
 
 
-class Report(NamedTuple):
+class BringUpReport(NamedTuple):
     """What was found and written."""
 
     bus: str
@@ -92,7 +92,7 @@ class Report(NamedTuple):
     nodes: tuple[NodeName, ...] = ()
     without_id: tuple[LssAddress, ...] = ()
     node_id: int | None = None
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[HostFinding, ...] = ()
     objects: dict[str, int] = {}  # noqa: RUF012  # of a NamedTuple: nobody changes it
     unreadable: dict[str, str] = {}  # noqa: RUF012
     facts: dict[str, Fact] = {}  # noqa: RUF012
@@ -100,7 +100,7 @@ class Report(NamedTuple):
     notes: tuple[str, ...] = ()  # of the profile
     missing: tuple[str, ...] = ()  # options that would tell what is not known
     adapter: RoundTrip | None = None
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[RateTrial, ...] = ()
     choice: Choice | None = None
     axis_file: Path | None = None
     model_file: Path | None = None
@@ -122,11 +122,11 @@ class Report(NamedTuple):
         }
 
 
-def _trial_json(trial: Trial) -> dict[str, Any]:
+def _trial_json(trial: RateTrial) -> dict[str, Any]:
     return {key: value._asdict() if hasattr(value, "_asdict") else value for key, value in trial._asdict().items()}
 
 
-def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
+def bring_up_axis(wishes: Wishes, talk: Talk) -> BringUpReport:
     """All of it, as far as it goes.
 
     Raises BusUnavailableError (BusOccupiedError before anything was sent), DriveRefusedError (LSS), DocumentError for
@@ -141,7 +141,7 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> Report:
         if without_id and (assigned := _assign(wishes, without_id, signs, talk)) is not None:
             (signs, nodes), without_id = _scan(wishes.bus, talk), ()
             wishes = wishes._replace(node_id=wishes.node_id or assigned)
-        found = Report(wishes.bus, "", False, nodes, without_id)
+        found = BringUpReport(wishes.bus, "", False, nodes, without_id)
         chosen = _choose(wishes, nodes, talk)
         if isinstance(chosen, str):
             if without_id:
@@ -297,7 +297,7 @@ def _where_to_look(bus: str) -> str:
     )
 
 
-def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, DriveFacts, list[Emergency]]:
+def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, SourcedFacts, list[Emergency]]:
     talk.tell(f"reading what node {node.node_id} tells")
     service = open_service(_service_link(wishes.bus, node.node_id), node.node_id)
     try:
@@ -311,9 +311,9 @@ def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, Driv
 
 
 def _propose(
-    wishes: Wishes, found: Report, node: NodeName, objects: ToldObjects, facts: DriveFacts,
+    wishes: Wishes, found: BringUpReport, node: NodeName, objects: ToldObjects, facts: SourcedFacts,
     emergencies: Sequence[Emergency], talk: Talk,
-) -> Report:  # fmt: skip
+) -> BringUpReport:  # fmt: skip
     """Trials, findings, files."""
     found = found._replace(
         objects=objects.told, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
@@ -341,7 +341,7 @@ def _propose(
         findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings))
-    trials: list[Trial] = []
+    trials: list[RateTrial] = []
     operational = False
     if wishes.measure and not facts.problems:  # what it lacks would be refused
         trials, later = _try_rates(wishes, draft, objects, talk)
@@ -364,7 +364,7 @@ def _propose(
     model_file = model_file_of(wishes.out)
     wishes.out.write_text(draft.axis_text, encoding="utf-8")
     model_file.write_text(draft.model_text, encoding="utf-8")
-    ready = not any(one.level is Level.FAILURE for one in findings)
+    ready = not any(one.level is Severity.FAILURE for one in findings)
     return found._replace(
         verdict=_verdict(node, findings, choice, f"{wishes.out} was written"),
         ready=ready, objects=objects.told, unreadable=dict(objects.unreadable), findings=_in_order(findings),
@@ -373,12 +373,12 @@ def _propose(
     )  # fmt: skip
 
 
-def _in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
     """What stands in the way first."""
-    return tuple(sorted(findings, key=lambda one: (one.level is not Level.FAILURE, one.level is Level.OK)))
+    return tuple(sorted(findings, key=lambda one: (one.level is not Severity.FAILURE, one.level is Severity.OK)))
 
 
-def _of_facts(facts: DriveFacts) -> list[Finding]:
+def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
     """What the drive lacks, what stands in for it, and what of its units must be known."""
     found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
     found += [warning("stands in", text, "written to the axis file") for text in facts.stand_ins]
@@ -387,7 +387,7 @@ def _of_facts(facts: DriveFacts) -> list[Finding]:
     return found
 
 
-def _facts(objects: ToldObjects, wishes: Wishes, node: NodeName, talk: Talk) -> DriveFacts:
+def _facts(objects: ToldObjects, wishes: Wishes, node: NodeName, talk: Talk) -> SourcedFacts:
     """What the drive tells, completed by asking for what it does not; assumptions are put to whoever can be asked."""
     answers, asked = wishes.answers, set[str]()
     while True:
@@ -417,7 +417,7 @@ def _number(text: str | None) -> float | None:
     return value if 0.0 < value < float("inf") else None
 
 
-def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> Place:
+def _place(wishes: Wishes, found: BringUpReport, node: NodeName, facts: SourcedFacts) -> Place:
     name = re.sub(r"[^\w.-]", "_", wishes.out.stem)
     shown = "".join(
         letter
@@ -436,7 +436,9 @@ def _place(wishes: Wishes, found: Report, node: NodeName, facts: DriveFacts) -> 
     return Place(name, model_file_of(wishes.out).name, wishes.bus, bitrate, node.node_id, shown, others, rate)
 
 
-def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -> tuple[list[Trial], list[Emergency]]:
+def _try_rates(
+    wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk
+) -> tuple[list[RateTrial], list[Emergency]]:
     """From the lowest rate up, until one cannot be tried; and what the drive had to say meanwhile."""
     emergencies: list[Emergency] = []
 
@@ -446,7 +448,7 @@ def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -
 
     talk.tell("measuring without torque: SYNC and feedback, the drive stays disabled")
     talk.tell("  (the first time the loop is compiled, which takes a while)")
-    trials: list[Trial] = []
+    trials: list[RateTrial] = []
     for rate_hz in RATES_HZ:
         trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, look)
         trials.append(trial)
@@ -460,7 +462,9 @@ def _try_rates(wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk) -
     return trials, emergencies
 
 
-def _of_trials(trials: Sequence[Trial], choice: Choice | None, axis: AxisFile, model: ModelFile) -> list[Finding]:
+def _of_trials(
+    trials: Sequence[RateTrial], choice: Choice | None, axis: AxisFile, model: ModelFile
+) -> list[HostFinding]:
     """What the trials say against the axis. `axis`: with the rate that is written."""
     if not trials or choice is None:
         return []
@@ -488,7 +492,7 @@ def _of_trials(trials: Sequence[Trial], choice: Choice | None, axis: AxisFile, m
     return found
 
 
-def _measured(place: Place, trials: Sequence[Trial], choice: Choice | None, turnaround_us: float | None) -> Place:
+def _measured(place: Place, trials: Sequence[RateTrial], choice: Choice | None, turnaround_us: float | None) -> Place:
     """The place with what the trials say of it."""
     tried = [trial for trial in trials if not trial.refused]
     if not tried or choice is None:
@@ -513,8 +517,8 @@ def _who(node: NodeName) -> str:
     return f"node {node.node_id} ({node.device_name or 'without a name'})"
 
 
-def _verdict(node: NodeName, findings: Sequence[Finding], choice: Choice | None, files: str) -> str:
-    in_the_way = sum(one.level is Level.FAILURE for one in findings)
+def _verdict(node: NodeName, findings: Sequence[HostFinding], choice: Choice | None, files: str) -> str:
+    in_the_way = sum(one.level is Severity.FAILURE for one in findings)
     who = _who(node)
     rate = f" at {choice.rate_hz} Hz" if choice is not None and choice.rate_hz is not None else ""
     if in_the_way:

@@ -35,7 +35,7 @@ from ..model.parameters import ModelFile, read_model
 from ..report.circle import KIND, CircleRun, CircleSource, tracking_of, write_circle_report
 from ..report.document import provenance, source_file
 from ..report.page import refuse_other_report
-from .circle_runs import Circle, CircleWish, Run, SpoiledRunError, change, changed, write_axis, write_simulated
+from .circle_runs import Circle, CircleWish, RecordedRun, SpoiledRunError, change, changed, write_axis, write_simulated
 from .diagnose import MODEL_NAME, diagnose_recordings
 from .errors import DriveFaultError
 from .plan import Plan, checked_plan, make_plan
@@ -280,7 +280,7 @@ def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | N
 
 def _source(
     circle: Circle, plan: Plan, model: ModelFile | None, report: dict[str, Any] | None, found: Sequence[Gate],
-    fit: Sequence[Run], after: Run | None,
+    fit: Sequence[RecordedRun], after: RecordedRun | None,
 ) -> CircleSource:  # fmt: skip
     """Everything that the report is made of."""
     before = fit[0]

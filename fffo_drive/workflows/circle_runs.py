@@ -86,7 +86,7 @@ class Health(NamedTuple):
         )
 
 
-class Run(NamedTuple):
+class RecordedRun(NamedTuple):
     """One recorded run."""
 
     path: Path
@@ -137,7 +137,7 @@ class Circle:
             return False
         return True
 
-    def at_a_rate_it_keeps(self, runs: Callable[[], tuple[Run, ...]]) -> tuple[Run, ...]:
+    def at_a_rate_it_keeps(self, runs: Callable[[], tuple[RecordedRun, ...]]) -> tuple[RecordedRun, ...]:
         """All of the runs at one rate. Raises SpoiledRunError when the machine keeps none."""
         rates = self.rates()
         for place, rate in enumerate(rates):
@@ -150,7 +150,7 @@ class Circle:
                 self.say(f"{error}: all runs again at {rates[place + 1]} Hz")
         raise AssertionError("no rate")
 
-    def run(self, name: str, profile: Mapping[str, Any] | None = None) -> Run:
+    def run(self, name: str, profile: Mapping[str, Any] | None = None) -> RecordedRun:
         """One run with the axis file as it is now, or with another profile, into NAME.mcap.
 
         Raises SpoiledRunError, DriveFaultError, RecordingGapError, DriveError.
@@ -169,7 +169,7 @@ class Circle:
                 self.say(f"{error}: once more")
         raise AssertionError("no try")
 
-    def _once(self, name: str, plan: Plan) -> Run:
+    def _once(self, name: str, plan: Plan) -> RecordedRun:
         path = self.out / f"{name}.mcap"
         if path.exists():
             _put_aside(path)  # of a spoiled run
@@ -187,7 +187,7 @@ class Circle:
         rows = recorded_rows(outcome.files)
         health = health_of(rows, plan.profile.period_s)
         self._require(name, outcome, health)
-        return Run(path, plan.axis.loop.rate_hz, plan.profile.values.size, rows, health)
+        return RecordedRun(path, plan.axis.loop.rate_hz, plan.profile.values.size, rows, health)
 
     def _require(self, name: str, outcome: RunOutcome, health: Health) -> None:
         """Raise what a run is no good for."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..commissioning.bounds import Bounds, BoundsError, make_bounds
-from ..commissioning.procedure import Outcome, commission
+from ..commissioning.procedure import CommissioningOutcome, commission
 from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
 from ..config.axis import beside, build_profile, model_of, read_axis
 from ..config.checks import bus_problems, require
@@ -63,7 +63,7 @@ def commission_axis(
     return write_record(out, record_of(plan, outcome, bounds, bus))
 
 
-def record_of(plan: Plan, outcome: Outcome, bounds: Bounds, bus: str | None = None) -> CommissioningRecord:
+def record_of(plan: Plan, outcome: CommissioningOutcome, bounds: Bounds, bus: str | None = None) -> CommissioningRecord:
     """The record of what was found."""
     section = plan.axis.drive
     facts = declared_facts(plan.axis, plan.model)

@@ -68,7 +68,7 @@ class Fact(NamedTuple):
         return self.source.startswith(ASSUMED)
 
 
-class DriveFacts(NamedTuple):
+class SourcedFacts(NamedTuple):
     """Everything."""
 
     scales: dict[str, Fact]  # by the names of `Answers`
@@ -107,7 +107,7 @@ class DriveFacts(NamedTuple):
 def drive_facts(
     objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0,
     profile: str | None = None,
-) -> DriveFacts:  # fmt: skip
+) -> SourcedFacts:  # fmt: skip
     """Ask the drive for what is needed, and put together what is known.
 
     `profile`: of its family, in place of the one that vendor and product name. Raises BusUnavailableError,
@@ -142,7 +142,7 @@ def drive_facts(
     scales = _scales(section, base, known[0] if known else "", answers)
     if "rated_torque_nm" in scales:
         section.setdefault("rated_torque_nm", scales["rated_torque_nm"])
-    return DriveFacts(
+    return SourcedFacts(
         scales, section, known[0] if known else None, known[1].family if known else "", base,
         (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
         tuple(_problems(objects, merged_section, node_id)),

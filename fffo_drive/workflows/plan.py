@@ -24,7 +24,7 @@ from ..config.effects import compensated_names, effect_problems
 from ..config.sections import ProfileSection, length_problems
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
-from ..documents import Record, load
+from ..documents import StrictRecord, load
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
@@ -50,7 +50,7 @@ class Plan(NamedTuple):
         return TOGGLES[self.axis.controller.observer.toggle]
 
 
-class ProfileFile(Record):
+class ProfileFile(StrictRecord):
     """A profile in a file of its own, for `run --profile`: any axis takes it that its limits allow."""
 
     profile: ProfileSection

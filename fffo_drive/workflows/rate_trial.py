@@ -32,7 +32,7 @@ from ..model.parameters import ModelFile
 from ..recording.ring_reader import RingReader
 from ..runtime.session import Session
 from ..system.bus import bus_findings
-from ..system.findings import Level, Wanted
+from ..system.findings import Severity, Wanted
 from ..system.host import Host
 from ..system.lateness import MOST_LATE
 from ..units import NS_PER_S
@@ -72,7 +72,7 @@ class RoundTrip(NamedTuple):
     answer_us: Spread  # until the drive's SDO answer is here
 
 
-class Trial(NamedTuple):
+class RateTrial(NamedTuple):
     """One rate, tried. Times in microseconds."""
 
     rate_hz: int
@@ -91,16 +91,16 @@ class Trial(NamedTuple):
     refusals: tuple[str, ...] = ()  # real-time properties that the system refused
 
 
-def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...] = ()) -> Trial:
+def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...] = ()) -> RateTrial:
     """What rows of the loop tell. Rows without a tick that has run are refused."""
     if rows.size == 0:
-        return Trial(rate_hz, "the loop did not run")
+        return RateTrial(rate_hz, "the loop did not run")
     period_ns = NS_PER_S // rate_hz
     answered = rows["turnaround_ns"] >= 0
     turnaround_us = rows["turnaround_ns"][answered] / 1e3
     woke_ns = rows["deadline_ns"] + rows["lateness_ns"]
     apart = np.diff(rows["tick"].astype(np.int64))
-    return Trial(
+    return RateTrial(
         rate_hz,
         "" if turnaround_us.size else "no feedback answers SYNC: see the PDO mapping and loop.cutoff_share",
         int(rows.size),
@@ -128,7 +128,7 @@ def _spread(values: Any) -> Spread:
     return Spread(*(float(one) for one in np.percentile(values, PERCENTILES))) if values.size else Spread(0, 0, 0)
 
 
-def objections(trial: Trial, loop: LoopSection) -> list[str]:
+def objections(trial: RateTrial, loop: LoopSection) -> list[str]:
     """Why a loop should not run at the rate of a trial; empty where it fits. `loop`: its margins."""
     if trial.refused:
         return [trial.refused]
@@ -164,7 +164,7 @@ class Choice(NamedTuple):
 
 
 def choose_rate(
-    trials: list[Trial], loop: LoopSection, problems: Callable[[int], list[str]] = lambda rate_hz: []
+    trials: list[RateTrial], loop: LoopSection, problems: Callable[[int], list[str]] = lambda rate_hz: []
 ) -> Choice:
     """The highest rate that fits, and what speaks against the next one. `problems`: of the sum for the bus."""
     ordered = sorted(trials, key=lambda one: one.rate_hz)
@@ -189,7 +189,7 @@ def problems_at(axis: AxisFile, model: ModelFile, rate_hz: int, turnaround_us: f
 def try_rate(
     axis: AxisFile, model: ModelFile, rate_hz: int, seconds: float,
     meanwhile: Callable[[CanopenDrive], None] = lambda drive: None, host: Host | None = None,
-) -> Trial:  # fmt: skip
+) -> RateTrial:  # fmt: skip
     """Bring the drive up at a rate, let SYNC run, look, and leave it without voltage.
 
     `meanwhile` gets the drive while it is in NMT OPERATIONAL. Raises BusUnavailableError when nobody answers.
@@ -198,9 +198,9 @@ def try_rate(
     assert isinstance(section, CanopenDriveSection)
     axis = axis.model_copy(update={"loop": axis.loop.model_copy(update={"rate_hz": rate_hz})})
     if problems := problems_at(axis, model, rate_hz):
-        return Trial(rate_hz, problems[0])
+        return RateTrial(rate_hz, problems[0])
     if too_slow := adapter_problem(section.bus, rate_hz, section.bitrate_hz, host):
-        return Trial(rate_hz, too_slow)
+        return RateTrial(rate_hz, too_slow)
     config = section.drive_config(model.torque_constant_nm_per_a, NS_PER_S // rate_hz)
     config = _patient(config)
     ticks = round((SETTLE_S + seconds) * rate_hz)
@@ -210,11 +210,11 @@ def try_rate(
         Session.rehearse(_OnPaper(drive.rehearsal_port()), session_settings)
         drive.connect()
     except MappingError as error:
-        return Trial(rate_hz, str(error))
+        return RateTrial(rate_hz, str(error))
     except BusUnavailableError:
         raise
     except DriveError as error:
-        return Trial(rate_hz, str(error))
+        return RateTrial(rate_hz, str(error))
     with Session(drive, session_settings) as session:
         report = session.start()
         reader = RingReader(session.ring)
@@ -243,7 +243,7 @@ class _OnPaper(NamedTuple):
 def adapter_problem(bus: str, rate_hz: int, bitrate_hz: int, host: Host | None = None) -> str:
     """Why the CAN interface cannot take a rate; empty where nothing is known against it."""
     wanted = Wanted(rate_hz=rate_hz, bus=bus, bitrate_hz=bitrate_hz)
-    failures = [one for one in bus_findings(host or Host(), wanted) if one.level is Level.FAILURE]
+    failures = [one for one in bus_findings(host or Host(), wanted) if one.level is Severity.FAILURE]
     return f"{failures[0].subject}: {failures[0].text}; {failures[0].remedy}" if failures else ""
 
 
@@ -270,7 +270,7 @@ def round_trip(bus: str, node_id: int, count: int = ROUND_TRIPS) -> RoundTrip | 
     return RoundTrip(_spread(np.array(sent_us)), _spread(np.array(answered_us)))
 
 
-def turnaround_of_drive_us(trials: list[Trial], trip: RoundTrip | None, axis: AxisFile) -> float | None:
+def turnaround_of_drive_us(trials: list[RateTrial], trip: RoundTrip | None, axis: AxisFile) -> float | None:
     """The drive's own share of the time from SYNC to feedback: without adapter, kernel and wire.
 
     None where it is not known: on a loopback bus, which has no wire, all times are the machine's.

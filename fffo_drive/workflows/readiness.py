@@ -23,7 +23,7 @@ from ..drive.cia402 import (
     state_name,
     state_of,
 )
-from ..system.findings import Finding, Level, failure, ok, warning
+from ..system.findings import HostFinding, Severity, failure, ok, warning
 
 INPUT_NEGATIVE_LIMIT, INPUT_POSITIVE_LIMIT, INPUT_INTERLOCK = 1 << 0, 1 << 1, 1 << 3  # 0x60FD
 OUTPUT_BRAKE = 1 << 0  # 0x60FE:01
@@ -37,14 +37,14 @@ HISTORY = 3  # entries of 0x1003 that are told
 
 def stands_between(
     objects: ToldObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = ()
-) -> list[Finding]:
+) -> list[HostFinding]:
     """All of it, in the order in which it is to be mended.
 
     `operational`: the drive was in NMT OPERATIONAL when it told its state. `written`: objects that the axis file writes
     before the drive is enabled (0x6076:00).
     """
     word = objects.value(0x6041)
-    found: list[Finding] = []
+    found: list[HostFinding] = []
     for part in (
         lambda: _state(objects, word),
         lambda: _fault(objects, emergencies, word),
@@ -55,13 +55,13 @@ def stands_between(
         lambda: _motor(objects, written),
         lambda: _unreadable(objects),
     ):  # fmt: skip
-        look: Callable[[], Iterator[Finding]] = part
+        look: Callable[[], Iterator[HostFinding]] = part
         found += look()
-    order = {Level.FAILURE: 0, Level.WARNING: 1, Level.OK: 2}
+    order = {Severity.FAILURE: 0, Severity.WARNING: 1, Severity.OK: 2}
     return sorted(found, key=lambda finding: order[finding.level])
 
 
-def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> list[Finding]:
+def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> list[HostFinding]:
     """How coarse the velocity is, against the band in which the friction observer takes it for rest."""
     step_rps = 1.0 / velocity_units_per_rps
     text = f"one count of 0x606C is {step_rps:.3g} rps"
@@ -75,7 +75,7 @@ def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> li
     ]  # fmt: skip
 
 
-def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+def _state(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
     if word is None:
         yield failure("state", "the drive tells no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
         return
@@ -98,7 +98,7 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
         yield warning("warning", "the drive warns (bit 7 of the statusword)", "see its codes")
 
 
-def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[Finding]:
+def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[HostFinding]:
     said = []
     if code := objects.value(0x603F):
         said.append(f"0x603F {code_text(code)}")
@@ -127,7 +127,7 @@ def _history_text(entry: int) -> str:
     return code_text(entry & 0xFFFF) + (f" with 0x{vendor:04X}" if vendor else "")
 
 
-def _supply(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+def _supply(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
     """DC link, and bit 4 of the statusword."""
     link_mv = objects.value(0x6079)
     link_v = None if link_mv is None else link_mv * 1e-3
@@ -152,7 +152,7 @@ def _supply(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
         yield warning("supply", text, "is STO (safe torque off) wired and released? Some drives set it when enabled")
 
 
-def _control(word: int | None, operational: bool) -> Iterator[Finding]:
+def _control(word: int | None, operational: bool) -> Iterator[HostFinding]:
     if word is None or word & STATUS_REMOTE:
         return
     text = "bit 9 of the statusword is 0: the drive ignores our controlword (local control)"
@@ -168,7 +168,7 @@ def _interlock(objects: ToldObjects) -> bool:
     return inputs is not None and bool(inputs & INPUT_INTERLOCK)
 
 
-def _inputs(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
+def _inputs(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
     inputs = objects.value(0x60FD)
     if inputs is None:
         return
@@ -195,7 +195,7 @@ def _inputs(objects: ToldObjects, word: int | None) -> Iterator[Finding]:
         yield ok("inputs", f"0x60FD is 0x{inputs:08X}: no limit switch, no interlock")
 
 
-def _brake(objects: ToldObjects) -> Iterator[Finding]:
+def _brake(objects: ToldObjects) -> Iterator[HostFinding]:
     outputs = objects.value(0x60FE, 1)
     if outputs is None or not outputs & OUTPUT_BRAKE:
         return
@@ -205,7 +205,7 @@ def _brake(objects: ToldObjects) -> Iterator[Finding]:
     )  # fmt: skip
 
 
-def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[Finding]:
+def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding]:
     for index, what in ((0x6076, "rated torque"), (0x6075, "rated current")):
         if objects.value(index) == 0:
             text = f"0x{index:04X} ({what}) is 0: the drive has not been told its motor"
@@ -223,7 +223,7 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[Finding]:
         yield warning("torque limit", text, "set drive.max_torque_permille if that is too little")
 
 
-def _unreadable(objects: ToldObjects) -> Iterator[Finding]:
+def _unreadable(objects: ToldObjects) -> Iterator[HostFinding]:
     if objects.unreadable:
         told = ", ".join(f"{name} ({reason})" for name, reason in sorted(objects.unreadable.items()))
         yield warning("not read", f"objects that tell nothing: {told}", "see the vendor's manual")

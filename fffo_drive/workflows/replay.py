@@ -12,7 +12,7 @@ from ..config.axis import AxisFile, controller_config, envelope_config, model_of
 from ..config.effects import compensation_table
 from ..control.controller import pack_controller
 from ..documents import DocumentError
-from ..evaluation.replay_runs import Law, Replayer, ReplayReport, session_id
+from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
 from ..recording.reader import Run, read_metadata, read_run
 
@@ -58,15 +58,15 @@ def _continuations(file: Path) -> Iterator[Path]:
             yield other
 
 
-def _law_of(axis: AxisFile, model: ModelFile) -> Law:
-    return Law(
+def _law_of(axis: AxisFile, model: ModelFile) -> ReplayedLaw:
+    return ReplayedLaw(
         np.array(pack_controller(controller_config(axis, model))),
         compensation_table(axis, model),
         envelope_config(axis),
     )
 
 
-def _other_law(file: str, run: Run) -> Law:
+def _other_law(file: str, run: Run) -> ReplayedLaw:
     """The law of an axis file; of a model file, with the axis file in the recording."""
     try:
         is_model = MODEL_FORMAT in Path(file).read_text(encoding="utf-8", errors="replace")

@@ -78,6 +78,15 @@ def test_no_file_is_longer_than_one_concept(path):
     assert len(path.read_text().splitlines()) <= LONGEST_FILE
 
 
+def test_a_class_has_a_name_of_its_own():
+    places: dict[str, list[str]] = {}
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert {name: files for name, files in places.items() if len(files) > 1 and not name.startswith("_")} == {}
+
+
 def test_numba_is_configured_in_one_place():
     for path in SOURCES:
         text = path.read_text()

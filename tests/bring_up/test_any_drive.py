@@ -14,9 +14,9 @@ from fffo_drive.cli.bring_up import exit_code, report_lines
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.drive.canopen.scan import NodeName
 from fffo_drive.drive.canopen.told import WANTED, ToldObjects
-from fffo_drive.system.findings import Level
+from fffo_drive.system.findings import Severity
 from fffo_drive.workflows import bring_up as workflow
-from fffo_drive.workflows.bring_up import Report, Wishes
+from fffo_drive.workflows.bring_up import BringUpReport, Wishes
 from fffo_drive.workflows.drive_facts import Answers
 
 VENDORS = [0, 0x11, 0xFB, 0x9A, 0x26C, 0x1A3, 0x469, 0x586]
@@ -66,10 +66,10 @@ def test_any_drive_ends_in_a_verdict_and_a_whole_file_or_none(tmp_path_factory, 
     told.ask_all()
     facts = workflow._facts(told, wishes, node, Silent())
     told.ask_no_more()
-    found = Report("loopback:29500", "", False, (node,), node_id=1)
+    found = BringUpReport("loopback:29500", "", False, (node,), node_id=1)
     report = workflow._propose(wishes, found, node, told, facts, [], Silent())
     event(report.verdict.partition(":")[0] + (", with a file" if report.axis_file else ", without"))
-    failures = [one for one in report.findings if one.level is Level.FAILURE]
+    failures = [one for one in report.findings if one.level is Severity.FAILURE]
     assert report.ready is (report.axis_file is not None and not failures)
     assert report.verdict.startswith("READY" if report.ready else ("NOT YET", "CANNOT BE USED"))
     assert exit_code(report) == (0 if report.ready else 78 if report.missing else 70)

@@ -15,9 +15,9 @@ from fffo_drive.workflows.bring_up import _of_trials
 from fffo_drive.workflows.drive_facts import Answers, Fact, drive_facts
 from fffo_drive.workflows.rate_trial import (
     Choice,
+    RateTrial,
     RoundTrip,
     Spread,
-    Trial,
     adapter_problem,
     choose_rate,
     objections,
@@ -101,7 +101,7 @@ def test_the_highest_rate_that_fits_and_why_the_next_one_does_not():
     slow = trial_of(rows_of(2000, turnaround_us=260.0), 2000, 0.6)
     assert choose_rate([*good[:2], slow], LOOP).rate_hz == 1000
     assert choose_rate([*good[:2], slow], LOOP).reason.startswith("2000 Hz does not fit: the answer to SYNC takes 260")
-    refused = Trial(1000, "refuses 0x60C2:02 = -4")
+    refused = RateTrial(1000, "refuses 0x60C2:02 = -4")
     assert choose_rate([good[0], refused], LOOP) == Choice(500, "1000 Hz does not fit: refuses 0x60C2:02 = -4")
     assert choose_rate([refused], LOOP) == Choice(None, "1000 Hz does not fit: refuses 0x60C2:02 = -4")
     disturbed = trial_of(rows_of(500, late=range(20)), 500, 0.1)
@@ -169,6 +169,6 @@ def test_what_the_trials_say_of_machine_and_bus():
     disturbed = trial_of(rows_of(500, late=range(20)), 500, 0.1)
     assert findings_of([disturbed, good[1]], 1000) == ["warning: machine"]
     assert findings_of([disturbed], 500) == ["warning: rate"]
-    assert findings_of([Trial(500, "the drive refuses")], 2000) == ["failure: bring-up"]
+    assert findings_of([RateTrial(500, "the drive refuses")], 2000) == ["failure: bring-up"]
     held = [trial._replace(refusals=("SCHED_FIFO is refused",)) for trial in good[:2]]
     assert findings_of(held, 1000) == ["warning: real time"]

@@ -11,7 +11,7 @@ from told_by import Paper, told, u32
 
 from fffo_drive.drive.canopen.service import Emergency
 from fffo_drive.drive.canopen.told import WANTED, ToldObjects
-from fffo_drive.system.findings import Level
+from fffo_drive.system.findings import Severity
 from fffo_drive.workflows.readiness import stands_between, velocity_step
 
 
@@ -21,12 +21,12 @@ def word(value):
 
 def in_the_way(objects, emergencies=(), operational=False, written=()):
     found = stands_between(objects, emergencies, operational, written)
-    return [f"{one.subject}: {one.text}" for one in found if one.level is Level.FAILURE]
+    return [f"{one.subject}: {one.text}" for one in found if one.level is Severity.FAILURE]
 
 
 def warnings(objects, **more):
     found = stands_between(objects, more.pop("emergencies", ()), more.pop("operational", False), ())
-    return [f"{one.subject}: {one.text}" for one in found if one.level is Level.WARNING]
+    return [f"{one.subject}: {one.text}" for one in found if one.level is Severity.WARNING]
 
 
 @pytest.mark.parametrize("ready", [0x0250, 0x0231, 0x0233])
@@ -113,7 +113,7 @@ def test_a_drive_without_a_statusword():
 
 def test_how_coarse_a_velocity_is():
     fine, coarse = velocity_step(32768.0, 0.1)[0], velocity_step(60.0, 0.1)[0]
-    assert (fine.level, coarse.level) == (Level.OK, Level.WARNING)
+    assert (fine.level, coarse.level) == (Severity.OK, Severity.WARNING)
     assert "one count of 0x606C is 0.0167 rps: coarse" in coarse.text
 
 
@@ -121,9 +121,9 @@ def test_how_coarse_a_velocity_is():
 def test_whatever_a_drive_tells_every_obstacle_has_a_remedy(objects, operational):
     found = stands_between(ToldObjects(Paper(objects).read), (), operational)
     assert [one.level for one in found] == sorted(
-        (one.level for one in found), key=[Level.FAILURE, Level.WARNING, Level.OK].index
+        (one.level for one in found), key=[Severity.FAILURE, Severity.WARNING, Severity.OK].index
     )
-    assert all(one.remedy for one in found if one.level is not Level.OK)
-    if not found or all(one.level is not Level.FAILURE for one in found):  # then the state is one to enable from
+    assert all(one.remedy for one in found if one.level is not Severity.OK)
+    if not found or all(one.level is not Severity.FAILURE for one in found):  # then the state is one to enable from
         state = int.from_bytes(objects[0x6041, 0], "little") & 0x6F
         assert state & 0x4F == 0x40 or state in (0x21, 0x23, 0x07)

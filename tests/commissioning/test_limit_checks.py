@@ -7,7 +7,7 @@ import pytest
 
 from fffo_drive.commissioning.estimate import coasting_s, current_slope, fall_rate_rps2, update_interval_s
 from fffo_drive.commissioning.limit_checks import current_limit, quick_stop, stop_after_trip
-from fffo_drive.commissioning.motion import Motion, integral, pulse_windows, responses
+from fffo_drive.commissioning.motion import PulseMotion, integral, pulse_windows, responses
 from fffo_drive.control.envelope import LIMIT_CURRENT, TRIP_HEARTBEAT, TRIP_OVERSPEED
 
 PERIOD_S = 0.0005
@@ -25,7 +25,7 @@ def motion(velocity, command=0.0, trip_row=None, trip=TRIP_OVERSPEED, leave_row=
         leave_row = trip_row + 1 if leave_row is None else leave_row
     enabled = rows < (n if leave_row is None else leave_row)
     tripped = np.where(rows >= (n if trip_row is None else trip_row), trip, 0)
-    return Motion(
+    return PulseMotion(
         time_s, command, velocity, integral(time_s, velocity), command.copy(), np.ones(n, bool), enabled,
         ~enabled, np.full(n, limits), tripped,
     )  # fmt: skip

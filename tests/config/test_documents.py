@@ -16,7 +16,7 @@ from fffo_drive.documents import (
     LARGEST_BYTES,
     MOST_ENTRIES,
     DocumentError,
-    Record,
+    StrictRecord,
     check,
     load_json,
     parse,
@@ -111,11 +111,11 @@ def test_json_that_no_program_writes_is_refused(tmp_path, text):
     assert not any(word in str(caught.value) for word in LIBRARIES)
 
 
-class Inner(Record):
+class Inner(StrictRecord):
     high: Annotated[float, Field(gt=0, le=5)]
 
 
-class Sample(Record):
+class Sample(StrictRecord):
     number: float = 0.0
     ranged: Annotated[float, Field(ge=0, le=600)] = 0.0
     maybe: Annotated[float | None, Field(gt=0, lt=1)] = None

@@ -37,7 +37,7 @@ from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_VELOCITY
 from fffo_drive.model.friction import FrictionConfig, settled_friction
 from fffo_drive.runtime.adaptation_watch import BoundWatch
-from fffo_drive.runtime.tick import Law, give_adapted, learn, terms_of_current
+from fffo_drive.runtime.tick import LawOutput, give_adapted, learn, terms_of_current
 from fffo_drive.workflows.plan import checked_plan
 from fffo_drive.workflows.simulate import simulate
 
@@ -177,7 +177,7 @@ def test_nothing_is_learned_at_rest_where_limited_with_another_toggle_or_from_wh
     given = Adapted(1.0, 0.0)
 
     def learns(law_terms=terms, value=5.0, config=LAW, memory=controller):
-        law = Law(MODE_VELOCITY, steady_reference(value), law_terms)
+        law = LawOutput(MODE_VELOCITY, steady_reference(value), law_terms)
         return learn(config, STATE, given, law, memory)[1] != STATE
 
     assert learns()

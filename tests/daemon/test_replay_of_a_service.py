@@ -12,7 +12,7 @@ from daemon.test_supervisor import refused
 
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.recording.reader import read_run
-from fffo_drive.recording.run_records import Kind
+from fffo_drive.recording.run_records import RecordKind
 from fffo_drive.workflows.replay import replay_files, with_continuations
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -98,12 +98,12 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
     assert len(runs) > 2
 
     records = {record.sequence: record for run in runs for record in run.records}
-    asked = [record.data for _, record in sorted(records.items()) if record.kind == Kind.REQUEST]
+    asked = [record.data for _, record in sorted(records.items()) if record.kind == RecordKind.REQUEST]
     assert {"set", "toggle", "reload", "start", "stop", "reset_fault", "quick_stop"} <= {one["what"] for one in asked}
     assert {"key": KEY, "value": 0.9} in [one["values"] for one in asked]
     assert all(str(one["who"]).startswith("pid") or "uid" in str(one["who"]) for one in asked)
     # what somebody asked for stands in front of what came of it
     numbers = sorted(records)
     change = next(n for n in numbers if records[n].data.get("values") == {"key": KEY, "value": 0.9})
-    after = next(n for n in numbers if n > change and records[n].kind == Kind.PARAMETERS)
+    after = next(n for n in numbers if n > change and records[n].kind == RecordKind.PARAMETERS)
     assert records[after].by_name["pi.proportional_a_per_rps"] == 0.9

@@ -19,7 +19,7 @@ from daemon.test_supervisor import reached, refused
 from fffo_drive.cli import main
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, INVALID_PARAMS
 from fffo_drive.recording.reader import read_run
-from fffo_drive.recording.run_records import Kind
+from fffo_drive.recording.run_records import RecordKind
 from fffo_drive.workflows.replay import replay_files
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -111,7 +111,7 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     report = replay_files([file])
     assert report.live.as_asked == (rows["set_point_sample"] >= 0).sum() > 300
     assert report.exact, report
-    asked = [r.by_name["target_rps"] for r in records if r.kind == Kind.SET_POINT]
+    asked = [r.by_name["target_rps"] for r in records if r.kind == RecordKind.SET_POINT]
     assert asked[:3] == [3.0, -2.0, 4.0]
 
 

@@ -19,10 +19,10 @@ from fffo_drive.daemon.states import (
     WANTING_TORQUE,
     Action,
     Change,
-    Event,
     Machine,
     RefusedError,
     State,
+    StateEvent,
     markdown,
     require_change,
     states_with,
@@ -30,9 +30,9 @@ from fffo_drive.daemon.states import (
 )
 
 WRITTEN = Path(__file__).resolve().parents[2] / "tools" / "tables" / "daemon_states.md"
-RESETS = (Event.RESET, Event.RESET_AWAY)
-STOPS = (Event.STOP, Event.DISABLE, Event.QUICK_STOP)
-FALLS = (Event.DRIVE_LOST, Event.TRIPPED, Event.LOOP_ENDED)
+RESETS = (StateEvent.RESET, StateEvent.RESET_AWAY)
+STOPS = (StateEvent.STOP, StateEvent.DISABLE, StateEvent.QUICK_STOP)
+FALLS = (StateEvent.DRIVE_LOST, StateEvent.TRIPPED, StateEvent.LOOP_ENDED)
 ASKED = [event for event, happening in EVENTS.items() if happening.asked]
 OBSERVED = [event for event, happening in EVENTS.items() if not happening.asked]
 
@@ -43,9 +43,9 @@ def test_the_written_table_is_the_code():
 
 def test_every_state_event_and_change_has_its_words():
     assert set(MEANINGS) == set(State)
-    assert set(EVENTS) == set(Event)
+    assert set(EVENTS) == set(StateEvent)
     assert set(CHANGES) == set(Change)
-    assert {event for _, event in TABLE} == set(Event)
+    assert {event for _, event in TABLE} == set(StateEvent)
     assert {action for row in TABLE.values() for action in row.actions} == set(Action)
 
 
@@ -59,22 +59,22 @@ def test_every_state_can_be_reached_and_left():
 
 def test_a_fault_is_left_by_a_reset_alone_and_not_into_torque():
     leaving = {(event, row.to) for (state, event), row in TABLE.items() if state is State.FAULT and row.to is not state}
-    assert leaving == {(Event.RESET, State.CONNECTED), (Event.RESET_AWAY, State.OFFLINE)}
+    assert leaving == {(StateEvent.RESET, State.CONNECTED), (StateEvent.RESET_AWAY, State.OFFLINE)}
 
 
 def test_torque_is_asked_for_by_enable_alone():
     entering = {(state, event) for (state, event), row in TABLE.items() if Action.ENABLE in row.actions}
-    assert entering == {(State.READY, Event.ENABLE)}
+    assert entering == {(State.READY, StateEvent.ENABLE)}
     for (state, event), row in TABLE.items():
         if state in AT_REST and row.to in TORQUE_STATES:
-            assert event is Event.ENABLE, (state, event)
+            assert event is StateEvent.ENABLE, (state, event)
 
 
 @pytest.mark.parametrize("state", sorted(TORQUE_STATES, key=lambda state: state.value))
 def test_an_axis_with_torque_can_always_be_stopped_and_always_falls_into_fault(state):
-    for event in (Event.DISABLE, Event.STOP, Event.QUICK_STOP):
+    for event in (StateEvent.DISABLE, StateEvent.STOP, StateEvent.QUICK_STOP):
         assert (state, event) in TABLE
-    for event in (Event.TRIPPED, Event.DRIVE_LOST, Event.LOOP_ENDED):
+    for event in (StateEvent.TRIPPED, StateEvent.DRIVE_LOST, StateEvent.LOOP_ENDED):
         assert TABLE[state, event].to is State.FAULT
 
 
@@ -90,13 +90,20 @@ def test_a_stop_is_refused_nowhere_and_raises_the_epoch(state):
 
 def test_what_raises_the_epoch_and_what_is_bound_to_it():
     raising = {event for event, happening in EVENTS.items() if happening.raises}
-    assert raising == {*STOPS, *RESETS, *FALLS, Event.ENABLE_TIMEOUT, Event.STOP_TIMEOUT, Event.STOP_FAILED}
+    assert raising == {
+        *STOPS,
+        *RESETS,
+        *FALLS,
+        StateEvent.ENABLE_TIMEOUT,
+        StateEvent.STOP_TIMEOUT,
+        StateEvent.STOP_FAILED,
+    }
     assert {event for event, happening in EVENTS.items() if happening.bound} == {
-        Event.ENABLE, Event.START, Event.PREPARED, Event.NOT_PREPARED, Event.SET_POINT,
+        StateEvent.ENABLE, StateEvent.START, StateEvent.PREPARED, StateEvent.NOT_PREPARED, StateEvent.SET_POINT,
     }  # fmt: skip
     # motion begins nowhere else
-    assert {event for (_, event), row in TABLE.items() if Action.START in row.actions} == {Event.PREPARED}
-    assert {event for (_, event), row in TABLE.items() if Action.FOLLOW in row.actions} == {Event.SET_POINT}
+    assert {event for (_, event), row in TABLE.items() if Action.START in row.actions} == {StateEvent.PREPARED}
+    assert {event for (_, event), row in TABLE.items() if Action.FOLLOW in row.actions} == {StateEvent.SET_POINT}
 
 
 @given(st.sampled_from(list(State)), st.sampled_from(ASKED))
@@ -132,7 +139,7 @@ def test_the_model_changes_only_without_torque_and_gains_always():
 class Request:
     """A start, a set point or an enable on its way: asked for, taken, and for a start prepared."""
 
-    def __init__(self, event: Event, epoch: int) -> None:
+    def __init__(self, event: StateEvent, epoch: int) -> None:
         self.event, self.epoch = event, epoch
         self.outdated = False  # something that ends it has been acknowledged or has happened since
 
@@ -152,14 +159,14 @@ class Axis(RuleBasedStateMachine):
         self.fault_seen = False
         self.arrived: list[Request] = []
         self.preparing: list[Request] = []
-        self.stops: list[Event] = []  # arrived, not yet taken
-        self.unanswered: list[Event] = []  # taken, not yet acknowledged
+        self.stops: list[StateEvent] = []  # arrived, not yet taken
+        self.unanswered: list[StateEvent] = []  # taken, not yet acknowledged
 
     @property
     def state(self) -> State:
         return self.machine.state
 
-    def happen(self, event: Event, asked_in: int | None = None) -> None:
+    def happen(self, event: StateEvent, asked_in: int | None = None) -> None:
         before = self.state
         row = self.machine.take(event, asked_in)
         if row is None:
@@ -170,7 +177,7 @@ class Axis(RuleBasedStateMachine):
             self.fault_seen, self.enabled_since_fault, self.reset_since_fault = True, False, False
         if event in RESETS:
             self.reset_since_fault = True
-        if event is Event.ENABLE and before is State.READY:
+        if event is StateEvent.ENABLE and before is State.READY:
             self.enabled_since_fault = True
             assert self.reset_since_fault
         for action in row.actions:
@@ -180,7 +187,7 @@ class Axis(RuleBasedStateMachine):
                 self.moves = True
             elif action in (Action.DISABLE, Action.QUICK_STOP, Action.FORGET, Action.RELEASE):
                 self.wants_torque = self.moves = False
-        if event is Event.PROFILE_ENDED:
+        if event is StateEvent.PROFILE_ENDED:
             self.moves = False
 
     def outdate(self) -> None:
@@ -193,18 +200,18 @@ class Axis(RuleBasedStateMachine):
         self.wants_torque = state is State.ENABLED
 
     @rule(event=st.sampled_from(OBSERVED))
-    def observe(self, event: Event) -> None:
+    def observe(self, event: StateEvent) -> None:
         self.happen(event)
 
     @rule(event=st.sampled_from([e for e in ASKED if not EVENTS[e].bound and e not in STOPS]))
-    def ask(self, event: Event) -> None:
+    def ask(self, event: StateEvent) -> None:
         try:
             self.happen(event)
         except RefusedError:
             assert (self.state, event) not in TABLE
 
-    @rule(event=st.sampled_from([Event.ENABLE, Event.START, Event.SET_POINT]))
-    def a_request_arrives(self, event: Event) -> None:
+    @rule(event=st.sampled_from([StateEvent.ENABLE, StateEvent.START, StateEvent.SET_POINT]))
+    def a_request_arrives(self, event: StateEvent) -> None:
         self.arrived.append(Request(event, self.machine.epoch.value))
 
     @precondition(lambda self: self.arrived)
@@ -218,7 +225,7 @@ class Axis(RuleBasedStateMachine):
             assert not possible
             return
         assert possible
-        if request.event is Event.START:
+        if request.event is StateEvent.START:
             self.preparing.append(request)
 
     @precondition(lambda self: self.preparing)
@@ -226,7 +233,7 @@ class Axis(RuleBasedStateMachine):
     def a_preparation_ends(self, data: st.DataObject, usable: bool) -> None:
         request = self.preparing.pop(data.draw(st.integers(0, len(self.preparing) - 1)))
         try:
-            self.happen(Event.PREPARED if usable else Event.NOT_PREPARED, request.epoch)
+            self.happen(StateEvent.PREPARED if usable else StateEvent.NOT_PREPARED, request.epoch)
         except RefusedError:
             assert request.outdated or self.machine.epoch.stopping
             return
@@ -234,7 +241,7 @@ class Axis(RuleBasedStateMachine):
         assert self.state is (State.RUNNING if usable else State.ENABLED)
 
     @rule(event=st.sampled_from(STOPS))
-    def a_stop_arrives(self, event: Event) -> None:
+    def a_stop_arrives(self, event: StateEvent) -> None:
         self.machine.epoch.stop_arrived()
         self.stops.append(event)
 
@@ -256,8 +263,8 @@ class Axis(RuleBasedStateMachine):
         assert not self.moves
 
     @precondition(lambda self: self.state is State.FAULT)
-    @rule(event=st.sampled_from([e for e in Event if e not in RESETS and not EVENTS[e].bound]))
-    def a_fault_stays(self, event: Event) -> None:
+    @rule(event=st.sampled_from([e for e in StateEvent if e not in RESETS and not EVENTS[e].bound]))
+    def a_fault_stays(self, event: StateEvent) -> None:
         self.ask(event) if EVENTS[event].asked else self.observe(event)
         assert self.state is State.FAULT
 

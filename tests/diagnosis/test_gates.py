@@ -11,7 +11,7 @@ from fffo_drive.diagnosis.fitting import evaluate, fit, jacobian
 from fffo_drive.diagnosis.gates import (
     DETERMINED_SD,
     SHOWN_SHARE,
-    Reference,
+    ReferenceAxis,
     needed_rms_nm,
     objection,
     shown_share,
@@ -32,7 +32,7 @@ def axis(lag_s=0.0):
     """(data, base with its constant torque, reference) of an axis; with a lag the current is measured."""
     data, base = based(runs(constant, constant, duration_s=8.0, lag_s=lag_s))
     fitted = fit(data, base.physical, [effect("torque_offset", {"torque_nm": 0.0})])
-    return data, fitted, Reference.of(data, fitted, jacobian(data, fitted))
+    return data, fitted, ReferenceAxis.of(data, fitted, jacobian(data, fitted))
 
 
 def judged(one, physical=None, lag_s=0.0, ablate=NONE):

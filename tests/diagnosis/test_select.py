@@ -11,7 +11,7 @@ from fffo_drive.diagnosis import gates, select
 from fffo_drive.diagnosis.base import BASE, NAMES, RIGID
 from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import fit, share_gone
-from fffo_drive.diagnosis.gates import Reference
+from fffo_drive.diagnosis.gates import ReferenceAxis
 from fffo_drive.diagnosis.propose import LAW_RUNG, WAVE_RUNG, Proposal, Score
 from fffo_drive.diagnosis.select import (
     LAW_OF_CURVE,
@@ -327,7 +327,7 @@ def test_a_drag_is_found_though_the_base_has_bent_to_take_it_in():
 def test_the_reference_of_the_gates_is_the_axis_by_the_first_rungs():
     search = selector("torque_offset", "cogging")
     search.run(data_with("constant"))
-    assert isinstance(search.reference, Reference)
+    assert isinstance(search.reference, ReferenceAxis)
     assert search.reference.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.02)
     assert [e.name for e in search.ladder.effects] == ["torque_offset"]
 

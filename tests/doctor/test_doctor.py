@@ -22,7 +22,7 @@ from fffo_drive.jit import CACHE_DIRECTORY, kernel_digest
 from fffo_drive.runtime.realtime import RealtimeReport
 from fffo_drive.system.compiled import cache_findings
 from fffo_drive.system.doctor import as_text, counts, examine
-from fffo_drive.system.findings import Finding, Level, Wanted
+from fffo_drive.system.findings import HostFinding, Severity, Wanted
 from fffo_drive.system.host import Host, cpu_list
 from fffo_drive.system.lateness import Lateness, lateness_findings, measure_lateness
 
@@ -43,7 +43,7 @@ def limits(priority):
     return machines.LIMITS.format(memory="unlimited", priority=priority)
 
 
-def levels(found: dict[str, Finding]) -> dict[str, str]:
+def levels(found: dict[str, HostFinding]) -> dict[str, str]:
     return {subject: str(finding.level) for subject, finding in found.items()}
 
 
@@ -86,9 +86,9 @@ def test_a_guest_without_a_bus():
 @pytest.mark.parametrize("bus", [None, "socketcan:can0", "loopback:29500"])
 def test_a_machine_that_tells_nothing_is_no_reason_to_give_up(bus):
     found = look({}, Wanted(bus=bus))
-    assert counts(found.values())[Level.FAILURE] == 0
+    assert counts(found.values())[Severity.FAILURE] == 0
     for finding in found.values():
-        assert finding.level == Level.OK or finding.remedy
+        assert finding.level == Severity.OK or finding.remedy
 
 
 @pytest.mark.parametrize("name", sorted(machines.desktop()))
@@ -105,7 +105,7 @@ def test_each_file_may_be_missing_or_rubbish(tmp_path, name):
 def test_every_finding_that_is_not_ok_says_what_to_type():
     for files in (machines.laptop(), machines.guest(), {}):
         for finding in look(files).values():
-            assert bool(finding.remedy) == (finding.level != Level.OK), finding
+            assert bool(finding.remedy) == (finding.level != Severity.OK), finding
 
 
 @pytest.mark.parametrize(
@@ -357,7 +357,9 @@ def test_who_else_commands_on_the_bus_of_an_axis_is_heard_and_named(tmp_path, ca
 
 
 def test_text_is_one_line_a_finding_and_one_a_remedy():
-    text = as_text([Finding("a", Level.OK, "fine"), Finding("long one", Level.FAILURE, "broken", "mend it")])
+    text = as_text(
+        [HostFinding("a", Severity.OK, "fine"), HostFinding("long one", Severity.FAILURE, "broken", "mend it")]
+    )
     assert text.splitlines() == [
         "ok       a         fine",
         "failure  long one  broken",

@@ -13,7 +13,7 @@ from fffo_drive.control.controller import pack_controller
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.evaluation.metrics import true_metrics
-from fffo_drive.evaluation.replay_runs import Law, Replayer
+from fffo_drive.evaluation.replay_runs import ReplayedLaw, Replayer
 from fffo_drive.model.parameters import EffectModel, Quantity, read_model
 from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime import blocks as b
@@ -67,7 +67,9 @@ def replayed(rows, records, instead=None):
 
 
 def law(model):
-    return Law(pack_controller(controller_config(AXIS, model)), compensation_table(AXIS, model), envelope_config(AXIS))
+    return ReplayedLaw(
+        pack_controller(controller_config(AXIS, model)), compensation_table(AXIS, model), envelope_config(AXIS)
+    )
 
 
 @pytest.mark.slow

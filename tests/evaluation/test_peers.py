@@ -26,8 +26,8 @@ from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
     PLUS,
     AxisNumbers,
-    Design,
     Models,
+    PeerDesign,
     Scale,
     axis_numbers,
     design_for,
@@ -63,7 +63,7 @@ def short() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def design(short: Scenario) -> Design:
+def design(short: Scenario) -> PeerDesign:
     case = case_of(short, 1)
     return design_for(next(c.controller for c in case.candidates if c.name == PLUS), case.plant)
 

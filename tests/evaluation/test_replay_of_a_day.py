@@ -16,9 +16,9 @@ from fffo_drive.config.axis import controller_config, envelope_config
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.control.controller import pack_controller
 from fffo_drive.drive.cia402 import GOAL_DISABLED
-from fffo_drive.evaluation.replay_runs import Law, Replayer
+from fffo_drive.evaluation.replay_runs import ReplayedLaw, Replayer
 from fffo_drive.recording.reader import read_run
-from fffo_drive.recording.run_records import Kind, decode_record, encode_record
+from fffo_drive.recording.run_records import RecordKind, decode_record, encode_record
 from fffo_drive.runtime import records as made
 from fffo_drive.runtime.tick import FLAG_EMERGENCY, FLAG_ESTIMATED_VELOCITY, LoopConfig
 from fffo_drive.signals import ROW
@@ -59,7 +59,7 @@ def test_a_run_with_everything_in_it_replays(story):
     assert report.profiles.other == 0
     assert report.live.as_asked == (run.rows["set_point_sample"] >= 0).sum() > 600
     assert report.live.other == report.live.not_followed == 0
-    assert {record.kind for record in run.records} == set(Kind)
+    assert {record.kind for record in run.records} == set(RecordKind)
     assert (run.rows["trip"] != 0).any()
     assert (run.rows["resetting"] != 0).any()
     assert (run.rows["effects_nm"] != 0).any()
@@ -94,7 +94,7 @@ def test_files_of_a_rotated_run_are_one_run_and_each_stands_alone(story, cut):
     for part, report in zip(parts, alone, strict=True):
         assert report.all_identical == report.all_rows  # what is known of it, to the last bit
         assert report.rows + report.not_replayed == (part.rows["mode"] == 1).sum()
-        named = {record.number for record in part.records if record.kind == Kind.PARAMETERS}
+        named = {record.number for record in part.records if record.kind == RecordKind.PARAMETERS}
         assert set(part.rows["parameters_number"].tolist()) <= named
     assert any(report.not_replayed for report in alone)  # those that begin in a motion
     assert sum(report.rows for report in alone) > 300
@@ -117,7 +117,7 @@ def test_a_file_that_was_continued_brings_the_others_along(cut, capsys):
     assert capsys.readouterr().out == said
 
 
-@pytest.mark.parametrize("kind", [Kind.PARAMETERS, Kind.EFFECTS, Kind.SESSION, Kind.SET_POINT])
+@pytest.mark.parametrize("kind", [RecordKind.PARAMETERS, RecordKind.EFFECTS, RecordKind.SESSION, RecordKind.SET_POINT])
 def test_a_record_that_is_not_what_was_in_use_is_found(story, kind):
     run = read_run(story)
     changed = 0
@@ -128,17 +128,17 @@ def test_a_record_that_is_not_what_was_in_use_is_found(story, kind):
             return record
         values = list(record.values)
         name = {
-            Kind.PARAMETERS: "pi.integral_a_per_rev", Kind.EFFECTS: "total_limit_nm",
-            Kind.SESSION: "envelope.slew_a_per_s", Kind.SET_POINT: "jerk_rps3",
+            RecordKind.PARAMETERS: "pi.integral_a_per_rev", RecordKind.EFFECTS: "total_limit_nm",
+            RecordKind.SESSION: "envelope.slew_a_per_s", RecordKind.SET_POINT: "jerk_rps3",
         }[kind]  # fmt: skip
-        values[record.names.index(name)] *= 1e-3 if kind is Kind.EFFECTS else 1.0 + 1e-12
+        values[record.names.index(name)] *= 1e-3 if kind is RecordKind.EFFECTS else 1.0 + 1e-12
         changed += 1
         return record._replace(values=tuple(values))
 
     report = replayed((run.rows, tuple(map(other, run.records))))
     assert changed
     assert not report.exact
-    if kind is Kind.SET_POINT:  # law and command go by the row's reference, which is no longer the set point's
+    if kind is RecordKind.SET_POINT:  # law and command go by the row's reference, which is no longer the set point's
         assert report.live.other > 100
     else:
         assert report.all_identical < report.all_rows
@@ -164,7 +164,9 @@ def test_a_row_that_says_something_else_is_found(story, name):
 def test_samples_other_than_those_asked_for_are_found(story):
     run = read_run(story)
     records = [
-        record._replace(data={**record.data, "values_sha256": "0" * 64}) if record.kind == Kind.PROFILE else record
+        record._replace(data={**record.data, "values_sha256": "0" * 64})
+        if record.kind == RecordKind.PROFILE
+        else record
         for record in run.records
     ]
     assert replayed((run.rows, records)).profiles.other == replay_files([story]).profiles.as_asked > 0
@@ -184,7 +186,7 @@ def test_a_changed_law_is_scored_beside_the_recorded_one(story):
     run = read_run(story)
     limits = AXIS.envelope.model_copy(update={"speed_limit_rps": 0.5, "slew_a_per_s": 100.0})
     axis = AXIS.model_copy(update={"envelope": limits})
-    law = Law(
+    law = ReplayedLaw(
         pack_controller(controller_config(axis, models()[0])), compensation_table(axis, models()[0]),
         envelope_config(axis),
     )  # fmt: skip
@@ -210,20 +212,20 @@ def test_every_kind_of_record_comes_back_from_its_bytes_and_as_what_it_was(story
     run = read_run(story)
     for record in run.records:
         assert decode_record(encode_record(record)) == record
-    (session,) = (record for record in run.records if record.kind == Kind.SESSION)
+    (session,) = (record for record in run.records if record.kind == RecordKind.SESSION)
     again = made.of_session("x", made_loop(session), made.envelope_of(session))
     assert again.values == session.values
     for record in run.records:
-        if record.kind == Kind.PARAMETERS:
+        if record.kind == RecordKind.PARAMETERS:
             assert made.of_parameters(record.number, made.block_of(record), None).values == record.values
-        elif record.kind == Kind.EFFECTS:
+        elif record.kind == RecordKind.EFFECTS:
             back = made.of_effects(record.number, made.effects_of(record))
             assert (back.names, back.values, back.data) == (record.names, record.values, record.data)
-        elif record.kind == Kind.MODEL:
+        elif record.kind == RecordKind.MODEL:
             assert record.data["content_hash"] in record.data["text"]
-    asked = [record.data for record in run.records if record.kind == Kind.REQUEST]
+    asked = [record.data for record in run.records if record.kind == RecordKind.REQUEST]
     assert {"who": "pid 1", "what": "start", "values": {"value": 0.0}, "epoch": 0} in asked
-    names = {record.data["name"] for record in run.records if record.kind == Kind.PROFILE}
+    names = {record.data["name"] for record in run.records if record.kind == RecordKind.PROFILE}
     assert names <= {profile.name for profile in PROFILES}
 
 
@@ -242,7 +244,7 @@ SINCE_RECORDS = {  # fields that rows have since blocks are recorded
 def test_rows_of_an_older_version_replay_with_the_law_that_is_given_for_them(tmp_path):
     """Toggles and effects in service stood in its rows; what was set live did not, and shows as a difference."""
     calm = [("toggle", 0.5, 3), ("enable", 0.0, 40), ("start", 0.0, 200), ("in_service", 0.0, 90), ("toggle", 1.0, 90)]
-    law = Law(
+    law = ReplayedLaw(
         pack_controller(controller_config(AXIS, models()[1])), compensation_table(AXIS, models()[1]),
         envelope_config(AXIS),
     )  # fmt: skip

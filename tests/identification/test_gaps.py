@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fffo_drive.identification.gaps import LONGEST_FILL_S, Timing, mended
+from fffo_drive.identification.gaps import LONGEST_FILL_S, LogTiming, mended
 
 PERIOD_S = 0.0005
 LSB_REV = 2.0**-15
@@ -26,11 +26,11 @@ def a_record(lateness_ns=None):
         "time_s": tick * PERIOD_S, "position_rev": position, "velocity_rps": velocity,
         "current_command_a": np.sin(0.01 * tick), "current_a": np.cos(0.01 * tick), "reference_rps": velocity.copy(),
     }  # fmt: skip
-    return columns, Timing(tick.astype(np.int64), np.zeros(TICKS, np.int64), lateness_ns)
+    return columns, LogTiming(tick.astype(np.int64), np.zeros(TICKS, np.int64), lateness_ns)
 
 
 def cut(columns, timing, rows):
-    return {name: values[rows] for name, values in columns.items()}, Timing(*(values[rows] for values in timing))
+    return {name: values[rows] for name, values in columns.items()}, LogTiming(*(values[rows] for values in timing))
 
 
 def test_a_sound_record_stays_as_it_is():

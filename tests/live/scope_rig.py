@@ -17,9 +17,9 @@ from fffo_drive.config.address import Address
 from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.daemon.places import CONTROL
 from fffo_drive.live import frames
-from fffo_drive.live.feed import Source
-from fffo_drive.live.server import LiveServer, Wanted
-from fffo_drive.live.services import Method
+from fffo_drive.live.feed import FeedSource
+from fffo_drive.live.server import LiveServer, WantedServices
+from fffo_drive.live.services import ServiceMethod
 from fffo_drive.runtime.ring import new_ring
 
 
@@ -28,13 +28,13 @@ class ScopeRig:
 
     def __init__(
         self, directory: Path, ring_rows: int = 4096, viewers: bool = False, daemon: Any = None,
-        methods: Mapping[str, Method] = METHODS,
+        methods: Mapping[str, ServiceMethod] = METHODS,
     ) -> None:  # fmt: skip
         self.ring = new_ring(ring_rows)
         self.rig = daemon or Rig(directory, drive=False)
-        self.source: Source | None = Source(1, self.ring, 2000.0, 0.148)
+        self.source: FeedSource | None = FeedSource(1, self.ring, 2000.0, 0.148)
         free = Address("127.0.0.1", 0)
-        wanted = Wanted(free, free if viewers else None)
+        wanted = WantedServices(free, free if viewers else None)
         self.server = LiveServer(wanted, self.rig.sockets, CONTROL, lambda: self.source, methods, "bench")
         self._pages = contextlib.ExitStack()
 

@@ -21,7 +21,7 @@ from fffo_drive.live.decimation import (
     bin_ticks_of,
     lateness_counts,
 )
-from fffo_drive.live.feed import CAPTURE_S, Capture, Feed, Source
+from fffo_drive.live.feed import CAPTURE_S, Capture, Feed, FeedSource
 from fffo_drive.runtime.ring import new_ring
 from fffo_drive.signals import ROW, SIGNALS
 
@@ -90,7 +90,7 @@ def test_a_capture_is_the_newest_rows_bit_for_bit():
 def test_the_feed_follows_the_loop_and_the_next_one():
     rings = [new_ring(4096), new_ring(4096)]
     write(rings[0], rows_of(0, 64))  # before anybody listened
-    sources = [Source(1, rings[0], 2000.0, 0.148)]
+    sources = [FeedSource(1, rings[0], 2000.0, 0.148)]
     feed = Feed(lambda: sources[0])
     feed.begin()
     assert feed.poll() is None
@@ -106,7 +106,7 @@ def test_the_feed_follows_the_loop_and_the_next_one():
         np.frombuffer(b"".join(frames.taken_apart(f)[1] for f in feed.captured(0.05)), ROW).tobytes()
         == rows[-100:].tobytes()
     )
-    sources[0] = Source(2, rings[1], 1000.0, 0.148)
+    sources[0] = FeedSource(2, rings[1], 1000.0, 0.148)
     assert feed.poll() is None
     write(rings[1], rows_of(0, 20))
     assert feed.poll().loop == 2
@@ -114,7 +114,7 @@ def test_the_feed_follows_the_loop_and_the_next_one():
 
 def test_nothing_is_kept_while_nobody_listens():
     ring = new_ring(64)
-    feed = Feed(lambda: Source(1, ring, 2000.0, 0.1))
+    feed = Feed(lambda: FeedSource(1, ring, 2000.0, 0.1))
     feed.begin()
     feed.poll()
     feed.end()

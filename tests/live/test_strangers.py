@@ -21,7 +21,7 @@ from fffo_drive.daemon.parameters import METHODS, Enable, Method, Start
 from fffo_drive.live import listener, viewers
 from fffo_drive.live import messages as m
 from fffo_drive.live.peer import CALLS
-from fffo_drive.live.services import ENDING, Kind
+from fffo_drive.live.services import ENDING, MethodKind
 from fffo_drive.live.viewers import CALLS_IN_ALL, REQUEST_BYTES, VIEWERS
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -154,7 +154,7 @@ def test_so_many_calls_may_wait_and_a_stop_always_passes(scope):
     for viewer in viewers[:2]:
         for number in range(CALLS):
             viewer.socket.send(request(viewer, "enable", 100 + number, key))
-    in_all = CALLS_IN_ALL[Kind.COMMANDS]
+    in_all = CALLS_IN_ALL[MethodKind.COMMANDS]
     assert in_all == 2 * CALLS
     scope.until(lambda: len(scope.rig.asked("enable")) == in_all)
     with pytest.raises(ServiceFailure, match="your calls wait already"):

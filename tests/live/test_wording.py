@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.daemon.parameters import METHODS
-from fffo_drive.live.services import ENDING, Kind, RefusedCallError, Services
+from fffo_drive.live.services import ENDING, MethodKind, RefusedCallError, Services
 
 KEY = "k" * 32
 SERVICES = Services(METHODS, KEY)
@@ -86,10 +86,10 @@ def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, told):
 def test_what_is_right_goes_through_as_it_came():
     sine = {"kind": "sine", "duration_s": 1, "amplitude": 1, "frequency_hz": 1}
     checked = SERVICES.checked(NUMBER["start"], json.dumps({"key": KEY, "profile": sine}).encode())
-    assert checked == ("start", {"profile": sine}, Kind.COMMANDS)
-    assert outcome("set", {"key": "a", "value": 1.5}) == ("set", {"key": "a", "value": 1.5}, Kind.COMMANDS)
-    assert SERVICES.checked(NUMBER["status"], b"") == ("status", {}, Kind.LOOKS)
-    assert SERVICES.checked(NUMBER["stop"], b'{"key": "%s", "wait_s": 0}' % KEY.encode()).kind is Kind.ENDS
+    assert checked == ("start", {"profile": sine}, MethodKind.COMMANDS)
+    assert outcome("set", {"key": "a", "value": 1.5}) == ("set", {"key": "a", "value": 1.5}, MethodKind.COMMANDS)
+    assert SERVICES.checked(NUMBER["status"], b"") == ("status", {}, MethodKind.LOOKS)
+    assert SERVICES.checked(NUMBER["stop"], b'{"key": "%s", "wait_s": 0}' % KEY.encode()).kind is MethodKind.ENDS
 
 
 JSON = st.recursive(
@@ -120,6 +120,6 @@ def test_whatever_comes_is_let_through_or_refused_in_words(name, value, paramete
 def test_without_the_key_no_bytes_ask_for_more_than_looking(payload):
     for number in NUMBER.values():
         try:
-            assert SERVICES.checked(number, payload).kind is Kind.LOOKS
+            assert SERVICES.checked(number, payload).kind is MethodKind.LOOKS
         except RefusedCallError:
             continue

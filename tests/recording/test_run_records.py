@@ -15,8 +15,8 @@ from fffo_drive.recording.recorder import Recorder
 from fffo_drive.recording.recover import recover
 from fffo_drive.recording.run_records import (
     NAMED_BY_ROWS,
-    Kind,
     RecordBook,
+    RecordKind,
     RunRecord,
     decode_record,
     encode_record,
@@ -44,7 +44,7 @@ def test_a_record_comes_back_from_its_bytes(time_ns, sequence, number, kind, pai
 
 @given(st.binary(max_size=200), st.integers(0, 200))
 def test_bytes_that_are_no_record_are_refused_without_much_work(noise, cut):
-    whole = encode_record(RunRecord(1, 2, 3, Kind.GOAL, ("goal",), (3.0,), {}))
+    whole = encode_record(RunRecord(1, 2, 3, RecordKind.GOAL, ("goal",), (3.0,), {}))
     for payload in (noise, whole[:cut], whole[:4] + noise):
         try:
             decode_record(payload)
@@ -80,8 +80,11 @@ class Told:
         if kind in self.published:
             self.published[kind] += 1
             number = self.published[kind]
-        data = {Kind.PARAMETERS: {"model": str(number // 3)}, Kind.MODEL: {"content_hash": str(self.sequence % 3)}}
-        self.book.add(RunRecord(0, self.sequence, number, kind, (), (), data.get(Kind(kind), {})))
+        data = {
+            RecordKind.PARAMETERS: {"model": str(number // 3)},
+            RecordKind.MODEL: {"content_hash": str(self.sequence % 3)},
+        }
+        self.book.add(RunRecord(0, self.sequence, number, kind, (), (), data.get(RecordKind(kind), {})))
 
     def rows(self, count: int, behind: bool) -> None:
         """Rows; `behind`: of a loop that has not seen the last requests yet."""
@@ -101,7 +104,7 @@ class Told:
 
 
 STEPS = st.one_of(
-    st.tuples(st.just("ask"), st.sampled_from([kind.value for kind in Kind])),
+    st.tuples(st.just("ask"), st.sampled_from([kind.value for kind in RecordKind])),
     st.tuples(st.just("rows"), st.tuples(st.integers(1, 40), st.booleans())),
     st.tuples(st.just("drain"), st.just(0)),
     st.tuples(st.just("forget"), st.just(0)),
@@ -148,11 +151,11 @@ def test_no_row_names_a_record_that_its_file_has_not(tmp_path_factory, steps, ma
 def test_what_is_in_force_does_not_grow_with_what_was_asked():
     told = Told()
     for _ in range(500):
-        for kind in Kind:
+        for kind in RecordKind:
             told.ask(kind)
         told.rows(1, behind=False)
         told.book.forget(told.ring.rows[(told.tick - 1) % len(told.ring.rows)])
-        assert len(told.book.listen(lambda record: None)) <= 2 * len(Kind)
+        assert len(told.book.listen(lambda record: None)) <= 2 * len(RecordKind)
 
 
 def test_a_record_that_a_later_version_knows_is_kept_as_the_last_of_its_kind():
@@ -166,9 +169,9 @@ def test_a_listener_hears_of_every_record_once_and_of_none_after_it_left():
     told = Told()
     heard = []
     before = told.book.listen(heard.append)
-    told.ask(Kind.GOAL)
+    told.ask(RecordKind.GOAL)
     told.book.leave(heard.append)
-    told.ask(Kind.GOAL)
+    told.ask(RecordKind.GOAL)
     assert [record.sequence for record in (*before, *heard)] == list(range(1, len(NAMED_BY_ROWS) + 2))
 
 

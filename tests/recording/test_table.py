@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 from shared_data import shared_files
 
-from fffo_drive.recording.column_map import Column, ColumnMap
+from fffo_drive.recording.column_map import ColumnMap, MappedColumn
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.load import read_log
 from fffo_drive.recording.table import read_table
@@ -20,9 +20,9 @@ from fffo_drive.recording.table import read_table
 FIVE = "time_s,current_a,velocity_rps\n0.0,1.5,2\n0.1,1.25,3\n0.2,-1,4.5\n0.3,0.5,5\n0.4,0.25,6\n"
 LINEAR = ColumnMap(
     (
-        Column("t", "time_s"),
-        Column("vir", "current_command_a", "V"),
-        Column("qm", "position_rev", "mm", scale=1e3),
+        MappedColumn("t", "time_s"),
+        MappedColumn("vir", "current_command_a", "V"),
+        MappedColumn("qm", "position_rev", "mm", scale=1e3),
     ),
     linear=True,
     extra=("qg",),
@@ -57,7 +57,9 @@ def test_every_number_comes_back_exactly(tmp_path_factory, values, delimiter, ne
     data = newline.join(lines).encode()
     path = tmp_path_factory.getbasetemp() / ("log.csv.gz" if packed else "log.csv")
     path.write_bytes(gzip.compress(data) if packed else data)
-    mapping = ColumnMap((Column("current_a", "current_a"), Column("velocity_rps", "velocity_rps")), rate_hz=500.0)
+    mapping = ColumnMap(
+        (MappedColumn("current_a", "current_a"), MappedColumn("velocity_rps", "velocity_rps")), rate_hz=500.0
+    )
     found = read_table(path, mapping)
     assert np.array_equal(found.columns["current_a"], [a for a, _ in values])
     assert np.array_equal(found.columns["velocity_rps"], [b for _, b in values])
@@ -90,14 +92,14 @@ def test_columns_by_their_own_names(table):
     ],
 )
 def test_units(table, signal, unit, scale, raw, value):
-    mapping = ColumnMap((Column("t ms", "time_s", "ms"), Column("x", signal, unit, scale)))
+    mapping = ColumnMap((MappedColumn("t ms", "time_s", "ms"), MappedColumn("x", signal, unit, scale)))
     found = table(f'"t ms", x\n0,{raw!r}\n1,0\n', mapping)
     assert found.columns[signal][0] == pytest.approx(value, rel=1e-15)
     assert found.time_s[1] == 1e-3
 
 
 def test_offset_stands_in_the_unit_of_the_column(table):
-    mapping = ColumnMap((Column("rpm", "velocity_rps", "rpm", offset=-60.0),), rate_hz=1.0)
+    mapping = ColumnMap((MappedColumn("rpm", "velocity_rps", "rpm", offset=-60.0),), rate_hz=1.0)
     assert table("rpm\n120\n60\n", mapping).columns["velocity_rps"].tolist() == [1.0, 0.0]
 
 
@@ -179,19 +181,19 @@ def test_constant_columns_are_a_warning(table):
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        (ColumnMap((Column("curent", "current_a"),), 1.0), "no column 'curent': did you mean 'current_a'"),
-        (ColumnMap((Column("current_a", "current"),), 1.0), "no signal 'current': did you mean"),
+        (ColumnMap((MappedColumn("curent", "current_a"),), 1.0), "no column 'curent': did you mean 'current_a'"),
+        (ColumnMap((MappedColumn("current_a", "current"),), 1.0), "no signal 'current': did you mean"),
         (
-            ColumnMap((Column("current_a", "velocity_rps", "RPM"),), 1.0),
+            ColumnMap((MappedColumn("current_a", "velocity_rps", "RPM"),), 1.0),
             "'RPM' is no unit .* did you mean 'rpm'",
         ),
-        (ColumnMap((Column("current_a", "velocity_rps", "m/s"),), 1.0), "on a rotary axis"),
-        (ColumnMap((Column("current_a", "current_a", scale=0.0),), 1.0), "scale 0.0"),
-        (ColumnMap((Column("a", "current_a"), Column("b", "current_a")), 1.0), "mapped twice"),
-        (ColumnMap((Column("time_s", "time_s"),), 1.0), "leave one out"),
-        (ColumnMap((Column("current_a", "current_a"),), -1.0), "positive"),
-        (ColumnMap((Column("current_a", "current_a"),)), "nothing gives time_s"),
-        (ColumnMap((Column("current_a", "current_a"),), 1.0, extra=("current_a",)), "mapped already"),
+        (ColumnMap((MappedColumn("current_a", "velocity_rps", "m/s"),), 1.0), "on a rotary axis"),
+        (ColumnMap((MappedColumn("current_a", "current_a", scale=0.0),), 1.0), "scale 0.0"),
+        (ColumnMap((MappedColumn("a", "current_a"), MappedColumn("b", "current_a")), 1.0), "mapped twice"),
+        (ColumnMap((MappedColumn("time_s", "time_s"),), 1.0), "leave one out"),
+        (ColumnMap((MappedColumn("current_a", "current_a"),), -1.0), "positive"),
+        (ColumnMap((MappedColumn("current_a", "current_a"),)), "nothing gives time_s"),
+        (ColumnMap((MappedColumn("current_a", "current_a"),), 1.0, extra=("current_a",)), "mapped already"),
     ],
 )
 def test_mistakes_in_the_map(table, mapping, message):
@@ -240,7 +242,7 @@ def test_mat_files(tmp_path):
     assert found.units == {"time_s": "s", "current_command_a": "V", "position_rev": "m", "qg": "-"}
     assert found.scalars == {"gtau": 35.15}
     assert found.columns["position_rev"][-1] == pytest.approx(0.1)
-    fields = ColumnMap((Column("t", "time_s"), Column("log.deep.current", "current_a")))
+    fields = ColumnMap((MappedColumn("t", "time_s"), MappedColumn("log.deep.current", "current_a")))
     assert read_table(tmp_path / "a.mat", fields).columns["current_a"].tolist() == list(range(0, 80, 2))
 
 

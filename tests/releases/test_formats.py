@@ -14,7 +14,7 @@ from fffo_drive.config.adoption import History
 from fffo_drive.config.axis import AxisFile
 from fffo_drive.config.scenario import ScenarioFile
 from fffo_drive.config.simulated import SimulatedDriveRecord
-from fffo_drive.documents import DocumentError, Record, load
+from fffo_drive.documents import DocumentError, StrictRecord, load
 from fffo_drive.formats import FORMATS, Document, Format
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.model.parameters import ModelFile
@@ -43,11 +43,11 @@ def sections(data: Document) -> dict[str, object]:
 GADGET = Format("gadget", "an invented file", formats.HAND, "these tests", (hertz, sections))
 
 
-class Motor(Record):
+class Motor(StrictRecord):
     speed_rps: Annotated[float, formats.Field(gt=0, le=100)]
 
 
-class Gadget(Record):
+class Gadget(StrictRecord):
     format: Annotated[str, GADGET.key] = GADGET.word
     name: str
     motor: Motor

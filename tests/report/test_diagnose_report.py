@@ -13,14 +13,14 @@ import pytest
 from fffo_drive.cli.diagnose import curve_words
 from fffo_drive.diagnosis.results import (
     Ceiling,
-    Channel,
-    Curve,
     Diagnosis,
     ErrorFigures,
     Finding,
+    FoundCurve,
     Interval,
     Number,
     Picture,
+    ResidualChannel,
     Rest,
     Rival,
     RunFigure,
@@ -50,9 +50,9 @@ def picture():
     x = np.linspace(0.0, 1.0, 25)
     wave = 0.008 * np.sin(2 * np.pi * x)
     curves = (
-        Curve("without", x, wave, wave - 0.001, wave + 0.001),
-        Curve("with", x, 0.1 * wave, 0.1 * wave - 0.001, 0.1 * wave + 0.001),
-        Curve("law", x, wave, kind="line"),
+        FoundCurve("without", x, wave, wave - 0.001, wave + 0.001),
+        FoundCurve("with", x, 0.1 * wave, 0.1 * wave - 0.001, 0.1 * wave + 0.001),
+        FoundCurve("law", x, wave, kind="line"),
     )
     return Picture("cogging over the motor angle", "motor angle", "rev", "residual torque", "Nm", curves)
 
@@ -79,7 +79,7 @@ def diagnosis(**changes):
         "findings": (finding(), finding(name="unbalance", accepted=False, reason="within chance", picture=None)),
         "before": errors(0.0052), "after": errors(0.0021), "fit_before": errors(0.005), "fit_after": errors(0.002),
         "ceiling": Ceiling(0.9, None, 0.001, 0.95, "2 repeats of the staircase"),
-        "channels": (Channel("motor_angle", 0.6, 0.02, True, False, 100_000),),
+        "channels": (ResidualChannel("motor_angle", 0.6, 0.02, True, False, 100_000),),
         "runs": (run, replace(run, name="track", role="fit")),
         "model_before": read_model(TABLE_1), "model_after": read_model(TABLE_1), "false_alarm_rate": 0.01,
         "units": "rotary", "fit_names": ("track",), "held_out_names": ("check",), "seconds": 31.0,
@@ -164,8 +164,8 @@ def test_nothing_found_is_a_page_too():
 
 
 def test_of_the_pairs_of_axes_the_strongest_are_shown():
-    one = Channel("velocity", 0.6, 0.02, True, False, 1000)
-    pairs = tuple(Channel(f"time x axis {k}", 0.01 * k, 0.0, False, False, 1000) for k in range(20))
+    one = ResidualChannel("velocity", 0.6, 0.02, True, False, 1000)
+    pairs = tuple(ResidualChannel(f"time x axis {k}", 0.01 * k, 0.0, False, False, 1000) for k in range(20))
     report = diagnosis_report(SOURCE, diagnosis(channels=(one, *pairs)))
     table = next(table for table in report.tables if table.name == "channels")
     assert [row.label for row in table.rows] == ["velocity", *(f"time x axis {k}" for k in range(19, 13, -1))]
@@ -312,7 +312,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     told = in_words_of_axis(diagnosis(
         units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
         cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),
-        channels=tuple(Channel(word, 0.6, 0.02, True, False, 10) for word in ("motor_angle", "output_angle")),
+        channels=tuple(ResidualChannel(word, 0.6, 0.02, True, False, 10) for word in ("motor_angle", "output_angle")),
         unexplained_rest=Rest(2.0, 1.0, None, ("torque", "output_angle"), "it goes with the torque"),
     ))  # fmt: skip
     report = diagnosis_report(SOURCE, told)

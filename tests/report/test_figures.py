@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from fffo_drive.report import palette
-from fffo_drive.report.figures import Axis, Figure, Group, Series, Uniform, grouped_bars, histogram, normal_curve
+from fffo_drive.report.figures import Figure, Group, PlotAxis, Series, Uniform, grouped_bars, histogram, normal_curve
 
 LINE = Series("a", Uniform(0.0, 0.1), np.arange(5.0), "blue")
-TIME, SPEED = Axis("time", "s"), Axis("velocity", "rps")
+TIME, SPEED = PlotAxis("time", "s"), PlotAxis("velocity", "rps")
 
 
 @pytest.mark.parametrize(
     ("change", "missing"),
-    [({"title": ""}, "title"), ({"caption": " "}, "caption"), ({"x": Axis("time", "")}, "x unit"),
-     ({"y": Axis("", "rps")}, "y label")],
+    [({"title": ""}, "title"), ({"caption": " "}, "caption"), ({"x": PlotAxis("time", "")}, "x unit"),
+     ({"y": PlotAxis("", "rps")}, "y label")],
 )  # fmt: skip
 def test_a_figure_without_title_caption_or_unit_is_refused(change, missing):
     whole = {"title": "t", "caption": "c", "x": TIME, "y": SPEED, **change}

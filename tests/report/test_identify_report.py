@@ -20,7 +20,7 @@ from fffo_drive.model.friction import steady_friction_nm
 from fffo_drive.model.parameters import write_model
 from fffo_drive.report.document import ReportFile, interval_text
 from fffo_drive.report.identify import IdentifySource, identify_report, words_of
-from fffo_drive.report.identify_figures import Words, free_velocities, friction_band, over_speed_figure
+from fffo_drive.report.identify_figures import IdentifyWords, free_velocities, friction_band, over_speed_figure
 from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.response_figures import harmonic_damping
 from fffo_drive.report.static import write_figures
@@ -173,7 +173,7 @@ def test_a_linear_axis_has_its_own_units():
     columns = {"current_command_a": ColumnFact(column="vir", unit="V")}
     words = words_of(FACTS.model_copy(update={"units": "linear", "columns": columns}))
     assert (words.torque, words.torque_unit, words.velocity_unit, words.command_unit) == ("force", "N", "m/s", "V")
-    assert words_of(FACTS) == Words()
+    assert words_of(FACTS) == IdentifyWords()
 
 
 def test_presliding_and_sliding_are_apart():
@@ -182,7 +182,7 @@ def test_presliding_and_sliding_are_apart():
     assert not (sliding & presliding).any()
     np.testing.assert_array_equal(sliding | presliding, runs[0].torque.kept)
     assert presliding.sum() > 20
-    figure = over_speed_figure(runs[0], Words())
+    figure = over_speed_figure(runs[0], IdentifyWords())
     assert [series.name for series in figure.series][:2] == ["sliding", "presliding"]
 
 

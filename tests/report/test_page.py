@@ -11,7 +11,7 @@ from report.bench_runs import bench_records
 from fffo_drive.report.bench import bench_report
 from fffo_drive.report.document import (
     Cell,
-    Column,
+    Heading,
     Report,
     ReportFile,
     Row,
@@ -24,7 +24,7 @@ from fffo_drive.report.document import (
     source_file,
 )
 from fffo_drive.report.encoding import LARGEST_DATA_BYTES, encode_figures
-from fffo_drive.report.figures import Axis, Figure, Series, Uniform
+from fffo_drive.report.figures import Figure, PlotAxis, Series, Uniform
 from fffo_drive.report.page import column_groups, render_page, script_json, write_report
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "line", "path", "rect"}
@@ -140,7 +140,7 @@ def test_a_bench_of_a_minute_at_2_khz_stays_below_3_mb(tmp_path):
 def long_figure(name, samples):
     y = np.random.default_rng(0).normal(size=samples)
     series = tuple(Series(letter, Uniform(0.0, 5e-4), y, "blue", finest=1 << 20) for letter in "abcd")
-    return Figure(name, "time", "t", "c", Axis("time", "s"), Axis("velocity", "rps"), series)
+    return Figure(name, "time", "t", "c", PlotAxis("time", "s"), PlotAxis("velocity", "rps"), series)
 
 
 def test_longer_records_give_way_to_the_limit():
@@ -163,7 +163,7 @@ def small_report(**changes):
 def test_a_report_of_another_kind_needs_no_more(tmp_path):
     table = Table(
         name="parameters", title="Parameters", note="with 95 % intervals",
-        columns=[Column(label="value"), Column(label="source")],
+        columns=[Heading(label="value"), Heading(label="source")],
         rows=[Row(label="J", unit="kg m²", cells=[number(1.5e-4, low=1.4e-4, high=1.6e-4), Cell(text="fitted")])],
     )  # fmt: skip
     paths = write_report(small_report(tables=(table,)), tmp_path)
@@ -189,6 +189,6 @@ def test_numbers_are_printed_to_their_significant_digits(value, text):
 
 
 def test_column_groups_span_neighbours():
-    columns = [Column(label="a", group="x"), Column(label="b", group="x"), Column(label="c")]
+    columns = [Heading(label="a", group="x"), Heading(label="b", group="x"), Heading(label="c")]
     assert column_groups(columns) == [("x", 2), ("", 1)]
-    assert column_groups([Column(label="a")]) == []
+    assert column_groups([Heading(label="a")]) == []

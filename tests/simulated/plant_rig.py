@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fffo_drive.drive.simulated import state as at
-from fffo_drive.drive.simulated.friction import Scales, friction_after
+from fffo_drive.drive.simulated.friction import FrictionScales, friction_after
 from fffo_drive.drive.simulated.pack import FRICTION_KINDS, new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ThermalConfig, noiseless
 from fffo_drive.drive.simulated.plant import plant_advance
 from fffo_drive.drive.simulated.resolver import plant_latch
 from fffo_drive.drive.simulated.state import STEP_S
-from fffo_drive.drive.simulated.surfaces import FrictionConfig
+from fffo_drive.drive.simulated.surfaces import PlantFriction
 from fffo_drive.jit import njit
 from fffo_drive.units import inertia_nm_s2_per_rev
 
 SUBSTEPS_PER_TICK = 11
 TICK_S = 0.0005
 NO_WARMING = ThermalConfig(k_per_w=0.0)
-NO_FRICTION = FrictionConfig(surfaces=())
+NO_FRICTION = PlantFriction(surfaces=())
 
 
 def quiet(**changes) -> PlantConfig:
@@ -100,11 +100,11 @@ def exchange(config: PlantConfig, commands_a: np.ndarray, seed: int | None = Non
 @njit
 def _friction_along(table, state, velocity_rps, step_s, kind, torque_nm):
     for k in range(velocity_rps.shape[0]):
-        torque_nm[k] = friction_after(kind, table, state, velocity_rps[k], step_s, Scales(1.0, 1.0, 1.0))
+        torque_nm[k] = friction_after(kind, table, state, velocity_rps[k], step_s, FrictionScales(1.0, 1.0, 1.0))
 
 
 def friction_along(
-    friction: FrictionConfig, velocity_rps: np.ndarray, step_s: float = STEP_S, state: np.ndarray | None = None
+    friction: PlantFriction, velocity_rps: np.ndarray, step_s: float = STEP_S, state: np.ndarray | None = None
 ) -> np.ndarray:
     """Torque of the base friction that follows a motion from power-on (or from `state`, which moves on)."""
     config = PlantConfig(friction=friction)

@@ -13,12 +13,12 @@ from fffo_drive.drive.simulated.pack import new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import PlantConfig, ThermalConfig, delay_budget, paper_plant
 from fffo_drive.drive.simulated.plant import plant_advance, substeps_due
 from fffo_drive.drive.simulated.state import STEP_S, copy_state, restore_state
-from fffo_drive.drive.simulated.surfaces import FrictionConfig, Surface
+from fffo_drive.drive.simulated.surfaces import PlantFriction, Surface
 from fffo_drive.units import TWO_PI, inertia_nm_s2_per_rev
 
 INERTIA = inertia_nm_s2_per_rev(1.5e-4)
 KT = 0.148
-VISCOUS = FrictionConfig(surfaces=(Surface("oil", 1e-6, 1e-6, 0.003, 1.0, 10.0, 0.01),))
+VISCOUS = PlantFriction(surfaces=(Surface("oil", 1e-6, 1e-6, 0.003, 1.0, 10.0, 0.01),))
 
 
 def same(a, b) -> bool:

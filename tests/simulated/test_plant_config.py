@@ -18,7 +18,7 @@ from fffo_drive.drive.simulated.parameters import (
     ResolverConfig,
     paper_plant,
 )
-from fffo_drive.drive.simulated.surfaces import FIVE_SURFACES, FrictionConfig
+from fffo_drive.drive.simulated.surfaces import FIVE_SURFACES, PlantFriction
 
 
 def complaints(config) -> list[str]:
@@ -39,7 +39,7 @@ def test_all_errors_are_named_at_once_with_key_value_and_range():
         seed=1.5,
         dc_link_v=float("nan"),
         resolver=ResolverConfig(bits=40, tracking_hz=True),
-        friction=FrictionConfig(
+        friction=PlantFriction(
             kind="sticky", surfaces=(replace(FIVE_SURFACES[0], coulomb_nm=0.1), replace(FIVE_SURFACES[1], ratio=0.0))
         ),
         effects=(

@@ -14,10 +14,10 @@ from fffo_drive.drive.simulated import friction
 from fffo_drive.drive.simulated.pack import new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.drive.simulated.state import STEP_S
-from fffo_drive.drive.simulated.surfaces import FrictionConfig, SingleSurface
+from fffo_drive.drive.simulated.surfaces import PlantFriction, SingleSurface
 
-FIVE = FrictionConfig()
-SINGLE = FrictionConfig(kind="single_2sep")
+FIVE = PlantFriction()
+SINGLE = PlantFriction(kind="single_2sep")
 KINDS = pytest.mark.parametrize("config", [FIVE, SINGLE], ids=["five", "single"])
 CONTACTS = friction.CONTACT_NM
 
@@ -191,6 +191,6 @@ def test_the_single_surface_does_not_ratchet_when_it_dithers():
 def test_equal_rates_of_both_states_are_no_division_by_zero():
     """b = K exactly: B/|S| equal to K."""
     one = SingleSurface(stiction_nm=0.025, coulomb_nm=0.025, viscous_nm_per_rps=0.0, stiffness_per_rev=2.33 / 0.025)
-    torque_nm = friction_along(FrictionConfig("single_2sep", single=one), np.full(4000, 0.5))
+    torque_nm = friction_along(PlantFriction("single_2sep", single=one), np.full(4000, 0.5))
     x = np.arange(1, 4001) * STEP_S * 0.5 * 2.33 / 0.025
     assert torque_nm == pytest.approx(0.025 * (1 - np.exp(-x) + x * np.exp(-x)), abs=1e-12)

@@ -13,10 +13,10 @@ from simulated.test_plant_friction import rough_motion
 
 from fffo_drive.drive.simulated.parameters import PlantConfig, PlantConfigError
 from fffo_drive.drive.simulated.state import STEP_S
-from fffo_drive.drive.simulated.surfaces import FrictionConfig, Lugre, MaxwellSlip, SlipElement
+from fffo_drive.drive.simulated.surfaces import Lugre, MaxwellSlip, PlantFriction, SlipElement
 
-LUGRE = FrictionConfig(kind="lugre")
-SLIP = FrictionConfig(kind="maxwell_slip")
+LUGRE = PlantFriction(kind="lugre")
+SLIP = PlantFriction(kind="maxwell_slip")
 TWO_ELEMENTS = MaxwellSlip(
     0.02, 0.02, 0.0, attraction_nm_per_s=50.0, elements=(SlipElement(0.5, 8.0), SlipElement(0.5, 2.0))
 )
@@ -75,13 +75,13 @@ def test_lugre_is_the_solution_of_its_equation():
         bristles = friction.damping_nm_per_rps * slope(0.0, z) + friction.viscous_nm_per_rps * velocity_rps
         torque_nm.append(friction.stiffness_nm_per_rev * z + bristles)
     path_rps = np.repeat([0.4, -0.1], 400)
-    found_nm = friction_along(FrictionConfig(kind="lugre", lugre=friction), path_rps)
+    found_nm = friction_along(PlantFriction(kind="lugre", lugre=friction), path_rps)
     assert found_nm[[399, 799]] == pytest.approx(torque_nm, rel=2e-3)
 
 
 def test_a_loop_inside_a_loop_closes_as_masing_says():
     """Springs that slip remember each reversal: back where an inner loop began, the outer one goes on as before."""
-    config = FrictionConfig(kind="maxwell_slip", maxwell_slip=TWO_ELEMENTS)
+    config = PlantFriction(kind="maxwell_slip", maxwell_slip=TWO_ELEMENTS)
     step_rev = 2e-5
     moves = [400, -60, 60, 40]  # steps of the virgin curve, an inner loop back to where it began, and further
     path_rps = np.concatenate([np.full(abs(n), np.sign(n) * step_rev / STEP_S) for n in moves])
@@ -121,9 +121,9 @@ def test_the_damping_of_lugre_bristles_is_within_what_keeps_the_model_passive():
 
 def test_stiction_below_the_coulomb_level_is_refused_by_key():
     for kind in ("lugre", "maxwell_slip"):
-        low = replace(getattr(FrictionConfig(), kind), stiction_nm=0.01)
+        low = replace(getattr(PlantFriction(), kind), stiction_nm=0.01)
         with pytest.raises(PlantConfigError, match=rf"friction.{kind}.stiction_nm: 0.01 is below coulomb_nm 0.025"):
-            replace(PlantConfig(), friction=replace(FrictionConfig(), **{kind: low})).validate()
+            replace(PlantConfig(), friction=replace(PlantFriction(), **{kind: low})).validate()
 
 
 def test_shares_that_are_not_the_whole_are_refused_by_key():

@@ -15,9 +15,9 @@ from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
 from fffo_drive.config.sections import FeedforwardSection
 from fffo_drive.evaluation.campaign import run_campaign
-from fffo_drive.evaluation.compare import Interval
+from fffo_drive.evaluation.compare import SeedInterval
 from fffo_drive.evaluation.summary import Summary, summarise
-from fffo_drive.report.figures import Axis, Figure, Group, Level, grouped_bars
+from fffo_drive.report.figures import Figure, Group, LevelLine, PlotAxis, grouped_bars
 from fffo_drive.report.static import write_overview
 
 HERE = Path(__file__).resolve().parent
@@ -113,7 +113,7 @@ def table(name: str, summary: Summary) -> list[str]:
     return [*lines, "", *(f"- {failure}" for failure in summary.failures), ""]
 
 
-def text(interval: Interval, digits: int) -> str:
+def text(interval: SeedInterval, digits: int) -> str:
     """12.3 [11.0, 13.6]"""
     return f"{interval.value:.{digits}f} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
 
@@ -136,10 +136,10 @@ def picture(summaries: dict[str, Summary]) -> list[list[Figure]]:
                     kind="bars",
                     title=f"Mean absolute error against {said}",
                     caption="Ten seeds; whiskers: 95 % intervals.",
-                    x=Axis("scenario", "-", categories=tuple(summaries)),
-                    y=Axis(f"share of {BASE}", "%"),
+                    x=PlotAxis("scenario", "-", categories=tuple(summaries)),
+                    y=PlotAxis(f"share of {BASE}", "%"),
                     series=tuple(grouped_bars(groups, {}, "")),
-                    levels=(Level(100.0, BASE),),
+                    levels=(LevelLine(100.0, BASE),),
                     height_px=240,
                 )
             ]

@@ -24,13 +24,13 @@ from fffo_drive.config.scenario import Scenario, case_of, read_scenario
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.drive.simulated.surfaces import KINDS
 from fffo_drive.evaluation.campaign import Case
-from fffo_drive.evaluation.compare import Interval, ratio_interval
+from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
 from fffo_drive.evaluation.passivity import comes_to_rest
 from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
     PLUS,
-    Design,
     Models,
+    PeerDesign,
     Scale,
     axis_numbers,
     design_for,
@@ -94,13 +94,13 @@ def ground_of(scenario: Scenario, kind: str) -> Ground:
     return Ground(plant, models, left)
 
 
-def run_all(case: Case, plant: PlantConfig, design: Design, models: Models) -> dict[str, PeerMeasures]:
+def run_all(case: Case, plant: PlantConfig, design: PeerDesign, models: Models) -> dict[str, PeerMeasures]:
     """All laws on one plant."""
     laws = laws_of(case.candidates, design, axis_numbers(plant), models)
     return {law.name: measure_peer(run_law(plant, case.device, law, case.profile).trace) for law in laws}
 
 
-def scenario_runs(scenario: Scenario, ground: Ground, design: Design, slope: float, sizes: Sizes) -> Runs:
+def scenario_runs(scenario: Scenario, ground: Ground, design: PeerDesign, slope: float, sizes: Sizes) -> Runs:
     """The paper's scenario over seeds of noise, phases and wrong signs."""
     runs: Runs = {}
     for seed in range(1, sizes.seeds + 1):
@@ -119,7 +119,9 @@ def axis_of(ground: Ground, number: int) -> tuple[PlantConfig, Scale]:
     return replace(plant, friction=ground.plant.friction.scaled(**scale._asdict())), scale
 
 
-def axis_runs(scenario: Scenario, ground: Ground, design: Design, sizes: Sizes) -> tuple[list[int], list[int], Runs]:
+def axis_runs(
+    scenario: Scenario, ground: Ground, design: PeerDesign, sizes: Sizes
+) -> tuple[list[int], list[int], Runs]:
     """Numbers of the axes that ran, of those left out because they give energy, and the runs."""
     runs: Runs = {}
     ran: list[int] = []
@@ -147,7 +149,7 @@ def column(runs: Runs, law: str, name: str) -> np.ndarray:
     return np.array([getattr(one, name) for one in runs[law]])
 
 
-def text(interval: Interval, factor: float = 1.0) -> str:
+def text(interval: SeedInterval, factor: float = 1.0) -> str:
     """12.3 [11.0, 13.6], three digits"""
     value, low, high = (f"{factor * one:.3g}" for one in interval)
     return f"{value} [{low}, {high}]"
@@ -222,7 +224,7 @@ def axes_table(found: dict[str, Runs]) -> list[str]:
     return [*lines, "| **all peers** | " + " | ".join(cells) + " |", ""]
 
 
-def design_table(design: Design) -> list[str]:
+def design_table(design: PeerDesign) -> list[str]:
     """Gains and margins on the nominal axis."""
     lines = [
         "| loop | Kp A/rps | bandwidth of the observer rad/s | phase margin | gain margin |",

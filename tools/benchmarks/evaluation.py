@@ -17,7 +17,7 @@ from pathlib import Path
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import Scenario, cases_of, read_scenario, select_controllers
 from fffo_drive.evaluation.campaign import run_campaign
-from fffo_drive.evaluation.compare import Interval
+from fffo_drive.evaluation.compare import SeedInterval
 from fffo_drive.evaluation.metrics import PAPER_TABLE_2
 from fffo_drive.evaluation.summary import Summary, summarise
 
@@ -66,7 +66,7 @@ def with_slope(scenario: Scenario, slope: float) -> Scenario:
     return scenario._replace(file=scenario.file.model_copy(update={"reference": reference}))
 
 
-def text(interval: Interval, digits: int = 1) -> str:
+def text(interval: SeedInterval, digits: int = 1) -> str:
     """12.3 [11.0, 13.6]"""
     return f"{interval.value:.{digits}f} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
 

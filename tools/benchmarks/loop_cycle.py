@@ -39,7 +39,7 @@ from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime import tick
 from fffo_drive.runtime.loop import run_loop
 from fffo_drive.runtime.ring import new_ring
-from fffo_drive.runtime.tick import Baseline, Law, LoopConfig, ProfileCursor, Timing
+from fffo_drive.runtime.tick import Baseline, LawOutput, LoopConfig, ProfileCursor, Timing
 from fffo_drive.signals import ROW
 from fffo_drive.workflows.plan import Plan, make_plan, plan_session
 
@@ -150,7 +150,7 @@ def _declarations(memory: Memory, loop: Any, envelope_config: Any) -> str:
     for record in (memory.port, loop, envelope_config, memory.blocks, memory.ring):
         made.record(record)
     for kind in (
-        ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, Law,
+        ControllerConfig, ControllerState, EnvelopeState, EnvelopeInputs, Timing, ProfileCursor, Baseline, LawOutput,
         VelocityEstimatorState, VelocityEstimatorTerms, Measured, AdaptationState, Adapted,
     ):  # fmt: skip
         made.record(zeros(kind))

@@ -18,7 +18,7 @@ from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 from ...can.frame import NODE_IDS
 from ..port import DriveIdentity, DriveRefusedError
 from .config import CanopenDriveConfig
-from .eds_tidy import Remark, decode, tidy
+from .eds_tidy import EdsRemark, decode, tidy
 from .needs import FileObjects, check_modes, needs
 from .object_map import MappingError, PdoMap
 
@@ -32,7 +32,7 @@ class Eds(NamedTuple):
 
     path: str
     dictionary: Any  # canopen's ObjectDictionary
-    remarks: tuple[Remark, ...]  # what is not as CiA 306 has it
+    remarks: tuple[EdsRemark, ...]  # what is not as CiA 306 has it
 
     @property
     def drive_name(self) -> str:
@@ -83,7 +83,7 @@ def load_eds(path: str, node_id: int) -> Any:
     return eds.dictionary
 
 
-def _beginning(remarks: list[Remark]) -> str:
+def _beginning(remarks: list[EdsRemark]) -> str:
     """What was found before it failed, for the message."""
     return "".join(f"; {remark}" for remark in remarks[:3])
 

@@ -53,7 +53,7 @@ _SUB = re.compile(r"^([0-9a-f]{4})\s*sub\s*([0-9a-f]{1,2})$", re.IGNORECASE)
 _NODE_ID = re.compile(r"\$?(?:my_)?node_?id", re.IGNORECASE)  # Roboteq writes $MY_NODE_ID
 
 
-class Remark(NamedTuple):
+class EdsRemark(NamedTuple):
     """Something in the file that is not as it should be. Line 0: the file as a whole."""
 
     line: int
@@ -64,7 +64,7 @@ class Remark(NamedTuple):
 
 
 @dataclass
-class Section:
+class EdsSection:
     """One section: where it began, and its keys with value and line."""
 
     name: str
@@ -80,23 +80,23 @@ class Section:
         return self.values[key][1] if key in self.values else self.line
 
 
-def decode(raw: bytes) -> tuple[str, list[Remark]]:
+def decode(raw: bytes) -> tuple[str, list[EdsRemark]]:
     """The text of a file in whatever encoding it is."""
     for mark, name in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
         if raw.startswith(mark):
-            return raw.decode(name, errors="replace"), [Remark(0, "is UTF-16, not ASCII")]
+            return raw.decode(name, errors="replace"), [EdsRemark(0, "is UTF-16, not ASCII")]
     try:
         return raw.decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         return raw.decode("cp1252", errors="replace"), [
-            Remark(line, f"byte 0x{raw[error.start]:02X} is not UTF-8; the file is read as cp1252")
+            EdsRemark(line, f"byte 0x{raw[error.start]:02X} is not UTF-8; the file is read as cp1252")
         ]
 
 
-def tidy(text: str) -> tuple[str, list[Remark]]:
+def tidy(text: str) -> tuple[str, list[EdsRemark]]:
     """The file as CiA 306 has it, and what was repaired or left out, by line."""
-    remarks: list[Remark] = []
+    remarks: list[EdsRemark] = []
     sections = _read(text, remarks)
     objects = {name: section for name, section in sections.items() if name not in _PLAIN_SECTIONS.values()}
     for name in [name for name in objects if _SUB.match(name)]:
@@ -129,9 +129,9 @@ def number(text: str) -> int | None:
 # --- reading
 
 
-def _read(text: str, remarks: list[Remark]) -> dict[str, Section]:
-    sections: dict[str, Section] = {}
-    current: Section | None = None
+def _read(text: str, remarks: list[EdsRemark]) -> dict[str, EdsSection]:
+    sections: dict[str, EdsSection] = {}
+    current: EdsSection | None = None
     for line, raw in enumerate(text.splitlines(), 1):
         content = raw.strip().strip("\0\ufeff\x1a")
         if not content or content[0] in ";#":
@@ -141,22 +141,22 @@ def _read(text: str, remarks: list[Remark]) -> dict[str, Section]:
             continue
         key, equals, value = content.partition("=")
         if not equals:
-            remarks.append(Remark(line, f"{content[:40]!r} is neither a section nor a key; left out"))
+            remarks.append(EdsRemark(line, f"{content[:40]!r} is neither a section nor a key; left out"))
         elif current is None:
-            remarks.append(Remark(line, f"key {key.strip()!r} stands before the first section; left out"))
+            remarks.append(EdsRemark(line, f"key {key.strip()!r} stands before the first section; left out"))
         else:
             _take(current, key.strip(), value.partition(";")[0].strip(), line, remarks)
     return sections
 
 
-def _open(sections: dict[str, Section], content: str, line: int, remarks: list[Remark]) -> Section:
+def _open(sections: dict[str, EdsSection], content: str, line: int, remarks: list[EdsRemark]) -> EdsSection:
     if "]" not in content:
-        remarks.append(Remark(line, f"section {content!r} lacks its closing bracket"))
+        remarks.append(EdsRemark(line, f"section {content!r} lacks its closing bracket"))
     name = _canonical(content[1:].partition("]")[0].strip())
     if name in sections:
-        remarks.append(Remark(line, f"section [{name}] begins again (first in line {sections[name].line}): joined"))
+        remarks.append(EdsRemark(line, f"section [{name}] begins again (first in line {sections[name].line}): joined"))
         return sections[name]
-    section = Section(name, line)
+    section = EdsSection(name, line)
     if name in _PLAIN_SECTIONS.values() or _OBJECT.match(name) or _SUB.match(name):
         sections[name] = section
     return section
@@ -170,12 +170,12 @@ def _canonical(name: str) -> str:
     return name.upper() if _OBJECT.match(name) else name
 
 
-def _take(section: Section, key: str, value: str, line: int, remarks: list[Remark]) -> None:
+def _take(section: EdsSection, key: str, value: str, line: int, remarks: list[EdsRemark]) -> None:
     name = _KEYS.get(key.lower(), key)
     if name in section.values:
         if section.values[name][0] != value:
             first = section.values[name][1]
-            remarks.append(Remark(line, f"{name} of [{section.name}] is given twice; line {first} counts"))
+            remarks.append(EdsRemark(line, f"{name} of [{section.name}] is given twice; line {first} counts"))
         return
     section.values[name] = (value, line)
 
@@ -183,24 +183,24 @@ def _take(section: Section, key: str, value: str, line: int, remarks: list[Remar
 # --- sections that are no objects
 
 
-def _comments(sections: dict[str, Section], remarks: list[Remark]) -> Iterator[str]:
+def _comments(sections: dict[str, EdsSection], remarks: list[EdsRemark]) -> Iterator[str]:
     section = sections.get("Comments")
     if section is None:
         return
     numbered = [(k, value) for k, (value, _) in section.values.items() if re.fullmatch(r"(?i)lines?\d+", k)]
     odd = next((k for k, _ in numbered if k.lower().startswith("lines")), None)
     if odd is not None:
-        remarks.append(Remark(section.line_of(odd), f"[Comments] has {odd}=, where Line{odd[5:]}= is meant"))
+        remarks.append(EdsRemark(section.line_of(odd), f"[Comments] has {odd}=, where Line{odd[5:]}= is meant"))
     counted = number(section.text("Lines"))
     if counted != len(numbered):
         told = section.text("Lines") or "nothing"
-        remarks.append(Remark(section.line_of("Lines"), f"[Comments] says Lines={told}, there are {len(numbered)}"))
+        remarks.append(EdsRemark(section.line_of("Lines"), f"[Comments] says Lines={told}, there are {len(numbered)}"))
     yield "[Comments]"
     yield f"Lines={len(numbered)}"
     yield from (f"Line{place}={value}" for place, (_, value) in enumerate(numbered, 1))
 
 
-def _device_info(sections: dict[str, Section], remarks: list[Remark]) -> Iterator[str]:
+def _device_info(sections: dict[str, EdsSection], remarks: list[EdsRemark]) -> Iterator[str]:
     section = sections.get("DeviceInfo")
     if section is None:
         return
@@ -212,52 +212,54 @@ def _device_info(sections: dict[str, Section], remarks: list[Remark]) -> Iterato
             continue
         value = number(text)
         if value is None:
-            remarks.append(Remark(line, f"{key} of [DeviceInfo] {_no_number(text)}; left out"))
+            remarks.append(EdsRemark(line, f"{key} of [DeviceInfo] {_no_number(text)}; left out"))
             continue
         if not _plain(text):
-            remarks.append(Remark(line, f"{key}={text} of [DeviceInfo] is read as {value}"))
+            remarks.append(EdsRemark(line, f"{key}={text} of [DeviceInfo] is read as {value}"))
         yield f"{key}={value}"
 
 
-def _dummies(section: Section, remarks: list[Remark]) -> Iterator[str]:
+def _dummies(section: EdsSection, remarks: list[EdsRemark]) -> Iterator[str]:
     for data_type in range(1, 8):
         key = next((k for k in section.values if k.lower() == f"dummy{data_type:04d}"), "")
         value = number(section.text(key)) if key else 0
         if value is None:
-            remarks.append(Remark(section.line_of(key), f"{key} {_no_number(section.text(key))}"))
+            remarks.append(EdsRemark(section.line_of(key), f"{key} {_no_number(section.text(key))}"))
         yield f"Dummy{data_type:04d}={value or 0}"
 
 
-def _check_lists(sections: dict[str, Section], kept: dict[str, Section], remarks: list[Remark]) -> None:
+def _check_lists(sections: dict[str, EdsSection], kept: dict[str, EdsSection], remarks: list[EdsRemark]) -> None:
     for title in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
         section = sections.get(title)
         for key, (text, line) in section.values.items() if section else ():
             index = number(text)
             if key.isdecimal() and index and f"{index:04X}" not in kept:
-                remarks.append(Remark(line, f"[{title}] lists 0x{index:04X}, which is not described"))
+                remarks.append(EdsRemark(line, f"[{title}] lists 0x{index:04X}, which is not described"))
 
 
 # --- objects
 
 
-def _give_parent(objects: dict[str, Section], parent: str, child: str, remarks: list[Remark]) -> None:
+def _give_parent(objects: dict[str, EdsSection], parent: str, child: str, remarks: list[EdsRemark]) -> None:
     """A sub-index needs an object that can have some."""
     line = objects[child].line
     if parent not in objects:
-        remarks.append(Remark(line, f"[{child}] has no section [{parent}] above it; taken for a record"))
-        objects[parent] = Section(parent, line, {"ParameterName": (f"object 0x{parent}", line)})
+        remarks.append(EdsRemark(line, f"[{child}] has no section [{parent}] above it; taken for a record"))
+        objects[parent] = EdsSection(parent, line, {"ParameterName": (f"object 0x{parent}", line)})
     section = objects[parent]
     if number(section.text("ObjectType")) not in (ARRAY, RECORD):
         if section.text("ObjectType"):
             told = section.text("ObjectType")
-            remarks.append(Remark(section.line_of("ObjectType"), f"0x{parent} has sub-indices, but ObjectType={told}"))
+            remarks.append(
+                EdsRemark(section.line_of("ObjectType"), f"0x{parent} has sub-indices, but ObjectType={told}")
+            )
         section.values["ObjectType"] = (f"0x{RECORD:X}", section.line_of("ObjectType"))
 
 
-def _repair(section: Section, remarks: list[Remark]) -> bool:
+def _repair(section: EdsSection, remarks: list[EdsRemark]) -> bool:
     """Make an object's section readable. False: it is left out."""
     if not section.text("ParameterName"):
-        remarks.append(Remark(section.line_of("ParameterName"), f"[{section.name}] has no ParameterName"))
+        remarks.append(EdsRemark(section.line_of("ParameterName"), f"[{section.name}] has no ParameterName"))
         section.values["ParameterName"] = (f"object 0x{section.name}", section.line)
     for key in ("ObjectType", "SubNumber", "CompactSubObj", "PDOMapping", "DataType"):
         _repair_number(section, key, remarks)
@@ -267,13 +269,13 @@ def _repair(section: Section, remarks: list[Remark]) -> bool:
     if kind in (ARRAY, RECORD) and not section.text("CompactSubObj") and not _SUB.match(section.name):
         return True
     if not section.text("DataType"):
-        remarks.append(Remark(section.line_of("DataType"), f"[{section.name}] has no DataType; left out"))
+        remarks.append(EdsRemark(section.line_of("DataType"), f"[{section.name}] has no DataType; left out"))
         return False
     _repair_access(section, remarks)
     data_type = number(section.text("DataType")) or 0
     if data_type > HIGHEST_TYPE:
         remarks.append(
-            Remark(section.line_of("DataType"), f"[{section.name}] has the unknown DataType 0x{data_type:04X}")
+            EdsRemark(section.line_of("DataType"), f"[{section.name}] has the unknown DataType 0x{data_type:04X}")
         )
         section.values["DataType"] = (str(DOMAIN), section.line_of("DataType"))
     for key in ("DefaultValue", "ParameterValue", "LowLimit", "HighLimit"):
@@ -281,7 +283,7 @@ def _repair(section: Section, remarks: list[Remark]) -> bool:
     return True
 
 
-def _repair_number(section: Section, key: str, remarks: list[Remark]) -> None:
+def _repair_number(section: EdsSection, key: str, remarks: list[EdsRemark]) -> None:
     if key not in section.values:
         return
     text, line = section.values[key]
@@ -291,24 +293,24 @@ def _repair_number(section: Section, key: str, remarks: list[Remark]) -> None:
         if key != "DataType":
             del section.values[key]
         if text or key == "PDOMapping":
-            remarks.append(Remark(line, f"{key} of [{section.name}] {_no_number(text)}"))
+            remarks.append(EdsRemark(line, f"{key} of [{section.name}] {_no_number(text)}"))
     elif not _plain(text):
         section.values[key] = (str(value), line)
-        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as {value}"))
+        remarks.append(EdsRemark(line, f"{key}={text} of [{section.name}] is read as {value}"))
 
 
-def _repair_access(section: Section, remarks: list[Remark]) -> None:
+def _repair_access(section: EdsSection, remarks: list[EdsRemark]) -> None:
     text, line = section.text("AccessType"), section.line_of("AccessType")
     access = text.lower()
     if access not in ACCESSES:
         access = ACCESS_WORDS.get(access, "rw")
         remarks.append(
-            Remark(line, f"AccessType of [{section.name}] is {repr(text) if text else 'empty'}; read as {access}")
+            EdsRemark(line, f"AccessType of [{section.name}] is {repr(text) if text else 'empty'}; read as {access}")
         )
     section.values["AccessType"] = (access, line)
 
 
-def _repair_value(section: Section, key: str, data_type: int, remarks: list[Remark]) -> None:
+def _repair_value(section: EdsSection, key: str, data_type: int, remarks: list[EdsRemark]) -> None:
     """A default or limit: what does not fit its type is left out; empty means that there is none."""
     if key not in section.values:
         return
@@ -327,18 +329,18 @@ def _repair_value(section: Section, key: str, data_type: int, remarks: list[Rema
     elif value is not None and data_type in UNSIGNED_BITS and -(1 << bits - 1) <= value < 0:
         value += 1 << bits
         remarks.append(
-            Remark(line, f"{key}={text} of [{section.name}] is negative in an unsigned type; read as {value}")
+            EdsRemark(line, f"{key}={text} of [{section.name}] is negative in an unsigned type; read as {value}")
         )
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if data_type in SIGNED_BITS else (0, (1 << bits) - 1)
     if value is None or not low <= value <= high:
         del section.values[key]
         why = "is no number" if value is None else f"does not fit {bits} bits"
-        remarks.append(Remark(line, f"{key}={text} of [{section.name}] {why}; left out"))
+        remarks.append(EdsRemark(line, f"{key}={text} of [{section.name}] {why}; left out"))
         return
     if relative and "$" not in text:
-        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as $NODEID+{value}"))
+        remarks.append(EdsRemark(line, f"{key}={text} of [{section.name}] is read as $NODEID+{value}"))
     elif not relative and not _plain(text):
-        remarks.append(Remark(line, f"{key}={text} of [{section.name}] is read as {value}"))
+        remarks.append(EdsRemark(line, f"{key}={text} of [{section.name}] is read as {value}"))
     section.values[key] = (f"$NODEID+{value}" if relative else str(value), line)
 
 

@@ -74,7 +74,7 @@ QUICK_STOP_STAYS = 5
 QUICK_STOP_OPTION_DEFAULT = 2  # brake on the quick stop ramp, then SWITCH_ON_DISABLED (CiA 402 default)
 
 
-class Transition(NamedTuple):
+class DeviceTransition(NamedTuple):
     """One arrow of the CiA 402 state diagram, with the number that the standard gives it."""
 
     number: int
@@ -83,26 +83,26 @@ class Transition(NamedTuple):
     cause: int
 
 
-TRANSITIONS: tuple[Transition, ...] = (
-    Transition(0, START, NOT_READY, AUTOMATIC),
-    Transition(1, NOT_READY, SWITCH_ON_DISABLED, AUTOMATIC),
-    Transition(2, SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SHUTDOWN),
-    Transition(3, READY_TO_SWITCH_ON, SWITCHED_ON, SWITCH_ON),
-    Transition(3, READY_TO_SWITCH_ON, SWITCHED_ON, ENABLE_OPERATION),  # the next call makes transition 4
-    Transition(4, SWITCHED_ON, OPERATION_ENABLED, ENABLE_OPERATION),
-    Transition(5, OPERATION_ENABLED, SWITCHED_ON, SWITCH_ON),
-    Transition(6, SWITCHED_ON, READY_TO_SWITCH_ON, SHUTDOWN),
-    Transition(7, READY_TO_SWITCH_ON, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
-    Transition(7, READY_TO_SWITCH_ON, SWITCH_ON_DISABLED, QUICK_STOP),
-    Transition(8, OPERATION_ENABLED, READY_TO_SWITCH_ON, SHUTDOWN),
-    Transition(9, OPERATION_ENABLED, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
-    Transition(10, SWITCHED_ON, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
-    Transition(10, SWITCHED_ON, SWITCH_ON_DISABLED, QUICK_STOP),
-    Transition(11, OPERATION_ENABLED, QUICK_STOP_ACTIVE, QUICK_STOP),
-    Transition(12, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
-    Transition(12, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED, REACTION_DONE),
+TRANSITIONS: tuple[DeviceTransition, ...] = (
+    DeviceTransition(0, START, NOT_READY, AUTOMATIC),
+    DeviceTransition(1, NOT_READY, SWITCH_ON_DISABLED, AUTOMATIC),
+    DeviceTransition(2, SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SHUTDOWN),
+    DeviceTransition(3, READY_TO_SWITCH_ON, SWITCHED_ON, SWITCH_ON),
+    DeviceTransition(3, READY_TO_SWITCH_ON, SWITCHED_ON, ENABLE_OPERATION),  # the next call makes transition 4
+    DeviceTransition(4, SWITCHED_ON, OPERATION_ENABLED, ENABLE_OPERATION),
+    DeviceTransition(5, OPERATION_ENABLED, SWITCHED_ON, SWITCH_ON),
+    DeviceTransition(6, SWITCHED_ON, READY_TO_SWITCH_ON, SHUTDOWN),
+    DeviceTransition(7, READY_TO_SWITCH_ON, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
+    DeviceTransition(7, READY_TO_SWITCH_ON, SWITCH_ON_DISABLED, QUICK_STOP),
+    DeviceTransition(8, OPERATION_ENABLED, READY_TO_SWITCH_ON, SHUTDOWN),
+    DeviceTransition(9, OPERATION_ENABLED, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
+    DeviceTransition(10, SWITCHED_ON, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
+    DeviceTransition(10, SWITCHED_ON, SWITCH_ON_DISABLED, QUICK_STOP),
+    DeviceTransition(11, OPERATION_ENABLED, QUICK_STOP_ACTIVE, QUICK_STOP),
+    DeviceTransition(12, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED, DISABLE_VOLTAGE),
+    DeviceTransition(12, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED, REACTION_DONE),
     *(
-        Transition(13, state, FAULT_REACTION_ACTIVE, FAULT_DETECTED)
+        DeviceTransition(13, state, FAULT_REACTION_ACTIVE, FAULT_DETECTED)
         for state in (
             START,
             NOT_READY,
@@ -113,9 +113,9 @@ TRANSITIONS: tuple[Transition, ...] = (
             QUICK_STOP_ACTIVE,
         )
     ),
-    Transition(14, FAULT_REACTION_ACTIVE, FAULT, REACTION_DONE),
-    Transition(15, FAULT, SWITCH_ON_DISABLED, FAULT_RESET),
-    Transition(16, QUICK_STOP_ACTIVE, OPERATION_ENABLED, ENABLE_OPERATION),
+    DeviceTransition(14, FAULT_REACTION_ACTIVE, FAULT, REACTION_DONE),
+    DeviceTransition(15, FAULT, SWITCH_ON_DISABLED, FAULT_RESET),
+    DeviceTransition(16, QUICK_STOP_ACTIVE, OPERATION_ENABLED, ENABLE_OPERATION),
 )
 
 NO_TRANSITION = -1

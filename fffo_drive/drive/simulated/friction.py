@@ -65,7 +65,7 @@ STATE_COLUMNS = 4
 _NEGLIGIBLE = 25.0  # exp(-25) of a level is far below anything that can be measured
 
 
-class Scales(NamedTuple):
+class FrictionScales(NamedTuple):
     """What effects and temperature make of the friction; 1 is no change."""
 
     level: float  # multiplies Coulomb and stiction level
@@ -108,7 +108,7 @@ def _contact_step(contact_nm: float, level_nm: float, elastic_share: float, pull
 
 
 @njit
-def surfaces_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+def surfaces_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales) -> float:
     """Friction torque of all surfaces (Nm) after one step at a constant speed; `state` moves on."""
     speed_rps = abs(velocity_rps)
     travel_rev = speed_rps * step_s
@@ -137,7 +137,7 @@ def single_step(
     state: Table,
     velocity_rps: float,
     step_s: float,
-    scales: Scales,
+    scales: FrictionScales,
 ) -> float:
     """Friction torque (Nm) of the 2SEP surface after one step at constant speed: paper/NOTES.md, "The exact
     step".
@@ -178,14 +178,14 @@ def single_step(
 
 
 @njit
-def _level_nm(table: Table, row: int, speed_rps: float, scales: Scales) -> float:
+def _level_nm(table: Table, row: int, speed_rps: float, scales: FrictionScales) -> float:
     """Stribeck level without viscous friction."""
     steady = stribeck_share(speed_rps * table[row, PER_STRIBECK_RPS], table[row, STRIBECK_EXPONENT])
     return float(scales.level * (table[row, COULOMB_NM] + scales.stiction * table[row, RISE_NM] * steady))
 
 
 @njit
-def lugre_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+def lugre_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales) -> float:
     """Friction torque (Nm) of LuGre bristles after one step at constant speed, exact.
 
     With c = s0 z: dc/dt = s0 v (1 - c sgn(v) / g(v)), torque = c + s1(v) dz/dt + s2 v, s1(v) = s1 exp(-(v/Vs)^2).
@@ -206,7 +206,7 @@ def lugre_step(table: Table, state: Table, velocity_rps: float, step_s: float, s
 
 
 @njit
-def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales) -> float:
     """Friction torque (Nm) of parallel Maxwell slip elements after one step at constant speed, exact in each phase.
 
     An element that sticks is a spring, until it reaches its share of the level; one that slips follows that share,
@@ -236,7 +236,9 @@ def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: f
 
 
 @njit
-def friction_after(kind: int, table: Table, state: Table, velocity_rps: float, step_s: float, scales: Scales) -> float:
+def friction_after(
+    kind: int, table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales
+) -> float:
     """Friction torque (Nm) of a kind after one step at a constant speed; `state` moves on."""
     if kind == FIVE_SURFACES:
         return surfaces_step(table, state, velocity_rps, step_s, scales)

@@ -15,7 +15,7 @@ from .effects.registry import EFFECTS
 from .noise import RANDOM_WORDS, seed_words
 from .parameters import PlantConfig, delay_budget
 from .state import STEP_S, Floats, Integers, PlantParameters, PlantState
-from .surfaces import KINDS, FrictionConfig, StribeckLevel
+from .surfaces import KINDS, PlantFriction, StribeckLevel
 
 FRICTION_KINDS = dict(
     zip(KINDS, (friction.FIVE_SURFACES, friction.SINGLE_2SEP, friction.LUGRE, friction.MAXWELL_SLIP), strict=True)
@@ -57,11 +57,11 @@ def new_state(config: PlantConfig, seed: int | None = None) -> PlantState:
     )
 
 
-def _friction_kind(config: FrictionConfig) -> int:
+def _friction_kind(config: PlantFriction) -> int:
     return FRICTION_KINDS[config.kind]
 
 
-def _friction_table(config: FrictionConfig) -> Floats:
+def _friction_table(config: PlantFriction) -> Floats:
     """Rows of parameters at the motor shaft: torque over ratio, stiffness and viscosity over its square."""
     if config.kind == "single_2sep":
         return _rows(

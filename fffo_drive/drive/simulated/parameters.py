@@ -24,7 +24,7 @@ from .cia402_device import QUICK_STOP_OPTION_DEFAULT
 from .effects.registry import EFFECTS, effect_errors, effect_values, is_present
 from .ranges import key, note, range_errors, required_note
 from .state import STEP_S
-from .surfaces import FrictionConfig
+from .surfaces import PlantFriction
 
 
 class PlantConfigError(ValueError):
@@ -97,7 +97,7 @@ class PlantConfig:
     seed: int = key(1, "-", 0, 2**63 - 1, "seed of all noise")
     resolver: ResolverConfig = field(default_factory=ResolverConfig)
     thermal: ThermalConfig = field(default_factory=ThermalConfig)
-    friction: FrictionConfig = field(default_factory=FrictionConfig)
+    friction: PlantFriction = field(default_factory=PlantFriction)
     effects: tuple[EffectConfig, ...] = note((), "effects that are switched on")
 
     @property
@@ -149,7 +149,7 @@ def paper_plant() -> PlantConfig:
     Delay, current loop, resolver and their noise are those of the default.
     """
     return PlantConfig(
-        friction=FrictionConfig(kind="single_2sep"),
+        friction=PlantFriction(kind="single_2sep"),
         roughness_nm=0.0,
         thermal=ThermalConfig(viscous_per_k=0.0, coulomb_per_k=0.0),
     )

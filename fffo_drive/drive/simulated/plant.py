@@ -13,7 +13,7 @@ from ...jit import njit
 from . import state as at
 from .current_loop import current_step, transport_step
 from .effects.stages import Effects, effects_on_demand, effects_on_sensor, effects_on_shaft, effects_on_torque
-from .friction import Scales, friction_after
+from .friction import FrictionScales, friction_after
 from .noise import random_normal
 from .resolver import resolver_step
 from .state import STEP_S, SUBSTEPS_PER_S, Floats, Integers, PlantParameters, PlantState
@@ -75,7 +75,7 @@ def plant_advance(parameters: PlantParameters, state: PlantState, command_a: flo
         torque_nm = float(c[at.TORQUE_CONSTANT] * current_a)
         temperature_k = x[at.TEMPERATURE_K]
         level = float(1.0 + c[at.COULOMB_PER_K] * temperature_k)
-        scales = Scales(level, 1.0, float(1.0 + c[at.VISCOUS_PER_K] * temperature_k))
+        scales = FrictionScales(level, 1.0, float(1.0 + c[at.VISCOUS_PER_K] * temperature_k))
         if with_effects:
             torque_nm, scales = effects_on_torque(effects, current_a, torque_nm, scales)
         velocity_rps = float(x[at.VELOCITY_RPS])

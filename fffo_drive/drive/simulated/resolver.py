@@ -17,7 +17,7 @@ import math
 from ...jit import njit
 from . import state as at
 from .noise import random_normal
-from .state import STEP_S, Floats, Integers, PlantParameters, PlantState, Report
+from .state import STEP_S, Floats, Integers, PlantParameters, PlantReport, PlantState
 
 
 @njit
@@ -38,7 +38,7 @@ def resolver_step(c: Floats, x: Floats, words: Integers, sensed_rev: float) -> N
 
 
 @njit
-def plant_latch(parameters: PlantParameters, state: PlantState) -> Report:
+def plant_latch(parameters: PlantParameters, state: PlantState) -> PlantReport:
     """What the drive measures now. Draws the noise of the measurement and clears the note of a limit."""
     c = parameters.numbers
     x = state.values
@@ -48,7 +48,7 @@ def plant_latch(parameters: PlantParameters, state: PlantState) -> Report:
         velocity_rps = math.floor(velocity_rps / lsb_rps + 0.5) * lsb_rps
     limited = state.words[at.LIMITED] != 0
     state.words[at.LIMITED] = 0
-    return Report(
+    return PlantReport(
         float(velocity_rps),
         math.floor(x[at.TRACKED_REV] * c[at.COUNTS_PER_REV]),
         float(x[at.CURRENT_A] + c[at.CURRENT_NOISE_A] * random_normal(state.words)),

@@ -89,7 +89,7 @@ class PlantState(NamedTuple):
     effect_memory: Floats  # (effects, slots.MEMORY_SLOTS)
 
 
-class Report(NamedTuple):
+class PlantReport(NamedTuple):
     """What the drive measures at a SYNC, and beside it the truth."""
 
     velocity_rps: float  # the drive's estimate, in multiples of its resolution

@@ -95,7 +95,7 @@ class MaxwellSlip(StribeckLevel):
 
 
 @dataclass(frozen=True)
-class FrictionConfig:
+class PlantFriction:
     """Friction of the plant: `surfaces` for kind five_surfaces (none: no friction), else the record of the kind."""
 
     kind: str = note("five_surfaces", f"which friction acts: {', '.join(KINDS)}")
@@ -163,7 +163,7 @@ class FrictionConfig:
         stribeck_velocity: float = 1.0,
         stiffness: float = 1.0,
         memory: float = 1.0,
-    ) -> FrictionConfig:
+    ) -> PlantFriction:
         """The same with levels, rise to stiction, Stribeck velocity, stiffness or memory distance scaled."""
 
         def stiction(coulomb_nm: float, stiction_nm: float) -> float:

@@ -29,7 +29,7 @@ from .cia402_device import (
 )
 from .plant import plant_advance, substeps_due
 from .resolver import plant_latch
-from .state import Floats, Integers, PlantParameters, PlantState, Report
+from .state import Floats, Integers, PlantParameters, PlantReport, PlantState
 
 NO_STATUS = -1
 
@@ -66,7 +66,7 @@ N_VALUES = 9
 
 
 @njit
-def _latch(values: Floats, report: Report) -> None:
+def _latch(values: Floats, report: PlantReport) -> None:
     values[LATCHED_RPS] = report.velocity_rps
     values[LATCHED_REV] = report.position_counts / values[COUNTS_PER_REV]
     values[LATCHED_A] = report.current_a

@@ -27,7 +27,7 @@ LUGRE_START = LugreModel(0.025, 0.067, 0.733, 1.07, 0.003, 20.0, 0.002)
 SLIP_START = SlipModel(0.025, 0.067, 0.733, 1.07, 0.003, 12.0, 0.4, 2.0)
 
 
-class Fitted(NamedTuple):
+class FittedPeer(NamedTuple):
     """A model, and the share of the friction (rms) that it leaves."""
 
     model: Any
@@ -67,7 +67,7 @@ def friction_along(model: Any, velocity_rps: Floats, period_s: float) -> Floats:
     return torque_nm
 
 
-def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period_s: float) -> Fitted:
+def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period_s: float) -> FittedPeer:
     """The parameters of a model (all positive) along a motion; arrays (n,)."""
     fixed = [name for name in start._fields if name == "omega_form"]  # type: ignore[attr-defined]
     names = [name for name in start._fields if name not in fixed]  # type: ignore[attr-defined]
@@ -82,4 +82,4 @@ def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period
     first = np.log([getattr(start, name) for name in names])
     found = least_squares(left, first, bounds=(first - REACH, first + REACH), x_scale=0.3, max_nfev=60)
     rms = float(np.sqrt(np.mean(found.fun**2) / np.mean(friction_nm**2)))
-    return Fitted(model(found.x), rms)
+    return FittedPeer(model(found.x), rms)

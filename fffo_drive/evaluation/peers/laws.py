@@ -66,7 +66,7 @@ class AxisNumbers(NamedTuple):
     sensor_delay_s: float
 
 
-class Design(NamedTuple):
+class PeerDesign(NamedTuple):
     """Gains on the nominal axis, with what they were made for."""
 
     nominal: AxisNumbers
@@ -133,7 +133,7 @@ def error_filter_s(config: ControllerConfig) -> float:
     return -config.period_s / math.log1p(-config.error_share) if config.error_share < 1.0 else 0.0
 
 
-def design_for(plus: ControllerConfig, plant: PlantConfig) -> Design:
+def design_for(plus: ControllerConfig, plant: PlantConfig) -> PeerDesign:
     """Gains of the disturbance observers with the margins of PI+FFFO+ on this plant."""
     numbers = axis_numbers(plant)
     axis = LinearAxis(
@@ -148,10 +148,12 @@ def design_for(plus: ControllerConfig, plant: PlantConfig) -> Design:
     )
     wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
     disturbance, extended = (observer_gains(axis, order, wish, filter_s) for order in (DOB_ORDER, ESO_ORDER))
-    return Design(numbers, margins, disturbance, extended)
+    return PeerDesign(numbers, margins, disturbance, extended)
 
 
-def tuned_to(config: ControllerConfig, design: Design, axis: AxisNumbers, friction: FrictionConfig) -> ControllerConfig:
+def tuned_to(
+    config: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
+) -> ControllerConfig:
     """A law of this project with the gains, shifts and friction of an axis; shifts that it does not have stay zero."""
     inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
     current_ratio = inertia_ratio * design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
@@ -178,7 +180,7 @@ def tuned_to(config: ControllerConfig, design: Design, axis: AxisNumbers, fricti
     )
 
 
-def laws_of(candidates: Sequence[Candidate], design: Design, axis: AxisNumbers, models: Models) -> list[PeerLaw]:
+def laws_of(candidates: Sequence[Candidate], design: PeerDesign, axis: AxisNumbers, models: Models) -> list[PeerLaw]:
     """PI, PI+FFFO, PI+FFFO+ and the peers, tuned to an axis. `candidates` are those of OWN_LAWS."""
     by_name = {candidate.name: candidate for candidate in candidates}
     own = [
@@ -211,7 +213,7 @@ def laws_of(candidates: Sequence[Candidate], design: Design, axis: AxisNumbers, 
 
 
 def _observer_loop(
-    peer: PeerConfig, design: Design, axis: AxisNumbers, gains: ObserverGains, order: int
+    peer: PeerConfig, design: PeerDesign, axis: AxisNumbers, gains: ObserverGains, order: int
 ) -> ObserverLoop:
     faster = design.nominal.delay_s / axis.delay_s
     per_torque = design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a

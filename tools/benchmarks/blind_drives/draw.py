@@ -15,7 +15,7 @@ import numpy as np
 
 from fffo_drive.drive.simulated.effects.registry import EFFECTS
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig, ThermalConfig
-from fffo_drive.drive.simulated.surfaces import FrictionConfig, SingleSurface
+from fffo_drive.drive.simulated.surfaces import PlantFriction, SingleSurface
 
 from .simulate import Gains
 
@@ -109,7 +109,7 @@ def base_plant(draw: Draw, seed: int, kind: str = "single_2sep") -> PlantConfig:
         stiffness_per_rev=between(500.0, 1300.0),
         attraction_nm_per_rev=between(1.5, 4.0),
     )
-    friction = FrictionConfig(kind=kind, single=single)
+    friction = PlantFriction(kind=kind, single=single)
     if kind == "five_surfaces":
         friction = friction.scaled(level=between(0.75, 1.4), rise=between(0.7, 1.2))
     return PlantConfig(

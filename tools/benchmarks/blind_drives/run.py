@@ -17,7 +17,7 @@ import numpy as np
 from engine import diagnosed, write_answer
 
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig, ThermalConfig
-from fffo_drive.drive.simulated.surfaces import FrictionConfig, SingleSurface, Surface
+from fffo_drive.drive.simulated.surfaces import PlantFriction, SingleSurface, Surface
 from fffo_drive.identification.dataset import Record, load_records
 from fffo_drive.identification.facts import DriveFacts, read_facts
 
@@ -70,7 +70,7 @@ def drive_from_truth(truth: dict[str, Any]) -> BlindDrive:
             **{key: value for key, value in content.items() if key in known},
             "resolver": ResolverConfig(**content["resolver"]),
             "thermal": ThermalConfig(**content["thermal"]),
-            "friction": FrictionConfig(surfaces=surfaces, single=single, **friction),
+            "friction": PlantFriction(surfaces=surfaces, single=single, **friction),
             "effects": tuple(EffectConfig(e["name"], e["parameters"]) for e in truth["effects"]),
         }
     )

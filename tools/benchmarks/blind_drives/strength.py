@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import signal
 
-from fffo_drive.drive.simulated.friction import STATE_COLUMNS, STICTION, Scales, single_step, surfaces_step
+from fffo_drive.drive.simulated.friction import STATE_COLUMNS, STICTION, FrictionScales, single_step, surfaces_step
 from fffo_drive.drive.simulated.pack import plant_parameters
 from fffo_drive.drive.simulated.parameters import PlantConfig, delay_budget, noiseless
 from fffo_drive.jit import njit
@@ -64,14 +64,14 @@ class Calibrated(NamedTuple):
 
 @njit
 def _single_along(table: Floats, velocity_rps: Floats, state: Floats, out: Floats) -> None:
-    scales = Scales(1.0, 1.0, 1.0)
+    scales = FrictionScales(1.0, 1.0, 1.0)
     for k in range(velocity_rps.shape[0]):
         out[k] = single_step(table, state, velocity_rps[k], PERIOD_S, scales)
 
 
 @njit
 def _surfaces_along(table: Floats, velocity_rps: Floats, state: Floats, out: Floats) -> None:
-    scales = Scales(1.0, 1.0, 1.0)
+    scales = FrictionScales(1.0, 1.0, 1.0)
     for k in range(velocity_rps.shape[0]):
         out[k] = surfaces_step(table, state, velocity_rps[k], PERIOD_S, scales)
 

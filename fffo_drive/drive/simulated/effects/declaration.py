@@ -14,7 +14,7 @@ Values = Mapping[str, float]
 Prepare = Callable[["PlantConfig", Values], "PlantConfig"]
 
 
-class Parameter(NamedTuple):
+class PlantParameter(NamedTuple):
     """One parameter of an effect. With every `strength` parameter at zero the effect is not there at all."""
 
     name: str
@@ -26,12 +26,12 @@ class Parameter(NamedTuple):
     strength: bool = False
 
 
-class Effect(NamedTuple):
+class PlantEffect(NamedTuple):
     """One row of the registry. `parameters` stand in the order in which the kernel reads them."""
 
     name: str
     stage: int
     kernel: EffectKernel | None  # None where only the configuration changes
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[PlantParameter, ...]
     description: str
     prepare: Prepare | None = None  # changes the configuration that the plant is made from

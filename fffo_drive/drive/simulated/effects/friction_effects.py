@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ....jit import njit
 from . import slots as s
-from .declaration import Effect, Parameter, Values
+from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
 
 if TYPE_CHECKING:
@@ -135,115 +135,115 @@ def _frictional_lag(config: PlantConfig, values: Values) -> PlantConfig:
     return replace(config, friction=config.friction.scaled(memory=1.0 + values["length_share"]))
 
 
-_SHARE = Parameter("share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True)
+_SHARE = PlantParameter("share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True)
 _DRIFT = (
-    Parameter("share", "-", 0.3, -0.9, 5.0, "change in the end, as a share", True),
-    Parameter("time_constant_s", "s", 60.0, 0.1, 100_000.0, "time constant"),
+    PlantParameter("share", "-", 0.3, -0.9, 5.0, "change in the end, as a share", True),
+    PlantParameter("time_constant_s", "s", 60.0, 0.1, 100_000.0, "time constant"),
 )
 
 EFFECTS = (
-    Effect(
+    PlantEffect(
         "asymmetric_coulomb",
         s.LEVEL,
         asymmetric_coulomb,
         (_SHARE,),
         "friction level differs between the directions",
     ),
-    Effect(
+    PlantEffect(
         "asymmetric_viscous",
         s.LEVEL,
         asymmetric_viscous,
         (_SHARE._replace(default=0.3, meaning="change of the coefficient in positive direction, as a share"),),
         "viscous friction differs between the directions",
     ),
-    Effect(
+    PlantEffect(
         "stribeck_shape",
         s.PREPARED,
         None,
         (
-            Parameter("rise_share", "-", 0.4, -1.0, 5.0, "change of the rise from Coulomb to stiction", True),
-            Parameter("velocity_share", "-", 1.0, -0.9, 20.0, "change of the Stribeck velocity", True),
+            PlantParameter("rise_share", "-", 0.4, -1.0, 5.0, "change of the rise from Coulomb to stiction", True),
+            PlantParameter("velocity_share", "-", 1.0, -0.9, 20.0, "change of the Stribeck velocity", True),
         ),
         "another Stribeck curve than the configured one",
         _stribeck_shape,
     ),
-    Effect(
+    PlantEffect(
         "presliding_shape",
         s.PREPARED,
         None,
-        (Parameter("stiffness_share", "-", -0.7, -0.95, 20.0, "change of the contacts' stiffness", True),),
+        (PlantParameter("stiffness_share", "-", -0.7, -0.95, 20.0, "change of the contacts' stiffness", True),),
         "contacts softer or stiffer than configured",
         _presliding_shape,
     ),
-    Effect(
+    PlantEffect(
         "frictional_lag",
         s.PREPARED,
         None,
-        (Parameter("length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True),),
+        (PlantParameter("length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True),),
         "friction follows the Stribeck curve over another distance",
         _frictional_lag,
     ),
-    Effect(
+    PlantEffect(
         "dwell_stiction",
         s.LEVEL,
         dwell_stiction,
         (
-            Parameter("rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True),
-            Parameter("time_constant_s", "s", 3.0, 0.01, 10_000.0, "time constant of the rise"),
-            Parameter("release_rev", "rev", 0.03, 0.0001, 10.0, "travel over which it is lost"),
-            Parameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact rests"),
+            PlantParameter("rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True),
+            PlantParameter("time_constant_s", "s", 3.0, 0.01, 10_000.0, "time constant of the rise"),
+            PlantParameter("release_rev", "rev", 0.03, 0.0001, 10.0, "travel over which it is lost"),
+            PlantParameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact rests"),
         ),
         "break-away torque grows with the time at rest",
     ),
-    Effect(
+    PlantEffect(
         "load_dependent_friction",
         s.LEVEL,
         load_dependent_friction,
-        (Parameter("share", "-", 0.1, 0.0, 0.9, "friction per transmitted torque", True),),
+        (PlantParameter("share", "-", 0.1, 0.0, 0.9, "friction per transmitted torque", True),),
         "friction grows with the transmitted torque",
     ),
-    Effect(
+    PlantEffect(
         "position_dependent_friction",
         s.LEVEL,
         position_dependent_friction,
         (
-            Parameter("wave_share", "-", 0.25, -0.9, 0.9, "amplitude of the wave, as a share of the level", True),
-            Parameter("window_share", "-", 0.0, -0.9, 10.0, "change inside the window, as a share", True),
-            Parameter("period_rev", "rev", 8.0, 0.1, 10_000.0, "period along the travel"),
-            Parameter("centre_rev", "rev", 0.0, -10_000.0, 10_000.0, "centre of the window"),
-            Parameter("width_rev", "rev", 1.0, 0.001, 10_000.0, "width of the window"),
+            PlantParameter("wave_share", "-", 0.25, -0.9, 0.9, "amplitude of the wave, as a share of the level", True),
+            PlantParameter("window_share", "-", 0.0, -0.9, 10.0, "change inside the window, as a share", True),
+            PlantParameter("period_rev", "rev", 8.0, 0.1, 10_000.0, "period along the travel"),
+            PlantParameter("centre_rev", "rev", 0.0, -10_000.0, 10_000.0, "centre of the window"),
+            PlantParameter("width_rev", "rev", 1.0, 0.001, 10_000.0, "width of the window"),
         ),
         "friction level varies along the travel: a wave, a window, or both",
     ),
-    Effect(
+    PlantEffect(
         "friction_ripple",
         s.LEVEL,
         friction_ripple,
         (
-            Parameter("share", "-", 0.25, 0.0, 0.9, "amplitude as a share of the level", True),
-            Parameter("order", "1/rev", 2.0, 0.001, 1000.0, "periods in a motor revolution"),
-            Parameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the period"),
+            PlantParameter("share", "-", 0.25, 0.0, 0.9, "amplitude as a share of the level", True),
+            PlantParameter("order", "1/rev", 2.0, 0.001, 1000.0, "periods in a motor revolution"),
+            PlantParameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the period"),
         ),
         "friction level varies with the motor angle",
     ),
-    Effect("coulomb_drift", s.LEVEL, coulomb_drift, _DRIFT, "friction level drifts with time"),
-    Effect("viscous_drift", s.LEVEL, viscous_drift, _DRIFT, "viscous friction drifts with time"),
-    Effect(
+    PlantEffect("coulomb_drift", s.LEVEL, coulomb_drift, _DRIFT, "friction level drifts with time"),
+    PlantEffect("viscous_drift", s.LEVEL, viscous_drift, _DRIFT, "viscous friction drifts with time"),
+    PlantEffect(
         "thermal_drift",
         s.LEVEL,
         thermal_drift,
         (
-            Parameter("per_k", "1/K", -0.03, -0.2, 0.2, "relative change of viscous friction per kelvin", True),
-            Parameter("k_per_w", "K/W", 4.0, 0.0, 1000.0, "temperature rise per watt of friction loss"),
-            Parameter("time_constant_s", "s", 40.0, 0.1, 100_000.0, "thermal time constant"),
+            PlantParameter("per_k", "1/K", -0.03, -0.2, 0.2, "relative change of viscous friction per kelvin", True),
+            PlantParameter("k_per_w", "K/W", 4.0, 0.0, 1000.0, "temperature rise per watt of friction loss"),
+            PlantParameter("time_constant_s", "s", 40.0, 0.1, 100_000.0, "thermal time constant"),
         ),
         "viscous friction falls as friction warms the lubricant",
     ),
-    Effect(
+    PlantEffect(
         "quadratic_drag",
         s.LOAD,
         quadratic_drag,
-        (Parameter("drag_nm_per_rps2", "Nm s^2/rev^2", 1e-4, -1e-4, 0.01, "torque per speed squared", True),),
+        (PlantParameter("drag_nm_per_rps2", "Nm s^2/rev^2", 1e-4, -1e-4, 0.01, "torque per speed squared", True),),
         "drag with the square of the speed",
     ),
 )

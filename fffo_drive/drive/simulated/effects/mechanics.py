@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ....jit import njit
 from . import slots as s
-from .declaration import Effect, Parameter, Values
+from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
 
 if TYPE_CHECKING:
@@ -90,40 +90,40 @@ def _backlash(config: PlantConfig, values: Values) -> PlantConfig:
 
 
 EFFECTS = (
-    Effect(
+    PlantEffect(
         "elasticity",
         s.LOAD,
         elasticity,
         (
-            Parameter("load_share", "-", 0.4, 0.0, 0.9, "share of the inertia behind the spring", True),
-            Parameter("frequency_hz", "Hz", 45.0, 0.5, 1500.0, "resonance of motor against load"),
-            Parameter("damping", "-", 0.03, 0.0, 1.0, "damping ratio of that resonance"),
+            PlantParameter("load_share", "-", 0.4, 0.0, 0.9, "share of the inertia behind the spring", True),
+            PlantParameter("frequency_hz", "Hz", 45.0, 0.5, 1500.0, "resonance of motor against load"),
+            PlantParameter("damping", "-", 0.03, 0.0, 1.0, "damping ratio of that resonance"),
         ),
         "elastic joint: two masses on a spring",
         _elasticity,
     ),
-    Effect(
+    PlantEffect(
         "backlash",
         s.LOAD,
         backlash,
         (
-            Parameter("gap_rev", "rev", 0.02, 0.0, 1.0, "width of the gap at the motor shaft", True),
-            Parameter("load_share", "-", 0.3, 0.01, 0.9, "share of the inertia behind the gap"),
-            Parameter("friction_share", "-", 0.3, 0.0, 0.9, "share of the friction level behind the gap"),
-            Parameter("contact_hz", "Hz", 250.0, 10.0, 1500.0, "resonance of the closed joint: its stiffness"),
+            PlantParameter("gap_rev", "rev", 0.02, 0.0, 1.0, "width of the gap at the motor shaft", True),
+            PlantParameter("load_share", "-", 0.3, 0.01, 0.9, "share of the inertia behind the gap"),
+            PlantParameter("friction_share", "-", 0.3, 0.0, 0.9, "share of the friction level behind the gap"),
+            PlantParameter("contact_hz", "Hz", 250.0, 10.0, 1500.0, "resonance of the closed joint: its stiffness"),
         ),
         "gap between motor and load",
         _backlash,
     ),
-    Effect(
+    PlantEffect(
         "resolver_error",
         s.SENSOR,
         resolver_error,
         (
-            Parameter("first_rev", "rev", 0.001, 0.0, 0.05, "amplitude once a revolution", True),
-            Parameter("first_phase_rev", "rev", 0.0, -1.0, 1.0, "its phase, as a share of the period"),
-            Parameter("second_rev", "rev", 0.0005, 0.0, 0.05, "amplitude twice a revolution", True),
-            Parameter("second_phase_rev", "rev", 0.0, -1.0, 1.0, "its phase, as a share of the period"),
+            PlantParameter("first_rev", "rev", 0.001, 0.0, 0.05, "amplitude once a revolution", True),
+            PlantParameter("first_phase_rev", "rev", 0.0, -1.0, 1.0, "its phase, as a share of the period"),
+            PlantParameter("second_rev", "rev", 0.0005, 0.0, 0.05, "amplitude twice a revolution", True),
+            PlantParameter("second_phase_rev", "rev", 0.0, -1.0, 1.0, "its phase, as a share of the period"),
         ),
         "position error periodic in the motor angle",
     ),

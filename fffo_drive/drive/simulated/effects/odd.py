@@ -9,7 +9,7 @@ import math
 
 from ....jit import njit
 from . import slots as s
-from .declaration import Effect, Parameter
+from .declaration import PlantEffect, PlantParameter
 from .friction_effects import direction_of
 from .slots import Vector
 
@@ -139,115 +139,115 @@ def odd_cable(signals: Vector, parameters: Vector, memory: Vector) -> None:
     signals[s.ADDED_TORQUE_NM] -= torque_nm * memory[0] / reach_rev
 
 
-def _amplitude(default: float) -> Parameter:
-    return Parameter("amplitude_nm", "Nm", default, -0.5, 0.5, "amplitude", True)
+def _amplitude(default: float) -> PlantParameter:
+    return PlantParameter("amplitude_nm", "Nm", default, -0.5, 0.5, "amplitude", True)
 
 
-def _share(default: float, meaning: str, high: float = 10.0) -> Parameter:
-    return Parameter("share", "-", default, -0.9, high, meaning, True)
+def _share(default: float, meaning: str, high: float = 10.0) -> PlantParameter:
+    return PlantParameter("share", "-", default, -0.9, high, meaning, True)
 
 
 EFFECTS = (
-    Effect(
+    PlantEffect(
         "odd_speed_band",
         s.LOAD,
         odd_speed_band,
         (
             _amplitude(0.012),
-            Parameter("centre_rps", "rps", 6.0, 0.0, 50.0, "speed of the bump"),
-            Parameter("width_rps", "rps", 1.0, 0.01, 50.0, "its half width, to 1/e"),
+            PlantParameter("centre_rps", "rps", 6.0, 0.0, 50.0, "speed of the bump"),
+            PlantParameter("width_rps", "rps", 1.0, 0.01, 50.0, "its half width, to 1/e"),
         ),
         "friction bump in a band of speed",
     ),
-    Effect(
+    PlantEffect(
         "odd_direction_angle",
         s.LOAD,
         odd_direction_angle,
         (
             _amplitude(0.012),
-            Parameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the output turn"),
+            PlantParameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the output turn"),
         ),
         "torque in proportion to sgn(w) cos(output angle)",
     ),
-    Effect(
+    PlantEffect(
         "odd_fatigue",
         s.LEVEL,
         odd_fatigue,
         (
             _share(0.35, "share of the level that work takes away", 0.9),
-            Parameter("travel_rev", "rev", 20.0, 0.01, 100_000.0, "travel over which it goes"),
-            Parameter("recovery_s", "s", 8.0, 0.01, 100_000.0, "time over which it comes back"),
+            PlantParameter("travel_rev", "rev", 20.0, 0.01, 100_000.0, "travel over which it goes"),
+            PlantParameter("recovery_s", "s", 8.0, 0.01, 100_000.0, "time over which it comes back"),
         ),
         "friction is lost by travel and comes back with time",
     ),
-    Effect(
+    PlantEffect(
         "odd_stick_patch",
         s.LOAD,
         odd_stick_patch,
         (
             _amplitude(0.02),
-            Parameter("centre_rev", "rev", 0.3, -1.0, 1.0, "motor angle of the patch"),
-            Parameter("width_rev", "rev", 0.08, 0.001, 1.0, "its width"),
-            Parameter("fades_rps", "rps", 1.0, 0.001, 50.0, "speed at which half of it is left"),
+            PlantParameter("centre_rev", "rev", 0.3, -1.0, 1.0, "motor angle of the patch"),
+            PlantParameter("width_rev", "rev", 0.08, 0.001, 1.0, "its width"),
+            PlantParameter("fades_rps", "rps", 1.0, 0.001, 50.0, "speed at which half of it is left"),
         ),
         "sticky patch on the motor's turn, felt at low speed",
     ),
-    Effect(
+    PlantEffect(
         "odd_current_heating",
         s.LEVEL,
         odd_current_heating,
         (
             _share(5.0, "rise of the level at rated current, as a share", 100.0),
-            Parameter("time_constant_s", "s", 5.0, 0.01, 100_000.0, "time constant of the warming"),
+            PlantParameter("time_constant_s", "s", 5.0, 0.01, 100_000.0, "time constant of the warming"),
         ),
         "heating by the square of the current raises Coulomb friction",
     ),
-    Effect(
+    PlantEffect(
         "odd_two_levels",
         s.LEVEL,
         odd_two_levels,
         (
             _share(0.4, "rise of the level while the seal lies"),
-            Parameter("lifts_rps", "rps", 7.0, 0.01, 50.0, "speed above which it lifts"),
-            Parameter("lies_rps", "rps", 2.0, 0.0, 50.0, "speed below which it lies down"),
+            PlantParameter("lifts_rps", "rps", 7.0, 0.01, 50.0, "speed above which it lifts"),
+            PlantParameter("lies_rps", "rps", 2.0, 0.0, 50.0, "speed below which it lies down"),
         ),
         "friction switches between two levels, with a hysteresis in speed",
     ),
-    Effect(
+    PlantEffect(
         "odd_alternate_turns",
         s.LEVEL,
         odd_alternate_turns,
         (
             _share(0.4, "rise of the level during the turn"),
-            Parameter("turns", "-", 3.0, 1.0, 1000.0, "one turn of how many"),
+            PlantParameter("turns", "-", 3.0, 1.0, 1000.0, "one turn of how many"),
         ),
         "friction is higher during one motor turn of several",
     ),
-    Effect(
+    PlantEffect(
         "odd_eddy_brake",
         s.LOAD,
         odd_eddy_brake,
-        (Parameter("brake_nm_per_rps", "Nm/rps", 0.03, 0.0, 1.0, "at rated current", True),),
+        (PlantParameter("brake_nm_per_rps", "Nm/rps", 0.03, 0.0, 1.0, "at rated current", True),),
         "brake in proportion to speed and current squared",
     ),
-    Effect(
+    PlantEffect(
         "odd_late_kick",
         s.LOAD,
         odd_late_kick,
         (
             _amplitude(0.03),
-            Parameter("after_rev", "rev", 0.15, 0.0, 100.0, "travel after the reversal"),
-            Parameter("width_rev", "rev", 0.05, 0.0001, 100.0, "half width of the knock"),
+            PlantParameter("after_rev", "rev", 0.15, 0.0, 100.0, "travel after the reversal"),
+            PlantParameter("width_rev", "rev", 0.05, 0.0001, 100.0, "half width of the knock"),
         ),
         "a knock some travel after each reversal",
     ),
-    Effect(
+    PlantEffect(
         "odd_cable",
         s.LOAD,
         odd_cable,
         (
-            Parameter("torque_nm", "Nm", 0.015, -0.5, 0.5, "pull at the end of the reach", True),
-            Parameter("reach_rev", "rev", 1.5, 0.01, 10_000.0, "travel until it slips"),
+            PlantParameter("torque_nm", "Nm", 0.015, -0.5, 0.5, "pull at the end of the reach", True),
+            PlantParameter("reach_rev", "rev", 1.5, 0.01, 10_000.0, "travel until it slips"),
         ),
         "a spring along the travel that slips at its end",
     ),

@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 
 from . import friction_effects, mechanics, odd, torque
-from .declaration import Effect
+from .declaration import PlantEffect
 from .slots import STAGE_NAMES
 
-EFFECTS: dict[str, Effect] = {
+EFFECTS: dict[str, PlantEffect] = {
     effect.name: effect for module in (torque, friction_effects, mechanics, odd) for effect in module.EFFECTS
 }
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from ....jit import njit
 from ....jit.by_address import call_on_vectors
-from ..friction import Scales
+from ..friction import FrictionScales
 from ..state import Floats, Integers
 from . import slots
 
@@ -42,7 +42,9 @@ def effects_on_demand(effects: Effects, time_s: float, velocity_rps: float, angl
 
 
 @njit
-def effects_on_torque(effects: Effects, current_a: float, torque_nm: float, scales: Scales) -> tuple[float, Scales]:
+def effects_on_torque(
+    effects: Effects, current_a: float, torque_nm: float, scales: FrictionScales
+) -> tuple[float, FrictionScales]:
     """Motor torque (Nm) and scales of the base friction, as the effects change them."""
     signals = effects.signals
     signals[slots.CURRENT_A] = current_a
@@ -52,7 +54,7 @@ def effects_on_torque(effects: Effects, current_a: float, torque_nm: float, scal
     signals[slots.VISCOUS_SCALE] = scales.viscous
     _run_stage(effects, slots.TORQUE)
     _run_stage(effects, slots.LEVEL)
-    changed = Scales(
+    changed = FrictionScales(
         float(signals[slots.LEVEL_SCALE]),
         float(signals[slots.STICTION_SCALE]),
         float(signals[slots.VISCOUS_SCALE]),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ....jit import njit
 from . import slots as s
-from .declaration import Effect, Parameter, Values
+from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
 
 if TYPE_CHECKING:
@@ -86,87 +86,87 @@ def _voltage_limit(config: PlantConfig, values: Values) -> PlantConfig:
     return replace(config, dc_link_v=config.dc_link_v * (1.0 - values["drop_share"]))
 
 
-_ORDER = Parameter("order", "1/rev", 12.0, 0.001, 1000.0, "periods in a motor revolution")
-_PHASE = Parameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the period")
+_ORDER = PlantParameter("order", "1/rev", 12.0, 0.001, 1000.0, "periods in a motor revolution")
+_PHASE = PlantParameter("phase_rev", "rev", 0.0, -1.0, 1.0, "phase, as a share of the period")
 
 EFFECTS = (
-    Effect(
+    PlantEffect(
         "torque_offset",
         s.LOAD,
         torque_offset,
-        (Parameter("torque_nm", "Nm", 0.01, -0.5, 0.5, "the torque", True),),
+        (PlantParameter("torque_nm", "Nm", 0.01, -0.5, 0.5, "the torque", True),),
         "constant torque on the shaft (also what an offset of the current makes)",
     ),
-    Effect(
+    PlantEffect(
         "cogging",
         s.LOAD,
         cogging,
-        (Parameter("amplitude_nm", "Nm", 0.008, 0.0, 0.5, "amplitude", True), _ORDER, _PHASE),
+        (PlantParameter("amplitude_nm", "Nm", 0.008, 0.0, 0.5, "amplitude", True), _ORDER, _PHASE),
         "torque periodic in the motor angle, of the same sign in both directions",
     ),
-    Effect(
+    PlantEffect(
         "torque_ripple",
         s.TORQUE,
         torque_ripple,
         (
-            Parameter("share", "-", 0.08, 0.0, 0.9, "amplitude as a share of the torque", True),
+            PlantParameter("share", "-", 0.08, 0.0, 0.9, "amplitude as a share of the torque", True),
             _ORDER._replace(default=6.0),
             _PHASE,
         ),
         "ripple periodic in the motor angle, in proportion to the current",
     ),
-    Effect(
+    PlantEffect(
         "unbalance",
         s.LOAD,
         unbalance,
-        (Parameter("amplitude_nm", "Nm", 0.015, 0.0, 0.5, "amplitude at the motor shaft", True), _PHASE),
+        (PlantParameter("amplitude_nm", "Nm", 0.015, 0.0, 0.5, "amplitude at the motor shaft", True), _PHASE),
         "weight of the load: torque periodic in the output angle",
     ),
-    Effect(
+    PlantEffect(
         "periodic_disturbance",
         s.LOAD,
         periodic_disturbance,
         (
-            Parameter("amplitude_nm", "Nm", 0.008, 0.0, 0.5, "amplitude", True),
-            Parameter("frequency_hz", "Hz", 7.3, 0.001, 1000.0, "frequency"),
+            PlantParameter("amplitude_nm", "Nm", 0.008, 0.0, 0.5, "amplitude", True),
+            PlantParameter("frequency_hz", "Hz", 7.3, 0.001, 1000.0, "frequency"),
             _PHASE,
         ),
         "torque periodic in time",
     ),
-    Effect(
+    PlantEffect(
         "torque_saturation",
         s.TORQUE,
         torque_saturation,
-        (Parameter("share", "-", 0.3, 0.0, 1.0, "s in T = Kt i/(1 + s (i/rated)^2)", True),),
+        (PlantParameter("share", "-", 0.3, 0.0, 1.0, "s in T = Kt i/(1 + s (i/rated)^2)", True),),
         "torque grows less than in proportion to the current",
     ),
-    Effect(
+    PlantEffect(
         "dead_zone",
         s.COMMAND,
         dead_zone,
-        (Parameter("width_a", "A", 0.08, 0.0, 5.0, "current below which nothing happens", True),),
+        (PlantParameter("width_a", "A", 0.08, 0.0, 5.0, "current below which nothing happens", True),),
         "dead zone of the amplifier",
     ),
-    Effect(
+    PlantEffect(
         "current_lag",
         s.COMMAND,
         current_lag,
-        (Parameter("time_constant_s", "s", 0.004, 0.0, 1.0, "time constant", True),),
+        (PlantParameter("time_constant_s", "s", 0.004, 0.0, 1.0, "time constant", True),),
         "first-order lag of the current beyond the configured loop",
     ),
-    Effect(
+    PlantEffect(
         "delay",
         s.PREPARED,
         None,
-        (Parameter("delay_s", "s", 0.003, 0.0, 0.1, "delay added to the configured one", True),),
+        (PlantParameter("delay_s", "s", 0.003, 0.0, 0.1, "delay added to the configured one", True),),
         "dead time beyond the configured delay",
         _delay,
     ),
-    Effect(
+    PlantEffect(
         "voltage_limit",
         s.PREPARED,
         None,
-        (Parameter("drop_share", "-", 0.7, 0.0, 0.95, "share of the DC-link voltage that is missing", True),),
+        (PlantParameter("drop_share", "-", 0.7, 0.0, 0.95, "share of the DC-link voltage that is missing", True),),
         "weak supply: the current falls behind at speed",
         _voltage_limit,
     ),

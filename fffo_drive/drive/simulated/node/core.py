@@ -25,8 +25,8 @@ from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Handler, Timed, identifier
 from .config import NodeConfig, device_defaults
 from .dictionary import ObjectDictionary
-from .drive_profile import LARGEST_INDEX, DriveProfile
-from .emcy import Emergency
+from .drive_profile import LARGEST_INDEX, NodeDrive
+from .emcy import EmergencyProducer
 from .fault_target import FaultTarget
 from .faults import FaultInjector
 from .guarding import NodeGuarding
@@ -52,7 +52,7 @@ STARTUP = 0x1F80
 MOST_PDOS = 512  # in each direction
 
 
-class Service(Protocol):
+class NodeService(Protocol):
     """A part of the node that has something to do at a time."""
 
     deadline_ns: int
@@ -74,9 +74,9 @@ class Node:
         od.guard(STARTUP, self._check_startup)
         self.nmt = NmtSlave(bus, config.node_id, self._on_state, self._on_reset, self._starts_itself)
         self.lss = LssSlave(bus, od, self.nmt, lambda: self.nmt.reset(whole_node=False))
-        self.emergency = Emergency(bus, od, self.nmt)
+        self.emergency = EmergencyProducer(bus, od, self.nmt)
         self.storage = Storage(od)
-        self.drive = DriveProfile(bus, od, self.emergency, plant, config.ratings, personality)
+        self.drive = NodeDrive(bus, od, self.emergency, plant, config.ratings, personality)
         self._mode_waits_for_sync = personality.mode_display == "with_sync"
         self._statistics = od.place(STATISTICS)
         self.sync = SyncConsumer(
@@ -113,7 +113,7 @@ class Node:
         ]
         target = FaultTarget(bus, self.nmt, self.emergency, self.drive, self.rpdos, self.tpdos, self._on_bus_off)
         self.faults = FaultInjector(bus, od, self.emergency, target, config.faults, config.plant.seed)
-        self._services: tuple[Service, ...] = (
+        self._services: tuple[NodeService, ...] = (
             self.producer,
             self.consumer,
             self.guarding,
@@ -129,7 +129,7 @@ class Node:
         self._start_ns = 0
         self._plant_ns = 0
 
-    def _habits(self) -> Iterator[Service]:
+    def _habits(self) -> Iterator[NodeService]:
         """What this drive does that others do not."""
         personality = self.config.personality
         self._warning: EmcyWarning | None = None

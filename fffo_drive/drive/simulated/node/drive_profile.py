@@ -24,12 +24,12 @@ from .emcy import (
     OVERTEMPERATURE,
     RESOLVER,
     SYNC_LOSS,
-    Emergency,
+    EmergencyProducer,
 )
 from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
 from .personality import Personality
 from .plant_port import PlantPort, Ratings
-from .scales import Scales
+from .scales import NodeScales
 from .setpoint import Setpoint
 
 ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD = 0x6007, 0x603F, 0x6040, 0x6041
@@ -53,14 +53,14 @@ LARGEST_INDEX = 9  # powers of ten of the interpolation period that have a meani
 _INT32 = 1 << 31
 
 
-class DriveProfile:
+class NodeDrive:
     """The drive. `advance_to` lets its time pass, `update` computes what it does next."""
 
     def __init__(
         self,
         bus: Bus,
         od: ObjectDictionary,
-        emergency: Emergency,
+        emergency: EmergencyProducer,
         plant: PlantPort,
         ratings: Ratings,
         personality: Personality,
@@ -68,7 +68,7 @@ class DriveProfile:
         self.bus, self.od, self.emergency, self.plant, self.ratings = bus, od, emergency, plant, ratings
         self.personality = personality
         self.state = cia402.START
-        self.scales = Scales(od, ratings, personality, lambda: self.powered)
+        self.scales = NodeScales(od, ratings, personality, lambda: self.powered)
         self.setpoint = Setpoint(od, self.scales, personality)
         self.time_ns = 0  # of the plant
         self.stuck = False  # fault injection: the statusword no longer changes

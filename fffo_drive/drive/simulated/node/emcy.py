@@ -56,7 +56,7 @@ def register_bit(code: int) -> int:
     return _REGISTER_BITS.get(code >> 12, 0x01)
 
 
-class Emergency(Timed):
+class EmergencyProducer(Timed):
     """Errors of the device. Bounded: the history by the places of 0x1003, the queue to the bus by 16; the oldest go."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:

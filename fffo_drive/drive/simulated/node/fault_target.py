@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from ....can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, HEARTBEAT, MAX_DATA, pack_frame
 from .bus import Bus
-from .drive_profile import DriveProfile
-from .emcy import BUS_OFF_RECOVERED, Emergency
+from .drive_profile import NodeDrive
+from .emcy import BUS_OFF_RECOVERED, EmergencyProducer
 from .faults import FaultKind
 from .nmt import NmtSlave
 from .rpdo import Rpdo
@@ -21,8 +21,8 @@ class FaultTarget:
         self,
         bus: Bus,
         nmt: NmtSlave,
-        emergency: Emergency,
-        drive: DriveProfile,
+        emergency: EmergencyProducer,
+        drive: NodeDrive,
         rpdos: list[Rpdo],
         tpdos: list[Tpdo],
         on_bus_off: Callable[[], None],

@@ -19,7 +19,7 @@ from ..ranges import key, required_note
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
-from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, Emergency
+from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, EmergencyProducer
 from .fault_wire import FaultyWire, WireEffect, WireRule
 
 INJECTION = 0x2100
@@ -134,7 +134,7 @@ class FaultInjector(Timed):
         self,
         bus: Bus,
         od: ObjectDictionary,
-        emergency: Emergency,
+        emergency: EmergencyProducer,
         device: Device,
         schedule: tuple[Fault, ...],
         seed: int,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ....units import NS_PER_S
 from .bus import NEVER, Bus, Timed
 from .dictionary import ObjectDictionary
-from .drive_profile import DriveProfile
-from .emcy import Emergency
+from .drive_profile import NodeDrive
+from .emcy import EmergencyProducer
 
 DIGITAL_OUTPUTS = 0x60FE
 SET_BRAKE = 1  # bit 0 of 0x60FE:1, where its mask 0x60FE:2 lets it act
@@ -16,7 +16,7 @@ ENABLING = (4, 16)  # transitions
 class HoldingBrake(Timed):
     """Holds the shaft without power, and for `release_s` after enabling: torque then acts on a shaft that stands."""
 
-    def __init__(self, bus: Bus, od: ObjectDictionary, drive: DriveProfile, release_s: float) -> None:
+    def __init__(self, bus: Bus, od: ObjectDictionary, drive: NodeDrive, release_s: float) -> None:
         super().__init__(bus)
         self.od, self.drive = od, drive
         self._release_ns = round(release_s * NS_PER_S)
@@ -48,7 +48,7 @@ class HoldingBrake(Timed):
 class EmcyWarning(Timed):
     """An emergency message without an error: the error register and the state stay as they are."""
 
-    def __init__(self, bus: Bus, emergency: Emergency, drive: DriveProfile, code: int, at_s: float) -> None:
+    def __init__(self, bus: Bus, emergency: EmergencyProducer, drive: NodeDrive, code: int, at_s: float) -> None:
         super().__init__(bus)
         self.emergency, self.code = emergency, code
         self._at_ns = round(at_s * NS_PER_S) if at_s >= 0.0 else NEVER

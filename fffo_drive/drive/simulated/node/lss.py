@@ -25,7 +25,7 @@ REFUSED = 1
 CONFIRM_ALL = 0x80  # fastscan: "is anybody without a node-ID there?"
 
 
-class Command(IntEnum):
+class LssCommand(IntEnum):
     """Command specifiers."""
 
     SWITCH_GLOBAL = 0x04
@@ -43,9 +43,9 @@ class Command(IntEnum):
     INQUIRE_NODE_ID = 0x5E
 
 
-SELECTIVE = range(Command.SWITCH_SELECTIVE, Command.SWITCHED)
-IDENTIFY = range(Command.IDENTIFY, Command.IDENTIFY_UNCONFIGURED)
-INQUIRE = range(Command.INQUIRE_ADDRESS, Command.INQUIRE_NODE_ID)
+SELECTIVE = range(LssCommand.SWITCH_SELECTIVE, LssCommand.SWITCHED)
+IDENTIFY = range(LssCommand.IDENTIFY, LssCommand.IDENTIFY_UNCONFIGURED)
+INQUIRE = range(LssCommand.INQUIRE_ADDRESS, LssCommand.INQUIRE_NODE_ID)
 # which part of the address each request to identify speaks of, and whether its number is a lower or upper bound
 _BOUNDS = ((1, True, True), (2, True, True), (3, True, False), (3, False, True), (4, True, False), (4, False, True))
 _ARGUMENT = struct.Struct("<I")
@@ -76,16 +76,16 @@ class LssSlave:
         data = frame[DATA_OFFSET:]
         command = data[0]
         number = _ARGUMENT.unpack_from(data, 1)[0]
-        if command == Command.SWITCH_GLOBAL:
+        if command == LssCommand.SWITCH_GLOBAL:
             self._switch(data[1] == 1)
         elif command in SELECTIVE:
-            self._select(command - Command.SWITCH_SELECTIVE, number)
+            self._select(command - LssCommand.SWITCH_SELECTIVE, number)
         elif command in IDENTIFY:
-            self._identify(command - Command.IDENTIFY, number)
-        elif command == Command.IDENTIFY_UNCONFIGURED:
+            self._identify(command - LssCommand.IDENTIFY, number)
+        elif command == LssCommand.IDENTIFY_UNCONFIGURED:
             if self.nmt.node_id == UNCONFIGURED:
-                self._answer(Command.IDENTIFIED_UNCONFIGURED)
-        elif command == Command.FASTSCAN:
+                self._answer(LssCommand.IDENTIFIED_UNCONFIGURED)
+        elif command == LssCommand.FASTSCAN:
             self._scan(number, data[5], data[6], data[7])
         elif self._configuring:
             self._configure(command, data[1])
@@ -111,7 +111,7 @@ class LssSlave:
         if self._matched == len(ADDRESS_SUBS):
             self._matched = 0
             self._configuring = True
-            self._answer(Command.SWITCHED)
+            self._answer(LssCommand.SWITCHED)
 
     def _identify(self, step: int, number: int) -> None:
         if step != 0 and step != self._matched:
@@ -123,7 +123,7 @@ class LssSlave:
         self._matched = step + 1 if fits else 0
         if self._matched == len(_BOUNDS):
             self._matched = 0
-            self._answer(Command.IDENTIFIED)
+            self._answer(LssCommand.IDENTIFIED)
 
     def _scan(self, number: int, bit: int, part: int, following: int) -> None:
         """Fastscan: the master guesses the address bit by bit; whoever fits, answers."""
@@ -131,28 +131,28 @@ class LssSlave:
             return
         if bit == CONFIRM_ALL:
             self._scanned = 0
-            self._answer(Command.IDENTIFIED)
+            self._answer(LssCommand.IDENTIFIED)
         elif bit < 32 and part == self._scanned and part < len(ADDRESS_SUBS):
             if (number ^ self._address(part + 1)) >> bit:
                 return
             if bit == 0 and following != part:  # this part is found; the next one, or the end
                 self._scanned = following
                 self._configuring = following < part
-            self._answer(Command.IDENTIFIED)
+            self._answer(LssCommand.IDENTIFIED)
 
     def _configure(self, command: int, value: int) -> None:
         """What a drive does in the configuration state."""
-        if command == Command.CONFIGURE_NODE_ID:
+        if command == LssCommand.CONFIGURE_NODE_ID:
             allowed = value in NODE_IDS or value == UNCONFIGURED
             if allowed:
                 self._pending = value
             self._answer(command, bytes([0 if allowed else REFUSED]))
-        elif command == Command.CONFIGURE_BIT_TIMING:
+        elif command == LssCommand.CONFIGURE_BIT_TIMING:
             self._answer(command, bytes([REFUSED]))
-        elif command == Command.STORE:
+        elif command == LssCommand.STORE:
             self._stored = self._pending
             self._answer(command, bytes([0]))
-        elif command == Command.INQUIRE_NODE_ID:
+        elif command == LssCommand.INQUIRE_NODE_ID:
             self._answer(command, bytes([self.nmt.node_id]))
         elif command in INQUIRE:
-            self._answer(command, _ARGUMENT.pack(self._address(command - Command.INQUIRE_ADDRESS + 1)))
+            self._answer(command, _ARGUMENT.pack(self._address(command - LssCommand.INQUIRE_ADDRESS + 1)))

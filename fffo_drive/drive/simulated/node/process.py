@@ -47,7 +47,7 @@ class StopSignal(Protocol):
         ...
 
 
-class Summary(NamedTuple):
+class NodeSummary(NamedTuple):
     """What a run of the node was."""
 
     duration_s: float
@@ -74,7 +74,7 @@ def stop_on_signals() -> threading.Event:
     return stop
 
 
-def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> Summary:
+def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> NodeSummary:
     """Be a drive on `link` until `stop` is set. Prints a line when it is ready and one when it ends.
 
     Raises PlantConfigError for a configuration that makes no drive.
@@ -191,12 +191,12 @@ class _Shell:
         od = self.node.od
         od.put(od.place(STATISTICS), 5, max(0, self.dropped))
 
-    def summary(self) -> Summary:
+    def summary(self) -> NodeSummary:
         """The run so far."""
         now_ns = time.monotonic_ns()
         self._count_drops(now_ns)
         number, statistics = self.node.od.number, self.node.od.place(STATISTICS)
-        return Summary(
+        return NodeSummary(
             duration_s=(now_ns - self._started_ns) / NS_PER_S,
             syncs=number(statistics, 1),
             missed_syncs=number(statistics, 2),

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from ....documents import DocumentError, Record, load, refuse
+from ....documents import DocumentError, StrictRecord, load, refuse
 from ...canopen.eds import read_eds
 from ...canopen.eds_tidy import decode, tidy
 from ...canopen.eds_tidy import number as number_of
@@ -34,7 +34,7 @@ _NAMES = {(entry.index, entry.sub): entry.name for entry in ENTRIES if not 0x200
 _SECTION = re.compile(r"([0-9A-F]{4})(?:sub([0-9A-F]{1,2}))?")
 
 
-class ObjectRecord(Record):
+class ObjectRecord(StrictRecord):
     """One sub-index."""
 
     type: Any = Field(description="data type, the number of CiA 301: 0x0007 is UNSIGNED32")
@@ -47,7 +47,7 @@ class ObjectRecord(Record):
     name: Any = Field(None, description="of the object, for its EDS")
 
 
-class DictionaryRecord(Record):
+class DictionaryRecord(StrictRecord):
     """The object dictionary of one drive."""
 
     drive: str = Field(description="its name")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET
 from .bus import NEVER, Bus, Timed
 from .dictionary import Effect, ObjectDictionary, multiplexer
-from .emcy import PDO_LENGTH, PDO_LENGTH_EXCEEDED, RPDO_TIMEOUT, Emergency
+from .emcy import PDO_LENGTH, PDO_LENGTH_EXCEEDED, RPDO_TIMEOUT, EmergencyProducer
 from .nmt import NmtSlave
 from .pdo_parameters import EMPTY, HIGHEST_SYNC_TYPE, PdoParameters
 from .sync import STATISTICS, SyncConsumer
@@ -26,7 +26,7 @@ class Rpdo(Timed):
         bus: Bus,
         od: ObjectDictionary,
         nmt: NmtSlave,
-        emergency: Emergency,
+        emergency: EmergencyProducer,
         sync: SyncConsumer,
         number: int,
         on_change: Callable[[], None],

@@ -37,7 +37,7 @@ _SECONDS = {0x03: 1, 0x47: 60, 0x48: 3600}
 _LARGEST_POWER = 12
 
 
-class Unit:
+class NodeUnit:
     """A notation of CiA 303-2, taken apart. ValueError for one that names no angle or angular velocity."""
 
     def __init__(self, notation: int, velocity: bool) -> None:
@@ -52,7 +52,7 @@ class Unit:
         """Units in a revolution (of a velocity: in one a second); of increments: in an increment."""
 
 
-class Scales:
+class NodeScales:
     """Factors between the plant and the objects, prepared for the cyclic path.
 
     `powered()` says whether the motor may turn under power: the factors do not change then (08000022 by SDO).
@@ -143,10 +143,10 @@ class Scales:
             self.renew()
 
 
-def _unit_of(notation: int, velocity: bool) -> Unit | None:
+def _unit_of(notation: int, velocity: bool) -> NodeUnit | None:
     """The unit of 0x60A8 or 0x60A9; None where none is told, or none that this machine has."""
     try:
-        return Unit(notation, velocity) if notation else None
+        return NodeUnit(notation, velocity) if notation else None
     except ValueError:
         return None
 

@@ -13,7 +13,7 @@ from ....units import NS_PER_S, rps_from_rpm
 from .dictionary import ObjectDictionary, multiplexer
 from .objects import MODE_CYCLIC_TORQUE, MODE_TORQUE_PROFILE
 from .personality import Personality, named
-from .scales import Scales
+from .scales import NodeScales
 
 NO_SLOPE = 1e9  # per mille in one call: 0x6087 = 0 is a slope that was never set, and torque jumps
 LARGEST_DEMAND = 32767  # of 0x6074
@@ -25,7 +25,7 @@ _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
 class Setpoint:
     """Torque demand in thousandths of the rated torque. `limited` and `reached` are for the statusword."""
 
-    def __init__(self, od: ObjectDictionary, scales: Scales, personality: Personality) -> None:
+    def __init__(self, od: ObjectDictionary, scales: NodeScales, personality: Personality) -> None:
         self.od, self.scales = od, scales
         self._pick = itemgetter(*(od.slots[multiplexer(index, 0)] for index in _ADJUSTABLE))
         self._vendor_mode = personality.vendor_mode

@@ -13,7 +13,7 @@ from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus, Timed
 from .dictionary import ObjectDictionary, multiplexer
-from .emcy import SYNC_LENGTH, SYNC_LOSS, Emergency, check_can_id, is_restricted
+from .emcy import SYNC_LENGTH, SYNC_LOSS, EmergencyProducer, check_can_id, is_restricted
 from .nmt import NmtSlave
 
 COB_ID_SYNC = 0x1005
@@ -37,7 +37,7 @@ class SyncConsumer(Timed):
         bus: Bus,
         od: ObjectDictionary,
         nmt: NmtSlave,
-        emergency: Emergency,
+        emergency: EmergencyProducer,
         on_sync: Callable[[int], None],
         on_loss: Callable[[], None],
         on_change: Callable[[], None],

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from ....documents import Record
+from ....documents import StrictRecord
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, approach
@@ -215,7 +215,7 @@ def across_word(shapes: Mapping[str, float]) -> str:
     return SPEED if word == "memory" and shapes.get("across_scale", 0.0) == 0.0 else word
 
 
-class CurveModel(Record):
+class CurveModel(StrictRecord):
     """A free curve or table as a model file and a report have it; the kernel takes `packed_curve` of it.
 
     A table has a row of values for each level. A response has two: shares of the motor torque in phase, and those a
