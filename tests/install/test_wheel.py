@@ -27,7 +27,7 @@ from install.test_install import PROGRAM, built_wheel
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import COMMANDS, parser_of
-from fffo_drive.cli.exits import EXIT_DRIVE_FAULT, EXIT_INTERRUPTED
+from fffo_drive.cli.exits import EXIT_DRIVE_FAULT
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 NOT_PASSED = (
@@ -61,7 +61,9 @@ IN_PROCESS = (
     ),
     Typed("adopt found/model.yaml --axis configs/axis_undeclared.yaml", "found/model.yaml"),
     Typed("evaluate short_scenario.yaml --seeds 1 --workers 1 --out compared", "ISE", "compared/report.html"),
-    Typed("import speed.csv --torque-constant 0.148 --out imported --yes", "current_command_a", "imported/facts.yaml"),
+    Typed(
+        "import speed.csv --torque-constant 0.148 --out imported --yes", "inertia and friction", "imported/facts.yaml"
+    ),
     Typed("sim configs/simulated_drive.yaml --eds drive.eds", "wrote drive.eds", "drive.eds"),
     Typed("drive-info drive.eds", "torque"),
     Typed("doctor configs/axis_bench.yaml --seconds 0.1 --record machine", "kernel", "machine", (0, 1)),
@@ -180,6 +182,7 @@ class User:
         print(f"{'ok   ' if good else 'WRONG'} {seconds:6.1f} s  fffo-drive {line}")
         if not good:
             self.wrong.append(f"$ fffo-drive {line} {said}")
+            print(said)
 
     @contextmanager
     def beside(self, line: str, says: str, ended_by: int, codes: tuple[int, ...] = (0,)) -> Iterator[None]:
@@ -250,6 +253,11 @@ def be_patient(axis: dict[str, Any]) -> None:
     axis["profile"]["duration_s"] = 2
 
 
+def without_observer(axis: dict[str, Any]) -> None:
+    """As `bring-up` wrote it: PyYAML takes its `off` for false."""
+    axis["controller"]["observer"] = {"toggle": "off"}
+
+
 @pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
@@ -269,10 +277,11 @@ def test_every_command_works_from_an_installed_wheel(environment, tmp_path):
     with user.beside(SIM, "ready", signal.SIGTERM):
         user.type(*FROM_A_BUS)
         edit(user.place / "axis.yaml", be_patient)
+        edit(user.place / "axis.yaml", without_observer)
         user.type(*ON_A_BUS)
     with user.beside(SIM, "ready", signal.SIGTERM), user.beside(SERVE, "connected -> ready", signal.SIGTERM):
         user.type(*BEFORE_TORQUE)
-        with user.beside(SUBSCRIBE, "rps of", signal.SIGINT, (EXIT_INTERRUPTED,)):
+        with user.beside(SUBSCRIBE, "rps of", signal.SIGTERM, (-signal.SIGTERM,)):
             user.type(*WITH_TORQUE)
             with user.beside(JOG, "to_rps: 1", signal.SIGINT):
                 user.type(*WHILE_IT_TURNS)
