@@ -30,9 +30,8 @@ from fffo_drive.cli import COMMANDS, parser_of
 from fffo_drive.cli.exits import EXIT_DRIVE_FAULT
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
-NOT_PASSED = (
-    EXIT_DRIVE_FAULT  # of `commission`: a busy machine may miss a limit of time; the record is written all the same
-)
+# `commission` ends with it where a busy machine misses a limit of time; the record is written all the same
+NOT_PASSED = EXIT_DRIVE_FAULT
 
 
 class Typed(NamedTuple):
@@ -57,18 +56,20 @@ IN_PROCESS = (
     Typed("identify circle/identify.mcap circle/before.mcap --out model", "+-", "model/model.yaml"),
     Typed("tune model/model.yaml --axis short.yaml --out tuned", "phase margin", "tuned/short.yaml"),
     Typed(
-        "diagnose --fit circle/identify.mcap --held-out circle/before.mcap --out found", "cogging", "found/model.yaml"
+        "diagnose --fit circle/identify.mcap --held-out circle/before.mcap --out found",
+        "model lacks: cogging",
+        "found/model.yaml",
     ),
-    Typed("adopt found/model.yaml --axis configs/axis_undeclared.yaml", "found/model.yaml"),
+    Typed("adopt found/model.yaml --axis configs/axis_undeclared.yaml", "before: models/table1.yaml"),
     Typed("evaluate short_scenario.yaml --seeds 1 --workers 1 --out compared", "ISE", "compared/report.html"),
     Typed(
         "import speed.csv --torque-constant 0.148 --out imported --yes", "inertia and friction", "imported/facts.yaml"
     ),
     Typed("sim configs/simulated_drive.yaml --eds drive.eds", "wrote drive.eds", "drive.eds"),
-    Typed("drive-info drive.eds", "torque"),
-    Typed("doctor configs/axis_bench.yaml --seconds 0.1 --record machine", "kernel", "machine", (0, 1)),
+    Typed("drive-info drive.eds", "can be used, as far as the file says"),
+    Typed("doctor configs/axis_bench.yaml --seconds 0.1 --record machine", "clock source", "machine", (0, 1)),
     Typed(f"install --root root --program {PROGRAM}", "fffo-drive@.service", "root/etc/fffo-drive/can0.yaml"),
-    Typed("manual --path", "manual/built/index.html"),
+    Typed("manual --path", "fffo_drive/manual/built/index.html"),
     Typed("bench --quick --out bench", "PI+FFFO", "bench"),
 )
 FROM_A_BUS = (Typed("bring-up {bus} --out axis.yaml --yes --seconds 0.2", "commission axis.yaml", "axis.yaml"),)
@@ -81,8 +82,8 @@ BEFORE_TORQUE = (
     Typed("ctl --sockets s status", "ready, for"),
     Typed("ctl --sockets s schema", "quick_stop"),
     Typed("ctl --sockets s model configs/models/table1.yaml", "table1"),
-    Typed("ctl --sockets s reload", ""),
-    Typed("ctl --sockets s record on", ""),
+    Typed("ctl --sockets s reload", "applied:"),
+    Typed("ctl --sockets s record on", "on: True"),
 )
 WITH_TORQUE = (
     Typed("ctl --sockets s enable", "state: enabled, reached: True"),
@@ -106,6 +107,7 @@ THE_END = (
 )
 RUN = Typed("run short.yaml --out work.mcap", "0 skipped", "work.mcap")
 INIT = Typed("init bench", "cd bench", "bench/configs/axis_bench.yaml")
+LIBRARY = f"import fffo_drive as fd; print(fd.__file__); print(fd.replay('{RUN.makes}').exact)"
 SIM = "sim patient_drive.yaml --bus {bus}"
 SERVE = "serve patient.yaml --bus {bus} --sockets s --uncommissioned --scope 0"
 JOG, SUBSCRIBE = "ctl --sockets s jog 1", "ctl --sockets s subscribe --status-hz 10"
@@ -264,13 +266,15 @@ def without_observer(axis: dict[str, Any]) -> None:
 def test_every_command_works_from_an_installed_wheel(environment, tmp_path):
     began_s = time.monotonic()
     user = User(environment, tmp_path, f"loopback:{free_loopback_port()}")
-    asked = [user.python, "-c", "import fffo_drive; print(fffo_drive.__file__)"]
-    where = subprocess.run(asked, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
-    assert Path(where).is_relative_to(user.python.parents[1])
     user.type(INIT)
     user.place = tmp_path / "bench"
     own_files(user.place)
     user.type(RUN)
+    library = [user.python, "-c", LIBRARY]
+    done = subprocess.run(library, cwd=user.place, env=environment, capture_output=True, text=True, check=True)
+    where, exact = done.stdout.splitlines()
+    assert Path(where).is_relative_to(user.python.parents[1])
+    assert exact == "True"
     recording = (user.place / RUN.makes).read_bytes()
     (user.place / "torn.mcap.part").write_bytes(recording[: len(recording) // 2])
     user.type(*IN_PROCESS)
