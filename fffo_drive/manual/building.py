@@ -19,7 +19,7 @@ from ..directories import own_directory, shared_place
 PACKAGE = Path(__file__).resolve().parent
 SOURCES = PACKAGE / "pages"
 SCRIPTS = PACKAGE / "scripts"
-BUILT = PACKAGE / "built"  # inside a wheel only: hatch_build.py puts it there
+BUILT = PACKAGE / "built"  # inside a wheel only: tools/manual_in_wheel.py puts it there
 SOURCE_TREE = PACKAGE.parent.parent  # of a clone; in a wheel there is none
 INDEX = "index.html"
 TOOLS = ("sphinx", "myst_parser", "furo", "sphinx_copybutton")

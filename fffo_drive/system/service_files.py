@@ -44,9 +44,10 @@ def sources() -> tuple[Path, Path]:
     Raises FileNotFoundError.
     """
     for parent in (PACKAGE / "files", PACKAGE.parent):
-        if (parent / "systemd" / UNIT).is_file():
+        if (parent / "systemd" / UNIT).is_file() and (parent / "configs").is_dir():
             return parent / "systemd", parent / "configs"
-    raise FileNotFoundError(2, "the package has no service files; install it again with pip", str(PACKAGE / "files"))
+    text = "the package lacks its service files or its examples; install it again with pip"
+    raise FileNotFoundError(2, text, str(PACKAGE / "files"))
 
 
 def example_files() -> dict[str, bytes]:

@@ -9,6 +9,7 @@ import pytest
 from fffo_drive.cli import main
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.config.scenario import read_scenario
+from fffo_drive.system import service_files
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -68,3 +69,14 @@ def test_what_is_laid_down_passes_the_check(name, tmp_path, capsys):
     assert main(["init", str(tmp_path)]) == 0
     assert main(["config", "check", str(tmp_path / "configs" / name)]) == 0
     assert "ok" in capsys.readouterr().out
+
+
+def test_a_package_without_its_examples_says_so(tmp_path, capsys, monkeypatch):
+    package = tmp_path / "fffo_drive"
+    unit = package / "files" / "systemd" / service_files.UNIT
+    unit.parent.mkdir(parents=True)
+    unit.touch()
+    monkeypatch.setattr(service_files, "PACKAGE", package)
+    assert main(["init", str(tmp_path / "bench")]) == 78
+    assert "install it again" in capsys.readouterr().err
+    assert not (tmp_path / "bench").exists()

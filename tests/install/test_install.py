@@ -160,16 +160,20 @@ def test_another_root_is_no_reason_to_talk_to_this_systemd(tmp_path, monkeypatch
     assert [command.words[0] for command in after_install(Path("/"))] == ["systemd-sysusers", "systemctl"]
 
 
+def built_wheel(place: Path) -> Path:
+    """The wheel of this source tree, built into `place` as pip builds it."""
+    environment = dict(os.environ, PYTHONPATH="", NUMBA_CACHE_DIR=str(Path(sys.prefix) / "numba-manual"))
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)]
+    subprocess.run(command, cwd=SOURCE, env=environment, check=True, capture_output=True)
+    (wheel,) = place.glob("*.whl")
+    return wheel
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The wheel, built as pip builds it, unpacked to a place without the source tree."""
+    """The wheel, unpacked to a place without the source tree."""
     place = tmp_path_factory.mktemp("wheel")
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)],
-        cwd=SOURCE, check=True, capture_output=True,
-    )  # fmt: skip
-    (wheel,) = place.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
+    with zipfile.ZipFile(built_wheel(place)) as archive:
         archive.extractall(place / "site")
     return place / "site"
 
@@ -185,33 +189,3 @@ def test_the_wheel_brings_all_files(site, tmp_path):
     assert done.stderr == ""
     expected = {file.path: file.content for file in sf.service_files(Path(PROGRAM))}
     assert {path: (root / path).read_bytes() for path in expected} == expected
-
-
-@pytest.mark.long
-@pytest.mark.timeout(400)
-def test_a_wheel_in_a_clean_place_goes_from_nothing_to_gains(site, tmp_path):
-    """No source tree, no file of it: examples, a run, a model, gains, a comparison, the library."""
-    place = tmp_path / "place"
-    place.mkdir()
-    environment = dict(os.environ, PYTHONPATH=str(site), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-
-    def typed(*words: str) -> str:
-        done = subprocess.run([sys.executable, *words], capture_output=True, text=True, cwd=place, env=environment)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    program = ("-m", "fffo_drive")
-    where = typed("-c", "import fffo_drive; print(fffo_drive.__file__)")
-    assert where.startswith(str(site))
-    typed(*program, "init")
-    (place / "short.yaml").write_text("profile: {kind: paper, duration_s: 15, seed: 3}\n")
-    assert "ok" in typed(*program, "config", "check", "configs/axis_simulated.yaml")
-    run = typed(*program, "run", "configs/axis_simulated.yaml", "--profile", "short.yaml", "--out", "a.mcap")
-    assert "a.mcap" in run
-    assert "bit for bit" in typed(*program, "replay", "a.mcap")
-    typed(*program, "identify", "a.mcap", "--out", "model")
-    typed(*program, "tune", "model/model.yaml", "--axis", "configs/axis_simulated.yaml", "--out", "tuned")
-    assert (place / "tuned" / "report.html").is_file()
-    assert "".join(typed(*program, "bench", "--help").split()).count(str(site)) == 2  # files of the wheel
-    library = "import fffo_drive as fd; print(fd.replay('a.mcap').exact)"
-    assert typed("-c", library).strip() == "True"
