@@ -68,7 +68,7 @@ def test_we_say_what_the_sdk_says(sdk):
         ours = protocol.Channel(number, **CHANNEL)
         assert json.loads(protocol.server_info("bench", "1")) == info
         assert json.loads(protocol.advertise([ours])) == topics
-        told = protocol.Service(service, "/fffo_drive/stop", "fffo_drive/stop", REQUEST, RESPONSE)
+        told = protocol.AdvertisedService(service, "/fffo_drive/stop", "fffo_drive/stop", REQUEST, RESPONSE)
         assert json.loads(protocol.advertise_services([told])) == services
 
         socket.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 5, "channelId": number}]}))
@@ -102,7 +102,7 @@ def test_the_viewer_of_our_tests_is_understood_by_the_sdk(sdk):
 @settings(max_examples=50, derandomize=True)
 def test_subscriptions_are_read(pairs, ids):
     wanted = [{"id": subscription, "channelId": channel} for subscription, channel in pairs]
-    assert protocol.parse(json.dumps({"op": "subscribe", "subscriptions": wanted})) == protocol.Subscribe(pairs)
+    assert protocol.parse(json.dumps({"op": "subscribe", "subscriptions": wanted})) == protocol.SubscribeRequest(pairs)
     assert protocol.parse(json.dumps({"op": "unsubscribe", "subscriptionIds": ids})) == protocol.Unsubscribe(ids)
     assert protocol.parse('{"op": "getParameters"}') == protocol.Unserved("getParameters")
     assert protocol.parse(b"\x01" + bytes(20)) == protocol.Unserved("opcode 1")
