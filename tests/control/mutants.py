@@ -22,7 +22,7 @@ TESTS = ("test_envelope_edges.py", "test_envelope.py")
 PROCESSES = 2
 ENOUGH_S = 60  # a mutant that takes longer is stopped, and counts as noticed
 
-# name of a mutant -> why it is the same program; each was looked at by hand
+# name of a mutant -> why no test can tell it apart; each was looked at by hand
 _ONCE = "the bit is not set yet: each is set in one place, on a number that began as 0"
 EQUIVALENT: dict[str, str] = {
     "clamp_command: limits |= LIMIT_I2T → limits ^= LIMIT_I2T": _ONCE,
@@ -43,7 +43,7 @@ in turn made another one, and the envelope's tests run against each, interpreted
 rest is listed with the reason why no test can tell it from the original. The tool fails on any other; `.ci/run` runs
 it.
 
-| mutant | why it is the same program |
+| mutant | why no test can tell it apart |
 | --- | --- |
 """
 
@@ -166,7 +166,7 @@ def main(every: int) -> int:
         print(problem, file=sys.stderr)
     if not problems and every == 1:
         TABLE.write_text(make_table(len(mutants), survivors), encoding="utf-8")
-    print(f"{len(chosen)} of {len(mutants)} mutants ran, {len(survivors)} of them the same program")
+    print(f"{len(chosen)} of {len(mutants)} mutants ran, {len(survivors)} of them equivalent")
     return 1 if problems else 0
 
 

@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         name: evaluate(read_scenario(SCENARIOS / f"{file}.yaml"), options.seeds) for file, name in NAMES.items()
     }
     lines = [
-        "# What each part buys",
+        "# What each part contributes",
         "",
         "Made by tools/benchmarks/ablation.py. paper: five surfaces, 0.01 to 10 Hz, friction parameters 10 % wrong",
         "with random signs. hard: 0.1 to 1.5 rps, cogging, dwell, asymmetry, friction 30 % and inertia 20 % wrong,",

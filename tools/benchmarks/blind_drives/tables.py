@@ -59,7 +59,7 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     count("effect-free drives with a finding", summary.false_drives, MOST_FALSE)
     count("effect-free drives whose friction is said to be not that of one surface", summary.forms)
     count("effect-free drives called unexplained", summary.unexplained_free)
-    count("drives with an effect that is not named, and nothing said of a rest", summary.silent, 0)
+    count("drives with an effect that is not named, and no residual reported", summary.silent, 0)
     count("drives with effects where something stands beside the truth", summary.extra_drives)
     count("drives with effects whose held-out error is larger after", summary.worse_drives)
     report.figure(f"{label}: median processor time, over two cores", summary.median_s, "s", USUAL_S)
