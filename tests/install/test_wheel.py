@@ -70,7 +70,7 @@ IN_PROCESS = (
     Typed("doctor configs/axis_bench.yaml --seconds 0.1 --record machine", "clock source", "machine", (0, 1)),
     Typed(f"install --root root --program {PROGRAM}", "fffo-drive@.service", "root/etc/fffo-drive/can0.yaml"),
     Typed("manual --path", "fffo_drive/manual/built/index.html"),
-    Typed("bench --quick --out bench", "PI+FFFO", "bench"),
+    Typed("bench --config patient.yaml --drive patient_drive.yaml --out bench", "PI+FFFO", "bench"),
 )
 FROM_A_BUS = (Typed("bring-up {bus} --out axis.yaml --yes --seconds 0.2", "commission axis.yaml", "axis.yaml"),)
 ON_A_BUS = (
