@@ -91,10 +91,13 @@ def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissione
 
 
 def commissioned_delay_s(path: str | Path, axis: AxisFile) -> float | None:
-    """Delay from command to measured velocity, without the hold, that the record of this axis has; None without one."""
-    if axis.commissioning is None:
+    """Delay from command to measured velocity, without the hold, in the record of this axis; None where there is none.
+
+    An axis file of `bring-up` names its record before there is one. Raises DocumentError for one that was edited.
+    """
+    if axis.commissioning is None or not (file := beside(path, axis.commissioning)).exists():
         return None
-    record = read_record(beside(path, axis.commissioning))
+    record = read_record(file)
     return next((check.measured for check in record.checks if check.name == "delay"), None)
 
 
