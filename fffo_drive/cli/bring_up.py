@@ -45,11 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-measure", action="store_true", help="read and write files only")
     parser.add_argument("--yes", action="store_true", help="ask nothing: take what is assumed; starts no motion")
     parser.add_argument("--json", action="store_true", help="print one JSON object, and ask nothing")
-    known = parser.add_argument_group("what no drive tells, or tells wrongly")
+    known = parser.add_argument_group("what no drive reports, or reports wrongly")
     for name, (option, text) in OPTIONS.items():
         known.add_argument(option, dest=name, type=_above_zero, metavar="NUMBER", help=text)
     known.add_argument(
-        "--profile", metavar="NAME", help="its family, where vendor and product do not tell; `fffo-drive config drives`"
+        "--profile",
+        metavar="NAME",
+        help="its family, if vendor and product do not say; `fffo-drive config drives`",
     )
     known.add_argument("--inertia", dest="inertia_kg_m2", type=_above_zero, metavar="KGM2", help="of motor and load")
 

@@ -48,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--rate", type=int, metavar="HZ", help="loop rate of all runs instead of the file's")
     parser.add_argument(
-        "--quick", action="store_true", help=f"runs of {QUICK_S:g} s, and no recipe: a first look, less is told apart"
+        "--quick",
+        action="store_true",
+        help=f"runs of {QUICK_S:g} s, and no recipe: separates fewer effects",
     )
     parser.add_argument("--uncommissioned", action="store_true", help="enable a drive on a bus without its record")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -94,7 +94,7 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
     lines = [f"{eds.path}: {eds.drive_name}", f"  {', '.join(identity) or 'no identity'}", ""]
     lines += [_verdict(eds, fitness), "", "modes (0x6502):"]
     modes = None if fitness.modes is None else ", ".join(mode_names(fitness.modes)) or "none"
-    told = modes or "not told by the file; the drive is asked when it is connected"
+    told = modes or "not in the file; the drive is asked when it is connected"
     lines += textwrap.wrap(told, WIDTH, initial_indent="  ", subsequent_indent="  ")
     if fitness.refusals:
         return lines + _remarks(eds)

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--decide",
         type=_effect_name,
         metavar="EFFECT",
-        help="instead of the file's profile the motion that tells this effect from its lookalikes",
+        help="instead of the file's profile the motion that distinguishes this effect from its lookalikes",
     )
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--out", metavar="FILE", help="file to write (default: recording.directory/NAME_TIME.mcap)")

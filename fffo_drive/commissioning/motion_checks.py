@@ -144,7 +144,7 @@ def scales(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declared
     return [_counts(fit, suspected, plate, facts), _velocity_units(fit, suspected, plate, facts)]
 
 
-CLEARED = "; acceleration per ampere or the encoder objects speak for this one"
+CLEARED = "; acceleration per ampere or the encoder objects agree with this one"
 
 
 def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> CheckRecord:

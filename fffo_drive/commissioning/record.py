@@ -68,8 +68,8 @@ class DriveRecord(StrictRecord):
     product_code: Annotated[int, Field(description="0x1018:2")]
     revision: Annotated[int, Field(description="0x1018:3")]
     serial_number: Annotated[int, Field(description="0x1018:4")]
-    device_name: Annotated[str, Field(description="0x1008; empty: not told")] = ""
-    software_version: Annotated[str, Field(description="0x100A; empty: not told")] = ""
+    device_name: Annotated[str, Field(description="0x1008; empty: not reported")] = ""
+    software_version: Annotated[str, Field(description="0x100A; empty: not reported")] = ""
 
     @classmethod
     def of(cls, identity: DriveIdentity) -> DriveRecord:

@@ -81,7 +81,7 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Dri
     unit_nm = RATED_TORQUE_UNITS[given.get("rated_torque_unit", "mNm")]
     unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
     for key, value in units_told(objects, unit_nm, unit_a).items():
-        put(key, value, "told by the drive")
+        put(key, value, "reported by the drive")
     return DriveProposal(section, sources, tuple(stand_ins), tuple(remarks_told(objects)))
 
 

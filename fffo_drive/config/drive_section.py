@@ -161,7 +161,7 @@ class CanopenDriveSection(StrictRecord):
     ]
     warning_codes: Annotated[
         list[Annotated[int, Field(ge=1, le=0xFFFF)]],
-        Field(description="EMCY codes that only warn, as 0xFF00: told as an event, no reason to stop"),
+        Field(description="EMCY codes that only warn, as 0xFF00: reported as an event, no reason to stop"),
     ] = Field(default_factory=list)
     unserved_status_bits: Annotated[
         list[Literal[9, 12]],

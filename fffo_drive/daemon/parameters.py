@@ -36,7 +36,7 @@ class Bound(StrictRecord):
     """Parameters of what asks for torque or motion."""
 
     epoch: Annotated[
-        int | None, Field(ge=1, description="as a status told it: refused when another one has begun since")
+        int | None, Field(ge=1, description="as a status reported it: refused when another one has begun since")
     ] = None
 
 

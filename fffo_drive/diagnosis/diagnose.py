@@ -231,7 +231,7 @@ def verdict_of(
         return "unexplained", f"Something is left that no effect of the library explains: {rest.sentence}.{form}"
     if form:
         return "no_effect_found", f"No effect found.{form}"
-    return "no_effect_found", "No effect found: nothing is left that these data could tell."
+    return "no_effect_found", "No effect found: nothing is left that these data could show."
 
 
 def contradictions(selected: Selection, fit: Sequence[Record]) -> list[str]:

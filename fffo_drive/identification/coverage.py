@@ -126,7 +126,7 @@ def coverage_lines(coverage: Coverage, linear: bool = False) -> list[str]:
     lines = ["what these data can show:", *(f"  {line}" for line in shown(coverage, linear))]
     wanted = to_record(coverage, linear)
     return lines + (
-        ["what they cannot tell, and what to record for it:", *(f"  {line}" for line in wanted)] if wanted else []
+        ["what they do not determine, and what to record for it:", *(f"  {line}" for line in wanted)] if wanted else []
     )
 
 

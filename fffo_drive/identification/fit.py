@@ -288,7 +288,7 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
     for k, name in enumerate(space.names):
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
             found.append(
-                f"{SYMBOLS[name].symbol} stands at a bound of the fit: the data speak against this part of the model"
+                f"{SYMBOLS[name].symbol} stands at a bound of the fit: the data contradict this part of the model"
             )
     if literal_loss is not None and literal_loss < 0.995:
         found.append(

@@ -147,7 +147,7 @@ class _Recogniser:
 
     def _refuse(self, what: str, how: str) -> None:
         listed = ", ".join(repr(name) for name in self.source.columns)
-        raise RecordingError(f"{self.source.path}: {what} can be told among the columns {listed}: say it with {how}")
+        raise RecordingError(f"{self.source.path}: {what} can be seen among the columns {listed}: say it with {how}")
 
     def _told(self, signal: str) -> _Column | None:
         name = self.hints.roles.get(signal)

@@ -79,7 +79,7 @@ STATE = Message(
         Field("int64", "late", "-", "late ticks since the loop began; -1 without one"),
         Field("int64", "skipped", "-", "skipped ticks since the loop began; -1 without one"),
         Field("int64", "missing_feedback", "-", "ticks without an answer since the loop began; -1 without a loop"),
-        Field("int64", "epoch", "-", "raised by every stop: `start` and `enable` may name it; -1 when it is not told"),
+        Field("int64", "epoch", "-", "raised by every stop: `start` and `enable` may name it; -1 when it is not known"),
         Field("int64", "rows_written", "-", "rows in the recording; -1 when there is none"),
         Field("string", "state", "-", "connected, ready, enabled, running, following, ...: `info` lists them all"),
         Field("string", "fault", "-", "name of the latched fault; empty without one"),

@@ -75,7 +75,7 @@ class EffectModel(StrictRecord):
         Literal["absolute", "run"],
         Field(description="run: what is periodic has another phase in every run, and cannot be compensated"),
     ] = "absolute"
-    alternatives: list[str] = Field(default_factory=list, description="effects that the data could not tell from it")
+    alternatives: list[str] = Field(default_factory=list, description="effects that the data cannot separate from it")
     provenance: Annotated[str, Field(description="the command that fitted it, or the reason that `diagnose` gave")] = ""
 
     def quantities(self) -> dict[str, Quantity]:

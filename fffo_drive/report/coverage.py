@@ -35,7 +35,7 @@ def coverage_section(records: Sequence[Record], coverage: Coverage, linear: bool
     wanted = to_record(coverage, linear)
     if wanted:
         sentences = (f" {line[0].upper()}{line[1:]}." for line in wanted)
-        text += " What they cannot tell, and what to record for it:" + "".join(sentences).replace("`", "")
+        text += " What they do not determine, and what to record for it:" + "".join(sentences).replace("`", "")
     rows = coverage_figures(records, coverage, linear)
     figures = tuple(replace(one, width=WIDTHS[len(row)]) for row in rows for one in row)
     return Section("What these data can show", text, figures)

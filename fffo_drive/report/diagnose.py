@@ -496,7 +496,7 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not open_:
         return ()
     text = "\n".join(_wrapped(f"{_names([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
-    note = "What tells the members of a family apart; `fffo-drive run AXIS --decide EFFECT` does its motions."
+    note = "What distinguishes the members of a family; `fffo-drive run AXIS --decide EFFECT` does its motions."
     return (Listing(name="experiments", title="What would decide", note=note, text=text),)
 
 

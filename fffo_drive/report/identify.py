@@ -351,7 +351,7 @@ def _dependence(results: dict[str, Any], words: IdentifyWords) -> Table:
         name="dependence", title="Is anything left in the residual?", corner="function of the motion",
         note=f"Correlation of the {words.torque} residual with functions of velocity v, acceleration a and the motor's "
              f"{words.torque} u, with the p-value of no connection (two-sided, from the effective number of samples). "
-             "The residual is filtered at 40 Hz, so it is never white; dependence on the motion is what speaks of a "
+             "The residual is filtered at 40 Hz, so it is never white; dependence on the motion is the sign of a "
              "missing effect.",
         columns=columns, rows=rows,
     )  # fmt: skip

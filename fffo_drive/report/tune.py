@@ -163,7 +163,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
     return Table(
         name="margins", title="Margins", corner="loop", rows=rows,
         columns=[Heading(label="phase", unit="deg"), Heading(label="gain"), Heading(label="crossover", unit="Hz")],
-        note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Wished: at least "
+        note=f"With {significant(1e3 * axis.delay_s)} ms of delay, at the smallest damping. Required: at least "
              f"{wish.phase_margin_deg:g}° and {wish.gain_margin:g}.{'' if axis.estimator is None else TWO_CUTS}",
     )  # fmt: skip
 

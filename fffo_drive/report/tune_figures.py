@@ -159,7 +159,7 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
         Figure(
             name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
             caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
-                    f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° were wished.",
+                    f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° are required.",
             x=x, y=PlotAxis("phase", "deg"), series=tuple(phase),
             levels=(LevelLine(-180.0, "−180°"), LevelLine(wanted - 180.0, f"{wanted:g}° margin"), *levels),
         ),
@@ -204,7 +204,7 @@ def damping_figures(tuning: Tuning) -> list[Figure]:
                 Series("PI and L", damping, np.array(phase["PI and L"]), "orange", dash="dashdot", weight=1.8),
             ),
             spans=(Span(held.lowest, held.highest, "margins hold"),),
-            levels=(LevelLine(tuning.wish.phase_margin_deg, "wished"), LevelLine(own, "smallest", upright=True)),
+            levels=(LevelLine(tuning.wish.phase_margin_deg, "required"), LevelLine(own, "smallest", upright=True)),
         ),
         Figure(
             name="damping-over-amplitude", kind="xy", title="Friction's damping over amplitude", width="half",

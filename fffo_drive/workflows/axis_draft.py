@@ -95,7 +95,7 @@ def drive_section(place: Place, facts: SourcedFacts) -> list[tuple[str, Fact]]:
     if place.turnaround_us is not None:
         lines.append(("turnaround_us", place.turnaround_us))
     if facts.writes:
-        lines.append(("sdo", Fact("", "what the drive has not been told yet, written before it is enabled")))
+        lines.append(("sdo", Fact("", "what is not configured in the drive yet, written before it is enabled")))
         for name, number in facts.writes.items():
             why = "rated torque of the motor" if name.startswith("0x6076") else "rated current of the motor"
             lines.append(("  -", Fact(f"{{object: {name[:6]}, value: {number}, bytes: 4, why: {why}}}", "given")))

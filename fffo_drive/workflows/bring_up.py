@@ -298,7 +298,7 @@ def _where_to_look(bus: str) -> str:
 
 
 def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, SourcedFacts, list[Emergency]]:
-    talk.tell(f"reading what node {node.node_id} tells")
+    talk.tell(f"reading the objects of node {node.node_id}")
     service = open_service(_service_link(wishes.bus, node.node_id), node.node_id)
     try:
         objects = ToldObjects(service.read)
@@ -326,7 +326,7 @@ def _propose(
     if facts.missing:
         findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
-        findings.insert(0, failure("not known", f"the drive does not tell: {asked}", "give these options"))
+        findings.insert(0, failure("not known", f"the drive does not report: {asked}", "give these options"))
         options = tuple(OPTIONS[name][0] for name in facts.missing)
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings), missing=options)
@@ -335,7 +335,7 @@ def _propose(
         draft = make_draft(place, facts, objects)
     except DocumentError as error:
         findings = [
-            failure("values", text, "what the drive tells cannot be: give the right value by an option")
+            failure("values", text, "the drive reports an impossible value: give the right one by an option")
             for text in str(error).splitlines()
         ]
         findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]

@@ -77,7 +77,7 @@ def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> li
 
 def _state(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
     if word is None:
-        yield failure("state", "the drive tells no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
+        yield failure("state", "the drive reports no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
         return
     state, text = state_of(word), f"statusword 0x{word:04X}: {state_name(word)}"
     if state in FAULT_STATES:
@@ -208,7 +208,7 @@ def _brake(objects: ToldObjects) -> Iterator[HostFinding]:
 def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding]:
     for index, what in ((0x6076, "rated torque"), (0x6075, "rated current")):
         if objects.value(index) == 0:
-            text = f"0x{index:04X} ({what}) is 0: the drive has not been told its motor"
+            text = f"0x{index:04X} ({what}) is 0: the motor has not been configured in the drive"
             if f"0x{index:04X}:00" in written:
                 yield warning("motor", f"{text}; the axis file writes it", "see that the drive's motor data are right")
             else:
@@ -226,4 +226,4 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding
 def _unreadable(objects: ToldObjects) -> Iterator[HostFinding]:
     if objects.unreadable:
         told = ", ".join(f"{name} ({reason})" for name, reason in sorted(objects.unreadable.items()))
-        yield warning("not read", f"objects that tell nothing: {told}", "see the vendor's manual")
+        yield warning("not read", f"objects that could not be read: {told}", "see the vendor's manual")

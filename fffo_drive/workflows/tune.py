@@ -124,6 +124,6 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
         raise DocumentError(
-            f"--bandwidth-hz {wish.bandwidth_hz:g}: {text}A crossover of {crossover_hz:.3g} Hz has them"
+            f"with the wanted crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
     raise DocumentError(f"{model.name}: {text}No crossover has them: ask for smaller margins")

@@ -228,7 +228,7 @@ def test_an_object_that_cannot_be_read_is_named(bus, tmp_path):
         report = bring_up_axis(wishes(bus), Person())
     assert report.ready
     assert report.unreadable == {"0x6079:00": "abort 0x08000020"}
-    assert said(report) == ["not read: objects that tell nothing: 0x6079:00 (abort 0x08000020)"]
+    assert said(report) == ["not read: objects that could not be read: 0x6079:00 (abort 0x08000020)"]
 
 
 def test_nobody_on_the_bus(bus, tmp_path):

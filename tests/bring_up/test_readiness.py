@@ -50,8 +50,8 @@ def test_nothing_stands_in_the_way_of_a_drive_that_can_be_enabled(ready):
             "STO: 0x60FD is 0x00000008: the interlock input (bit 3; STO in most drives) is active",
         ),
         ({(0x60FD, 0): u32(3)}, "limit switches: 0x60FD is 0x00000003: both limit switches are active"),
-        ({(0x6076, 0): u32(0)}, "motor: 0x6076 (rated torque) is 0: the drive has not been told its motor"),
-        ({(0x6075, 0): u32(0)}, "motor: 0x6075 (rated current) is 0: the drive has not been told its motor"),
+        ({(0x6076, 0): u32(0)}, "motor: 0x6076 (rated torque) is 0: the motor has not been configured in the drive"),
+        ({(0x6075, 0): u32(0)}, "motor: 0x6075 (rated current) is 0: the motor has not been configured in the drive"),
         ({(0x6072, 0): b"\0\0"}, "torque limit: 0x6072 is 0: the drive makes no torque"),
     ],
 )  # fmt: skip
@@ -71,7 +71,7 @@ def test_one_obstacle_is_one_sentence(changes, said):
         ({(0x6072, 0): struct.pack("<H", 100)}, "torque limit: 0x6072 limits the torque to 10% of the rated torque"),
         ({(0x60FE, 1): u32(1)}, "brake: the brake is set (0x60FE:01, bit 0)"),
         ({(0x6079, 0): u32(0)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied, though bit 4"),
-        ({(0x60FD, 0): 0x08000020}, "not read: objects that tell nothing: 0x60FD:00 (abort 0x08000020)"),
+        ({(0x60FD, 0): 0x08000020}, "not read: objects that could not be read: 0x60FD:00 (abort 0x08000020)"),
     ],
 )  # fmt: skip
 def test_what_may_be_in_the_way_is_a_warning(changes, said):
@@ -108,7 +108,7 @@ def test_a_rating_that_the_axis_file_writes_is_no_obstacle():
 
 
 def test_a_drive_without_a_statusword():
-    assert in_the_way(told(without=((0x6041, 0),)))[0] == "state: the drive tells no statusword (0x6041)"
+    assert in_the_way(told(without=((0x6041, 0),)))[0] == "state: the drive reports no statusword (0x6041)"
 
 
 def test_how_coarse_a_velocity_is():

@@ -63,7 +63,7 @@ def check_device_type(objects: DriveObjects, config: CanopenDriveConfig) -> list
         return ["0x1000:00 (device type) does not tell a number"]
     return [
         f"0x1000:00 says 0x{told:08X}, which is no CiA 402 drive (0x0192 in the low word); is the node id right? "
-        "A drive that does not tell its profile takes drive.device_profile: null"
+        "For a drive that does not report its profile set drive.device_profile: null"
     ]
 
 

@@ -61,7 +61,7 @@ REACTIONS: dict[str, Way] = {
     "abort_connection": Way(((0x6007, 0),), "0x6007 says how it stops"),
     "error_behaviour": Way(((0x1029, 1),), "it leaves OPERATIONAL (0x1029)"),
     "vendor": Way((), "a setting of the vendor's, made by drive.sdo"),
-    "none": Way((), "not told: what the drive does is its own"),
+    "none": Way((), "not configured: what the drive does is its own"),
 }
 
 

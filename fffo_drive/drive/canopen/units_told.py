@@ -49,7 +49,7 @@ def remarks_told(objects: DriveObjects) -> list[str]:
     found = []
     motor, shaft = objects.value(0x6091, 1), objects.value(0x6091, 2)
     if motor and shaft and motor != shaft:
-        found.append(f"0x6091 tells a gear of {motor} to {shaft}: counts and velocity are those of the motor's shaft")
+        found.append(f"0x6091 declares a gear of {motor} to {shaft}: counts and velocity are of the motor's shaft")
     polarity = objects.value(0x607E) or 0
     turned = [name for bit, name in ((7, "position"), (6, "velocity")) if polarity >> bit & 1]
     if turned:

@@ -40,7 +40,7 @@ class NodeConfig:
     device: DeviceConfig = field(default_factory=DeviceConfig)
     identity: Identity = field(default_factory=Identity)
     velocity_counts_per_rps: int = key(
-        32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second, where no object tells them"
+        32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second, where no object declares them"
     )
     undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "of dc_link_v: below, the drive trips with 0x3220")
     overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")

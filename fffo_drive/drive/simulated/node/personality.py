@@ -37,7 +37,7 @@ class Personality:
     brake_release_s: float = key(0.0, "s", 0.0, 10.0, "holding brake: opens so long after enabling; 0 for no brake")
     sto_active: bool = note(False, "safe torque off: bit 4 of the statusword is 0, the drive does not switch on")
     sto_input_bit: int = key(3, "-", 0, 31, "bit of 0x60FD that is 1 while safe torque off is active")
-    dc_link_share: float = key(1.0, "-", 0.0, 2.0, "of plant.dc_link_v, as 0x6079 tells it; too low: no switching on")
+    dc_link_share: float = key(1.0, "-", 0.0, 2.0, "of plant.dc_link_v, as 0x6079 reports it; too low: no switching on")
     encoder_counts_per_rev: int = key(0, "-", 0, 1 << 30, "of the encoder; 0: what 0x608F says, or the resolver's")
     rated_torque_unit_nm: float = key(1e-3, "Nm", 1e-9, 1.0, "unit of 0x6076")
     rated_current_unit_a: float = key(1e-3, "A", 1e-9, 1.0, "unit of 0x6075")
