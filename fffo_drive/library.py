@@ -207,10 +207,9 @@ def read_run(
         declared = facts_for(None, [path])
     if "profile_sample" not in recording.columns:
         return MeasuredRun(name or path.name, dict(recording.columns), declared, path)
-    samples = recording.metadata.get("profile_samples")
     return MeasuredRun(
         name or path.name, dict(recording.columns), declared, path, None, np.asarray(recording.rows),
-        None if samples is None else int(samples),
+        recording.profile_samples,
     )  # fmt: skip
 
 

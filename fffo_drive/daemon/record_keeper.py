@@ -85,7 +85,8 @@ class RecordKeeper:
             number += 1
             path = directory / f"{timestamp_name(plan.axis.name, time.time_ns())}_{number}.mcap"
         facts = {"commissioning": note, "source": "daemon", "connection": str(connection.number)}
-        metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile, facts)
+        # profiles come and go while it records: each has a record of its own
+        metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile.period_s, facts)
         header = RunHeader(metadata, (sources.axis, sources.model, *sources.extra), wall_clock_offset_ns())
         recorder = Recorder(
             connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True,

@@ -18,7 +18,7 @@ from ..signals import ROW, SIGNALS, UNITS
 from ..units import NS_PER_S
 from .errors import RecordingError, did_you_mean
 from .events import Event, decode_event
-from .run_records import RECORD_TOPIC, RECORD_TYPE, RunRecord, decode_record
+from .run_records import RECORD_TOPIC, RECORD_TYPE, RecordKind, RunRecord, decode_record
 from .scan import (
     HEAD_SIZE,
     DamagedRecordError,
@@ -94,6 +94,16 @@ class Run:
         if name not in self.columns:
             raise RecordingError(f"{self.path}: no column {name!r}: {did_you_mean(name, self.columns)}")
         return self.columns[name]
+
+    @property
+    def profile_samples(self) -> int | None:
+        """Samples of the profile that ran; None where several ran (a service's recording), or where nothing says it."""
+        sizes = {record.number: record.by_name for record in self.records if record.kind == RecordKind.PROFILE}
+        if sizes and {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
+            ran = np.unique(self.rows["profile_number"][self.rows["profile_sample"] >= 0])
+            return int(sizes[int(ran[0])]["samples"]) if ran.size == 1 and int(ran[0]) in sizes else None
+        told = self.metadata.get("profile_samples")
+        return None if told is None else int(told)
 
     def describe(self) -> dict[str, Any]:
         """The recording in one JSON object."""

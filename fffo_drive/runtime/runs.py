@@ -79,15 +79,13 @@ def with_words(text: str, drive_words: str) -> str:
 
 
 def run_metadata(
-    name: str, identity: DriveIdentity, toggle: int, profile: Profile, extra: Mapping[str, str] | None = None
+    name: str, identity: DriveIdentity, toggle: int, period_s: float, extra: Mapping[str, str]
 ) -> dict[str, str]:
     """What stands in the metadata record of a run."""
     return {
         "axis": name,
         "controller": TOGGLE_NAMES[toggle],
-        "profile": profile.name,
-        "profile_samples": str(profile.values.size),
-        "period_s": repr(profile.period_s),
+        "period_s": repr(period_s),
         "fffo_drive": __version__,
         "kernels": kernel_digest(),
         "python": platform.python_version(),
@@ -97,7 +95,7 @@ def run_metadata(
         "drive_product": f"0x{identity.product_code:08X}",
         "drive_revision": f"0x{identity.revision:08X}",
         "drive_serial": f"0x{identity.serial_number:08X}",
-        **(extra or {}),
+        **extra,
     }
 
 

@@ -54,25 +54,25 @@ def evaluate_recordings(
 ) -> tuple[Yardstick, list[Evaluation], list[str]]:
     """Recorded runs by controller; the n-th run of each is its seed n. Also what speaks against comparing them."""
     runs = [read_run(file) for file in files]
-    shapes = {(run.metadata.get("profile_samples"), run.metadata.get("period_s")) for run in runs}
+    shapes = {(run.profile_samples, run.metadata.get("period_s")) for run in runs}
     cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
     if len(shapes) > 1:
         cautions.append("The recordings do not share one profile: their metrics are of different references.")
     rows = [_profile_of(run) for run in runs]
-    for run, own in zip(runs, rows, strict=True):
-        reached = (int(own["profile_sample"][-1]) + 1) / int(run.metadata["profile_samples"])
+    for run, (own, samples) in zip(runs, rows, strict=True):
+        reached = (int(own["profile_sample"][-1]) + 1) / samples
         if reached < WHOLE_SHARE:
             cautions.append(f"{run.path.name}: it ended after {100.0 * reached:.0f} % of its profile.")
     if yardstick is None:
-        largest_rps = max(float(np.abs(own["reference_rps"] - own["velocity_rps"]).max()) for own in rows)
+        largest_rps = max(float(np.abs(own["reference_rps"] - own["velocity_rps"]).max()) for own, _ in rows)
         yardstick = Yardstick(BANDS_RPS, np.linspace(-largest_rps, largest_rps, HISTOGRAM_BINS + 1))
     counted: dict[str, int] = {}
     evaluations = []
-    for run, own in zip(runs, rows, strict=True):
+    for run, (own, samples) in zip(runs, rows, strict=True):
         name = controller_name(run)
         counted[name] = counted.get(name, 0) + 1
         period_s = float(run.metadata["period_s"])
-        windows = cutouts_of(period_s * int(run.metadata["profile_samples"])) if counted[name] == 1 else ()
+        windows = cutouts_of(period_s * samples) if counted[name] == 1 else ()
         evaluations.append(evaluation_of(name, counted[name], trace_of(own, period_s), yardstick, windows))
     return yardstick, evaluations, cautions
 
@@ -89,12 +89,15 @@ def controller_name(run: Run) -> str:
     return name
 
 
-def _profile_of(run: Run) -> Rows:
-    samples = int(run.metadata.get("profile_samples", 0))
-    inside = run.rows[(run.rows["profile_sample"] >= 0) & (run.rows["profile_sample"] < samples)]
+def _profile_of(run: Run) -> tuple[Rows, int]:
+    """The rows inside the profile of a run, and its samples. Raises DocumentError."""
+    samples, sample = run.profile_samples or 0, run.rows["profile_sample"]
+    if samples == 0 and (sample >= 0).any():
+        raise DocumentError(f"{run.path}: holds more than one profile: give runs of one each")
+    inside = run.rows[(sample >= 0) & (sample < samples)]
     if inside.size == 0 or "period_s" not in run.metadata:
         raise DocumentError(f"{run.path}: holds no profile in which the velocity loop was closed")
-    return inside
+    return inside, samples
 
 
 def evaluate_on_bus(

@@ -160,16 +160,19 @@ def connect(drive: Drive, given: Permission) -> DriveIdentity:
 
 def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permission | None = None) -> RunHeader:
     """Metadata and attachments: the file as it was read, the model, the record of commissioning where there is one."""
-    extra = {"commissioning": given.note} if given else None
-    metadata = run_metadata(plan.axis.name, identity, toggle, plan.profile, extra)
+    profile = plan.profile
+    extra = {"profile": profile.name, "profile_samples": str(profile.values.size)}
+    if given:
+        extra["commissioning"] = given.note
+    metadata = run_metadata(plan.axis.name, identity, toggle, profile.period_s, extra)
     model_path = beside(plan.path, plan.axis.model)
     attachments: tuple[tuple[str, str, bytes], ...] = (
         (plan.path.name, YAML_TYPE, plan.path.read_bytes()),
         (model_path.name, YAML_TYPE, model_path.read_bytes()),
     )
     if isinstance(plan.axis.drive, CanopenDriveSection) and plan.axis.drive.profile is not None:
-        profile = profile_path(plan.path, plan.axis.drive.profile)
-        attachments += ((profile.name, YAML_TYPE, profile.read_bytes()),)
+        family = profile_path(plan.path, plan.axis.drive.profile)
+        attachments += ((family.name, YAML_TYPE, family.read_bytes()),)
     if given is not None and given.file is not None:
         attachments += ((given.file.name, YAML_TYPE, given.file.read_bytes()),)
     return RunHeader(metadata, attachments)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recording.samples import WALL_NS, FakeClock, FakeRing, random_rows
 
-from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.reader import Run, read_run
 from fffo_drive.recording.recorder import Recorder
 from fffo_drive.recording.recover import recover
 from fffo_drive.recording.run_records import (
@@ -207,3 +209,20 @@ def test_records_survive_a_torn_file(tmp_path):
 def test_random_rows_are_no_trouble_for_what_is_in_force():
     told = Told()
     still_in_force(told.book.listen(lambda record: None), random_rows(1)[0])
+
+
+def test_the_profile_that_ran_is_the_one_whose_record_its_rows_name():
+    rows = np.zeros(8, ROW)
+    rows["profile_sample"] = [-1, 0, 1, 2, 3, -1, -1, -1]
+    rows["profile_number"] = [1, 2, 2, 2, 2, 2, 2, 2]
+    sizes = {1: 100, 2: 4}
+    records = tuple(
+        RunRecord(0, number, number, RecordKind.PROFILE, ("samples",), (float(samples),), {})
+        for number, samples in sizes.items()
+    )
+    run = Run(Path("run.mcap"), rows, rows["deadline_ns"], {}, {}, {}, {}, {}, (), records, True, "")
+    assert run.profile_samples == 4
+    rows["profile_number"][1] = 1
+    assert run.profile_samples is None  # a service's recording: two ran
+    assert replace(run, records=()).profile_samples is None
+    assert replace(run, records=(), metadata={"profile_samples": "7"}).profile_samples == 7  # files of older versions

@@ -58,12 +58,13 @@ def test_runs_that_are_whole_have_no_such_caution():
 
 
 def test_a_recording_that_stops_before_its_profile_does_is_named(monkeypatch):
-    facts = {"profile_samples": str(SAMPLES), "period_s": str(PERIOD_S)}
-
     def recorded(file):
         kept = range(SAMPLES // 2 if file == "early" else SAMPLES)
-        metadata = {**facts, evaluate_live.CANDIDATE: file}
-        return SimpleNamespace(rows=rows_of(kept, 0.01), metadata=metadata, complete=True, reason="", path=Path(file))
+        metadata = {"period_s": str(PERIOD_S), evaluate_live.CANDIDATE: file}
+        return SimpleNamespace(
+            rows=rows_of(kept, 0.01), metadata=metadata, profile_samples=SAMPLES, complete=True, reason="",
+            path=Path(file),
+        )  # fmt: skip
 
     monkeypatch.setattr(evaluate_live, "read_run", recorded)
     _, evaluations, cautions = evaluate_live.evaluate_recordings(["early", "whole"], None)
