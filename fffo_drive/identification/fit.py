@@ -287,9 +287,8 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
         found.append(f"the fit had not settled after {solution.iterations} iterations")
     for k, name in enumerate(space.names):
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
-            found.append(
-                f"{SYMBOLS[name].symbol} stands at a bound of the fit: the data contradict this part of the model"
-            )
+            symbol = SYMBOLS[name].symbol if name in SYMBOLS else name  # of an effect: effect.parameter
+            found.append(f"{symbol} stands at a bound of the fit: the data contradict this part of the model")
     if literal_loss is not None and literal_loss < 0.995:
         found.append(
             f"the rising (literal) Stribeck curve fits better: its loss is {literal_loss:.3f} times the falling one's"

@@ -36,7 +36,7 @@ from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.passivity import comes_to_rest
 from fffo_drive.evaluation.random_axis import RandomAxis, wide_axis
-from fffo_drive.evaluation.robustness import STABLE, probe
+from fffo_drive.evaluation.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
@@ -60,6 +60,7 @@ CREEP_FROM_S, CREEP_TO_S = 0.7, 5.7  # after the stop: five seconds, when the co
 CREEP_MEAN_S = 0.2  # over which a position is averaged
 MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
 COUNTS_PER_REV = 2.0**15
+CRASHED = "crashed"
 
 
 class Outcome(NamedTuple):
@@ -197,7 +198,9 @@ def run_job(job: Job) -> Outcome:
         candidate, phase_deg, share = tuned(scenario.axis, model, measured_s)
     except (ValueError, DocumentError) as error:
         refused = str(error).splitlines()[0]
-    verdict, creep = ("refused", math.nan)
+    except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
+        refused = f"{CRASHED}: {type(error).__name__}: {error}"
+    verdict, creep = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan)
     if candidate is not None:
         verdict, creep = probe(case, candidate).verdict, creep_counts(case, candidate)
     return Outcome(
@@ -213,11 +216,13 @@ def table(found: list[Outcome]) -> list[str]:
         f"{len(found)} axes, numbers {found[0].number} to {found[-1].number}; {len(found) - len(passive)} that no "
         "controller can bring to rest are left out below.",
         "",
-        "| gains | " + " | ".join(("stable", "hunting", "limit cycle", "unstable", "tripped", "refused")) + " | creep "
+        "| gains | "
+        + " | ".join(("stable", "hunting", "limit cycle", "unstable", "tripped", "refused", CRASHED))
+        + " | creep "
         f"over {MOST_CREEP_COUNTS:g} counts in 5 s | median, 95 % quantile of it |",
-        "|---|" + "---|" * 8,
+        "|---|" + "---|" * 9,
     ]
-    verdicts = (STABLE, "hunting at standstill", "limit cycle in motion", "at the current limit", "tripped", "refused")
+    verdicts = (STABLE, HUNTING, CYCLE, UNSTABLE, TRIPPED, "refused", CRASHED)
     for name, which in (("as in the scenario", "nominal"), ("identified and tuned", "verdict")):
         counted = Counter(getattr(one, which) for one in passive)
         creeps = np.array([one.creep_counts if which == "verdict" else one.nominal_creep_counts for one in passive])
