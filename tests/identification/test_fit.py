@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from identification.rig import PERIOD_S, random_plant, record, truth
@@ -12,7 +14,7 @@ from fffo_drive.identification.coordinates import MODEL_PARAMETERS, PARAMETERS
 from fffo_drive.identification.dataset import DataError
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
-from fffo_drive.identification.fit import FitSettings, fit_records
+from fffo_drive.identification.fit import FitSettings, _warnings, fit_records
 from fffo_drive.identification.results import model_file, report
 from fffo_drive.model.parameters import read_model, write_model
 
@@ -99,3 +101,10 @@ def test_logs_of_different_rates_are_not_mixed():
         fit_records([first, second])
     with pytest.raises(DataError, match="no logs"):
         fit_records([])
+
+
+def test_what_stands_at_a_bound_is_named_by_its_symbol_and_a_number_of_an_effect_by_its_name():
+    space = SimpleNamespace(names=("coulomb_nm", "asymmetric_coulomb.share"), low=np.zeros(2), high=np.ones(2))
+    solution = SimpleNamespace(converged=True, values=np.array([0.0, 1.0]))
+    said = _warnings(None, solution, space, None)
+    assert [text.split(" stands at a bound")[0] for text in said] == ["Fc", "asymmetric_coulomb.share"]
