@@ -69,7 +69,7 @@ def stop_after_trip(
     left_s = float(after.time_s[left[0]] - after.time_s[0]) if left.size else math.nan
     quiet_rps = max(QUIET_RPS, QUIET_SHARE * peak_rps)
     end = after.part(after.time_s >= after.time_s[-1] - STAND_S)
-    stands = abs(end.position_rev[-1] - end.position_rev[0]) <= quiet_rps * STAND_S
+    stands = bool(np.ptp(end.position_rev) <= quiet_rps * STAND_S)
     noise_rps = float(np.std(end.velocity_rps))
     moving = np.flatnonzero(np.abs(after.velocity_rps) > max(quiet_rps, NOISE_SIGMAS * noise_rps))
     stop_s = float(after.time_s[moving[-1]] - after.time_s[0]) if moving.size else 0.0
