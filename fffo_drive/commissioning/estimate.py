@@ -28,7 +28,8 @@ SLIDING_SHARE = 0.3  # of a pulse's peak speed: above, friction changes little
 FAST_SHARE = 0.5
 SHORTEST_STRETCH = 8  # rows
 # of the variance of the velocity that one rigid inertia leaves: beyond the first, gain and delay are rough (backlash,
-# elasticity, strong cogging); beyond the second they are wrong, an axis that is held (results/chain.md, its axes)
+# elasticity, strong cogging); beyond the second they are wrong: an axis that is held, or whose load swings (axes of
+# results/chain.md: from 0.5 on the gain is negative or the delay 20 ms)
 RIGID_UNEXPLAINED = 0.1
 LARGEST_UNEXPLAINED = 0.5
 
