@@ -30,7 +30,7 @@ SHORTEST_STRETCH = 8  # rows
 # of the variance of the velocity that one rigid inertia leaves: beyond the first, gain and delay are rough (backlash,
 # elasticity, strong cogging); beyond the second they are wrong: an axis that is held, or whose load swings. On the axes
 # 3300 to 3399 of tools/benchmarks/chain.py the delay was off by 0.2 ms in the median and 2.3 ms at most on the 16
-# between the two, and by 16 ms on the one beyond; of the six shorter by 0.3 ms or more `tune` takes the fitted delay
+# between the two, and by 16 ms on the one beyond; `tune` takes the longer of it and the fitted delay
 RIGID_UNEXPLAINED = 0.1
 LARGEST_UNEXPLAINED = 0.5
 
