@@ -237,7 +237,7 @@ def test_no_object_where_the_standard_has_a_default(config):
 def test_a_drive_that_does_not_tell_profile_and_modes(config):
     bare = objects_of({(0x1000, 0): U32(0)}, without=(0x6502,))
     text = refusal(config, bare)
-    assert "takes drive.device_profile: null" in text
+    assert "set drive.device_profile: null" in text
     assert "takes drive.modes_told: false" in text
     known = dataclasses.replace(config, device_profile=None, modes_told=False)
     with ScriptedNode(config.bus, NODE, bare), CanopenDrive(known) as drive:
