@@ -230,7 +230,7 @@ static double moved(double value, double way, double bound, double step_share)
 }
 
 static bool learn(const struct controller_config *config, struct adaptation_state *s, const struct adapted *given,
-                  const struct law *law, const struct controller_state *state)
+                  const struct law_output *law, const struct controller_state *state)
 {
     const struct adaptation_config *a = &config->adaptation;
     if (!a->used || law->mode != MODE_VELOCITY || state->toggle != TOGGLE_FEEDFORWARD)

@@ -162,11 +162,11 @@ static struct velocity_estimator_terms estimate_velocity(const struct controller
     return velocity_estimator_step(&config->velocity, state, blocks->commands, &measured);
 }
 
-static struct law apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
+static struct law_output apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
                             const struct reference *reference, double velocity_rps, int64_t toggle, bool active,
                             double added_nm, double followed_rps)
 {
-    struct law law = {.mode = MODE_IDLE};
+    struct law_output law = {.mode = MODE_IDLE};
     if (!active || mode == MODE_CURRENT) {
         if (active) {
             law.mode = MODE_CURRENT;
@@ -188,7 +188,7 @@ static bool in_local_control(int64_t served_bits, int64_t statusword)
 
 static struct envelope_inputs look(const struct feedback *feedback, const struct loop_config *config,
                                    const struct timing *timing,
-                                   const struct baseline *baseline, const struct law *law, bool wanted, bool enabled,
+                                   const struct baseline *baseline, const struct law_output *law, bool wanted, bool enabled,
                                    int64_t skipped_ticks)
 {
     return (struct envelope_inputs){
@@ -231,7 +231,7 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, boo
 }
 
 static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
-                      const struct law *law, const struct adapted *given, const struct adaptation_state *learned,
+                      const struct law_output *law, const struct adapted *given, const struct adaptation_state *learned,
                       const struct velocity_estimator_terms *estimate,
                       const struct envelope_inputs *seen, const struct feedback *feedback)
 {
@@ -363,7 +363,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
                                                                      cursor.mode, &timing, feedback, active);
         given = give_adapted(&controller_config, &learned, &controller, cursor.mode, &reference, toggle, active,
                              given.torque_nm);
-        struct law law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
+        struct law_output law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
                                    toggle, active, given.torque_nm, estimate.followed_rps);
 
         struct envelope_inputs seen = look(feedback, config, &timing, &baseline, &law, wanted, enabled,
