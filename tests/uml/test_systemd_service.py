@@ -42,6 +42,7 @@ AXIS: dict[str, Any] = {
     "model": "models/table1.yaml",
     "controller": {
         "proportional_a_per_rps": 0.1, "integral_a_per_rev": 0.2, "current_limit_a": 12, "observer": {"toggle": "off"},
+        "at_rest": {"gain_share": 0.1},  # a period of 10 ms is a delay that the contact's spring does not bear
     },
     "envelope": {
         "current_limit_a": 14, "continuous_current_a": 8.3, "speed_limit_rps": 25, "following_error_rps": 8,
