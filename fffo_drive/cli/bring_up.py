@@ -2,11 +2,11 @@
 
 fffo-drive bring-up socketcan:can0 --out axis.yaml
 
-Listens whether somebody else commands on the bus, scans it (nodes without an id too, by LSS), reads what the drive
-tells, says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow
+Listens whether somebody else commands on the bus, scans it (nodes without an id too, by LSS), reads its
+objects, says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow
 (SYNC and feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
 
-What no drive tells is asked on a terminal, or given by options. For the measurement the drive's PDOs, its monitoring
+What no drive reports is asked on a terminal, or given by options. For the measurement the drive's PDOs, its monitoring
 and what its profile writes are set up as for a run; nothing is stored in it. The next step is `fffo-drive commission`,
 which moves the axis.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..commissioning.bounds import Bounds, BoundsError, make_bounds
-from ..commissioning.procedure import CommissioningOutcome, commission
+from ..commissioning.procedure import commission
 from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
 from ..config.axis import beside, build_profile, model_of, read_axis
 from ..config.checks import bus_problems, require
@@ -60,14 +60,8 @@ def commission_axis(
     except BoundsError as error:
         require(plan.path, [f"envelope.position_window_rev: {error}"])
         raise
-    return write_record(out, record_of(plan, outcome, bounds, bus))
-
-
-def record_of(plan: Plan, outcome: CommissioningOutcome, bounds: Bounds, bus: str | None = None) -> CommissioningRecord:
-    """The record of what was found."""
     section = plan.axis.drive
-    facts = declared_facts(plan.axis, plan.model)
-    return CommissioningRecord(
+    record = CommissioningRecord(
         axis=plan.axis.name,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         tool=f"fffo_drive {__version__}",
@@ -80,3 +74,4 @@ def record_of(plan: Plan, outcome: CommissioningOutcome, bounds: Bounds, bus: st
         verdict=overall(outcome.checks),
         checks=outcome.checks,
     )
+    return write_record(out, record)

@@ -184,4 +184,4 @@ def test_a_directory_with_other_files_is_not_overwritten(tmp_path):
 def test_the_readme_is_short_and_its_links_lead_somewhere():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.encode()) <= 5000
-    assert [t for t in re.findall(r"\]\(([^)#]+)\)", text.replace("\n   ", " ")) if not (ROOT / t).exists()] == []
+    assert [t for t in re.findall(r"\]\(([^)#]+)\)", text.replace("\n   ", " ")) if not (ROOT / t).is_file()] == []
