@@ -1,8 +1,9 @@
 """Check signs, scales, delay and limits of an axis before any loop is closed, and write a record of it.
 
 The axis moves: small current pulses of both signs grow until it turns a little; it asks first (`--yes`: it does not).
-Current, speed, travel and time are bounded, and the first surprise ends it. `fffo-drive run` enables a drive on a bus
-only with a record that has passed, for this drive and these declared facts: name it under `commissioning:` in the file.
+Current, speed, travel and time are bounded, and it stops at the first unexpected result. `fffo-drive run` enables a
+drive on a bus only with a record that has passed, for this drive and these declared facts: name it under
+`commissioning:` in the file.
 """
 
 from __future__ import annotations
