@@ -18,19 +18,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from .motion import Integers, PulseMotion, extreme, integral, pulse_windows
+from .motion import Integers, PulseMotion, extreme, integral, pulse_starts, pulse_windows
 
 Floats = npt.NDArray[np.float64]
 
-LONGEST_DELAY_S = 0.05
 LARGEST_AGE_S = 0.02
+DELAY_STEP_S = 5e-4  # of the grid that comes before golden section
 SLIDING_SHARE = 0.3  # of a pulse's peak speed: above, friction changes little
 FAST_SHARE = 0.5
 SHORTEST_STRETCH = 8  # rows
 # of the variance of the velocity that one rigid inertia leaves: beyond the first, gain and delay are rough (backlash,
 # elasticity, strong cogging); beyond the second they are wrong: an axis that is held, or whose load swings. On the axes
-# 3300 to 3399 of tools/benchmarks/chain.py the delay was off by 0.2 ms in the median and 2.3 ms at most on the 16
-# between the two, and by 16 ms on the one beyond; `tune` takes the longer of it and the fitted delay
+# 3300 to 3399 of tools/benchmarks/chain.py the delay was off by 0.3 ms in the median and 2.8 ms at most on the 16
+# between the two, and by 14 ms on the one beyond; `tune` takes the longer of it and the fitted delay
 RIGID_UNEXPLAINED = 0.1
 LARGEST_UNEXPLAINED = 0.5
 
@@ -54,9 +54,12 @@ class GainFit(NamedTuple):
 
     gain_rps2_per_a: float  # Kt/J in the units of the velocity word
     delay_s: float  # from the tick that computes a command to the velocity that shows it, without the hold
-    friction_a: float  # kinetic friction in terms of current
-    error_rps: float  # root mean square of the residual
     unexplained: float  # share of the velocity's variance that the fit leaves
+
+    @property
+    def rigid(self) -> bool:
+        """Whether one rigid inertia explains the motion well enough to believe gain and delay."""
+        return self.gain_rps2_per_a > 0.0 and self.unexplained <= LARGEST_UNEXPLAINED
 
 
 def _search(cost: Callable[[float], float], low: float, high: float, step: float) -> float:
@@ -104,7 +107,7 @@ def fit_scale(motion: PulseMotion) -> ScaleFit:
         rest = target - ratio * late
         return ratio, float(rest @ rest)
 
-    age_s = _search(lambda a: ratio_and_rest(a)[1], -0.5 * LARGEST_AGE_S, LARGEST_AGE_S, 5e-4)
+    age_s = _search(lambda a: ratio_and_rest(a)[1], -0.5 * LARGEST_AGE_S, LARGEST_AGE_S, DELAY_STEP_S)
     return ScaleFit(ratio_and_rest(age_s)[0], age_s)
 
 
@@ -131,8 +134,22 @@ def sliding_stretches(motion: PulseMotion, share: float) -> list[slice]:
     return found
 
 
+def _soonest_s(motion: PulseMotion, stretches: Sequence[slice]) -> float:
+    """Shortest time from the start of a pulse until the axis slides: an axis that slides has felt the current.
+
+    A longer delay is not searched for: friction that falls with speed would fit it with a current that brakes.
+    """
+    starts = pulse_starts(motion)
+    slides = np.array([stretch.start for stretch in stretches])
+    pulses = starts[np.searchsorted(starts, slides, side="right") - 1]
+    return float(np.min(motion.time_s[slides] - motion.time_s[pulses]))
+
+
 def fit_gain(motion: PulseMotion) -> GainFit | None:
-    """Gain, delay and friction from the sliding stretches of all pulses; None when the axis does not slide in them."""
+    """Gain and delay from the sliding stretches of all pulses; None when the axis does not slide in them.
+
+    Believe it where it is `rigid`.
+    """
     stretches = sliding_stretches(motion, SLIDING_SHARE)
     if len(stretches) < 2:
         return None
@@ -151,13 +168,9 @@ def fit_gain(motion: PulseMotion) -> GainFit | None:
         rest = target - columns @ coefficients
         return np.asarray(coefficients), float(rest @ rest)
 
-    delay_s = _search(lambda d: solve(d)[1], 0.0, LONGEST_DELAY_S, 5e-4)
+    delay_s = _search(lambda d: solve(d)[1], 0.0, _soonest_s(motion, stretches), DELAY_STEP_S)
     coefficients, rest = solve(delay_s)
-    gain = float(coefficients[0])
-    unexplained = rest / float(target @ target)
-    if gain <= 0.0 or unexplained > LARGEST_UNEXPLAINED:
-        return None
-    return GainFit(gain, delay_s, float(coefficients[1]) / gain, float(np.sqrt(rest / target.size)), unexplained)
+    return GainFit(float(coefficients[0]), delay_s, rest / float(target @ target))
 
 
 def update_interval_s(motion: PulseMotion, period_s: float) -> float:

@@ -28,6 +28,7 @@ from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
 from .estimate import (
     RIGID_UNEXPLAINED,
+    GainFit,
     HeldCurrent,
     ScaleFit,
     coasting_s,
@@ -306,7 +307,8 @@ class _Procedure:
     def _measure(self, motion: PulseMotion, held: HeldCurrent | None, probe: _Probe) -> None:
         period_s, beliefs = self.rig.period_s, self.beliefs
         scale = fit_scale(motion)
-        gain = fit_gain(motion)
+        slid = fit_gain(motion)
+        gain = slid if slid is not None and slid.rigid else None
         suspected = motion_checks.suspects(scale, gain, self.plate, self.facts, beliefs)
         self.add(*motion_checks.scales(scale, suspected, self.plate, self.facts))
         self.add(motion_checks.velocity_update(update_interval_s(motion, period_s), period_s))
@@ -314,7 +316,7 @@ class _Procedure:
         slope, samples = current_slope(motion)
         self.add(motion_checks.current_scale(slope, samples, held, self.plate, beliefs))
         if gain is None:
-            self._did_not_slide(probe, bool(suspected))
+            self._is_unexplained(probe, slid, bool(suspected))
             return
         if gain.unexplained > RIGID_UNEXPLAINED:
             self._is_not_rigid(gain.unexplained)
@@ -322,13 +324,17 @@ class _Procedure:
         self.add(motion_checks.torque_per_inertia(self._trusted_gain(gain.gain_rps2_per_a, scale), beliefs))
         self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
 
-    def _did_not_slide(self, probe: _Probe, scale_suspected: bool) -> None:
-        """Nothing can be said of gain and delay; unless the scales explain it, the axis is held by something."""
-        text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but it does not slide freely under them"
+    def _is_unexplained(self, probe: _Probe, slid: GainFit | None, scale_suspected: bool) -> None:
+        """Nothing can be said of gain and delay, unless the scales explain it: the axis is held, or its load swings."""
+        text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but "
+        if slid is None:
+            text += "it does not slide under them"
+        else:
+            text += f"one rigid inertia leaves {100.0 * slid.unexplained:.0f} % of the velocity's variance"
         if not scale_suspected:
             remedy = (
                 "is the brake released and the axis free, or does a load swing on an elastic coupling? If it needs "
-                "more, give a larger --current"
+                "more, give a larger --current or --speed"
             )
             self.add(told("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
         raise _SurpriseError(text)

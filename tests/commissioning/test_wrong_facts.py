@@ -17,6 +17,7 @@ from fffo_drive.commissioning.record import DeclaredFacts, overall
 from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED
 from fffo_drive.drive.simulated.parameters import DeviceConfig, EffectConfig, PlantConfig, paper_plant
+from fffo_drive.evaluation.random_axis import wide_axis
 from fffo_drive.workflows.plan import make_plan, plan_session
 
 pytestmark = pytest.mark.slow
@@ -133,6 +134,15 @@ def test_a_velocity_that_is_computed_seldom_is_a_warning_and_makes_the_delay_lon
     assert checks["velocity_age"].measured == pytest.approx(0.0007 + 0.0005, abs=1.5e-4)  # mean age of a held word
     checks = checks_of(MisdeclaredDrive(hold=10))
     assert "velocity_update" in failed(checks)
+
+
+@pytest.mark.parametrize("number", [4034, 4154, 4234])  # break away at 3.5 to 4.7 times their sliding friction
+def test_friction_that_falls_with_speed_does_not_hide_the_delay(number):
+    plant = wide_axis(PLANT, number).plant
+    checks = checks_of(MisdeclaredDrive(plant))
+    hold_s = 0.5 * SESSION.loop.period_ns * 1e-9
+    assert checks["motion"].verdict != "failed"
+    assert checks["delay"].measured == pytest.approx(plant.delay_s - hold_s, abs=1e-3)
 
 
 def test_an_axis_with_play_is_no_rigid_inertia_and_is_commissioned_all_the_same():

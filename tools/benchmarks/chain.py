@@ -1,16 +1,20 @@
 """The chain as it is used, on random axes: commission, excite, identify, tune, run; at rest and in motion.
 
-  .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER]
+  .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER] [--rows FILE]
 
 Each axis has every number, its delay and its noise spread by half, one of five friction laws, one to three effects, a
 resolver or an encoder (fffo_drive/evaluation/random_axis.wide_axis). Axes that no controller can bring to rest are
 counted apart (fffo_drive/evaluation/passivity). Nothing is told to the chain but the torque constant, 5 % wrong:
 `commission` begins with an assumed inertia and delay; `tune` designs for the longer of its delay and the fitted one.
+
+A thousand axes take over an hour: with `--rows` each axis is kept in a file as it is done, and the same line again goes
+on where the last one ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import time
 from collections import Counter
@@ -61,6 +65,7 @@ CREEP_MEAN_S = 0.2  # over which a position is averaged
 MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
 COUNTS_PER_REV = 2.0**15
 CRASHED = "crashed"
+AT_ONCE = 40  # axes between two writes
 
 
 class Outcome(NamedTuple):
@@ -75,6 +80,7 @@ class Outcome(NamedTuple):
     nominal: str  # ... with those of the scenario
     creep_counts: float  # nan where it was not run
     nominal_creep_counts: float
+    open_creep_counts: float  # with the tuned gains in motion and none at rest: the command stands still
     phase_deg: float  # margin of the design
     rest_share: float
     seconds: float
@@ -201,11 +207,15 @@ def run_job(job: Job) -> Outcome:
     except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
         refused = f"{CRASHED}: {type(error).__name__}: {error}"
     verdict, creep = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan)
+    open_creep = math.nan
     if candidate is not None:
         verdict, creep = probe(case, candidate).verdict, creep_counts(case, candidate)
+        law = candidate.controller
+        no_gains = law._replace(rest=law.rest._replace(gain_share=0.0))
+        open_creep = creep_counts(case, candidate._replace(controller=no_gains))
     return Outcome(
-        axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1], phase_deg,
-        share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s,
+        axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
+        open_creep, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s,
     )  # fmt: skip
 
 
@@ -242,8 +252,27 @@ def table(found: list[Outcome]) -> list[str]:
             )
     creeping = [one for one in passive if one.verdict == STABLE and one.creep_counts > MOST_CREEP_COUNTS]
     lines += ["", "Stable ones that creep, by friction law: " + _by_law(creeping) + ".", ""]
+    anyway = [one for one in found if one.passive and one.open_creep_counts > MOST_CREEP_COUNTS]
+    both = [one for one in creeping if one.open_creep_counts > MOST_CREEP_COUNTS]
+    lines += [
+        f"With no gains at rest, so that the command stands still, {len(anyway)} creep over {MOST_CREEP_COUNTS:g} "
+        f"counts, and {len(both)} of the {len(creeping)}.",
+        "",
+    ]
     lines += ["Measured delay less the true one, ms (5 %, median, 95 % quantile): " + _delays(passive) + ".", ""]
     return lines
+
+
+def read_rows(path: Path) -> list[Outcome]:
+    """What `add_rows` wrote."""
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [Outcome(**row | {"effects": tuple(row["effects"])}) for row in rows]
+
+
+def add_rows(path: Path, found: Sequence[Outcome]) -> None:
+    """A line for each axis; not-a-number is written as JSON's readers in Python know it."""
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps(one._asdict()) + "\n" for one in found)
 
 
 def _delays(found: list[Outcome]) -> str:
@@ -267,14 +296,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--axes", type=int, default=1000)
     parser.add_argument("--first", type=int, default=FRESH, help="number of the first random axis")
     parser.add_argument("--out", type=Path, default=RESULTS / "chain.md")
+    parser.add_argument("--rows", type=Path, help="JSON lines of the axes that are done; read first when it exists")
     options = parser.parse_args(arguments)
     case = case_of(read_scenario(SCENARIO), 1)
     warm_up(case)
-    numbers = range(options.first, options.first + options.axes)
-    jobs = [Job(wide_axis(case.plant, number), case) for number in numbers]
+    found = read_rows(options.rows) if options.rows is not None and options.rows.is_file() else []
+    known = {one.number for one in found}
+    numbers = [n for n in range(options.first, options.first + options.axes) if n not in known]
     with progress_bar("axes") as progress:
-        done = None if progress is None else (lambda count: progress(count / len(jobs)))
-        found = over_cores(run_job, jobs, progress=done)
+        for part in (numbers[k : k + AT_ONCE] for k in range(0, len(numbers), AT_ONCE)):
+            new = over_cores(run_job, (Job(wide_axis(case.plant, number), case) for number in part))
+            found += new
+            if options.rows is not None:
+                add_rows(options.rows, new)
+            if progress is not None:
+                progress((len(found) - len(known)) / len(numbers))
+    found.sort(key=lambda one: one.number)
     lines = [
         "# chain",
         "",
