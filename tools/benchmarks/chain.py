@@ -256,7 +256,7 @@ def table(found: list[Outcome]) -> list[str]:
     both = [one for one in creeping if one.open_creep_counts > MOST_CREEP_COUNTS]
     lines += [
         f"With no gains at rest, so that the command stands still, {len(anyway)} creep over {MOST_CREEP_COUNTS:g} "
-        f"counts, and {len(both)} of the {len(creeping)}.",
+        f"counts; {len(both)} of them are among the {len(creeping)}.",
         "",
     ]
     lines += ["Measured delay less the true one, ms (5 %, median, 95 % quantile): " + _delays(passive) + ".", ""]
