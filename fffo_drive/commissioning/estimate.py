@@ -23,7 +23,7 @@ from .motion import Integers, PulseMotion, extreme, integral, pulse_starts, puls
 Floats = npt.NDArray[np.float64]
 
 LARGEST_AGE_S = 0.02
-DELAY_STEP_S = 5e-4  # of the grid that comes before golden section
+DELAY_STEP_S = 5e-4  # grid of the search, before the bounded refinement
 SLIDING_SHARE = 0.3  # of a pulse's peak speed: above, friction changes little
 FAST_SHARE = 0.5
 SHORTEST_STRETCH = 8  # rows
@@ -58,7 +58,7 @@ class GainFit(NamedTuple):
 
     @property
     def rigid(self) -> bool:
-        """Whether one rigid inertia explains the motion well enough to believe gain and delay."""
+        """Whether one rigid inertia explains the motion well enough for gain and delay to be trusted."""
         return self.gain_rps2_per_a > 0.0 and self.unexplained <= LARGEST_UNEXPLAINED
 
 
@@ -134,10 +134,10 @@ def sliding_stretches(motion: PulseMotion, share: float) -> list[slice]:
     return found
 
 
-def _soonest_s(motion: PulseMotion, stretches: Sequence[slice]) -> float:
-    """Shortest time from the start of a pulse until the axis slides: an axis that slides has felt the current.
+def _shortest_onset_s(motion: PulseMotion, stretches: Sequence[slice]) -> float:
+    """Shortest time from the start of a pulse until the axis slides: the delay cannot be longer.
 
-    A longer delay is not searched for: friction that falls with speed would fit it with a current that brakes.
+    In a wider search, friction that falls with speed can be mistaken for a long delay and a negative gain.
     """
     starts = pulse_starts(motion)
     slides = np.array([stretch.start for stretch in stretches])
@@ -148,7 +148,7 @@ def _soonest_s(motion: PulseMotion, stretches: Sequence[slice]) -> float:
 def fit_gain(motion: PulseMotion) -> GainFit | None:
     """Gain and delay from the sliding stretches of all pulses; None when the axis does not slide in them.
 
-    Believe it where it is `rigid`.
+    Gain and delay can be trusted only where the fit is `rigid`.
     """
     stretches = sliding_stretches(motion, SLIDING_SHARE)
     if len(stretches) < 2:
@@ -168,7 +168,7 @@ def fit_gain(motion: PulseMotion) -> GainFit | None:
         rest = target - columns @ coefficients
         return np.asarray(coefficients), float(rest @ rest)
 
-    delay_s = _search(lambda d: solve(d)[1], 0.0, _soonest_s(motion, stretches), DELAY_STEP_S)
+    delay_s = _search(lambda d: solve(d)[1], 0.0, _shortest_onset_s(motion, stretches), DELAY_STEP_S)
     coefficients, rest = solve(delay_s)
     return GainFit(float(coefficients[0]), delay_s, rest / float(target @ target))
 

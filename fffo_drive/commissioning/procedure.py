@@ -88,6 +88,10 @@ class _Probe(NamedTuple):
     moves: list[PulseResponse]
 
 
+def _unexplained_text(share: float) -> str:
+    return f"a single rigid inertia leaves {100.0 * share:.0f} % of the velocity variance unexplained"
+
+
 def commission(
     drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
     tell: Callable[[str], None] = lambda text: None,
@@ -325,12 +329,12 @@ class _Procedure:
         self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
 
     def _is_unexplained(self, probe: _Probe, slid: GainFit | None, scale_suspected: bool) -> None:
-        """Nothing can be said of gain and delay, unless the scales explain it: the axis is held, or its load swings."""
+        """Neither gain nor delay can be measured: unless a wrong scale explains it, the motion check has failed."""
         text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but "
         if slid is None:
             text += "it does not slide under them"
         else:
-            text += f"one rigid inertia leaves {100.0 * slid.unexplained:.0f} % of the velocity's variance"
+            text += _unexplained_text(slid.unexplained)
         if not scale_suspected:
             remedy = (
                 "is the brake released and the axis free, or does a load swing on an elastic coupling? If it needs "
@@ -342,7 +346,7 @@ class _Procedure:
     def _is_not_rigid(self, unexplained: float) -> None:
         """It slides, but not as one inertia: a warning, the rest is measured all the same."""
         moved = self.found["motion"]
-        text = f"{moved.text}; one rigid inertia leaves {100.0 * unexplained:.0f} % of the velocity's variance"
+        text = f"{moved.text}; {_unexplained_text(unexplained)}"
         remedy = (
             "backlash, an elastic coupling or strong cogging? The torque per inertia and the delay below are rough; "
             "identify and diagnose the axis before its gains are raised"

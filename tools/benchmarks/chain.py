@@ -7,8 +7,8 @@ resolver or an encoder (fffo_drive/evaluation/random_axis.wide_axis). Axes that 
 counted apart (fffo_drive/evaluation/passivity). Nothing is told to the chain but the torque constant, 5 % wrong:
 `commission` begins with an assumed inertia and delay; `tune` designs for the longer of its delay and the fitted one.
 
-A thousand axes take over an hour: with `--rows` each axis is kept in a file as it is done, and the same line again goes
-on where the last one ended.
+A thousand axes take over an hour. With `--rows` the results are saved after every batch, and the same command resumes
+after an interruption. The table names the commits that the rows were measured at.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ CREEP_MEAN_S = 0.2  # over which a position is averaged
 MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
 COUNTS_PER_REV = 2.0**15
 CRASHED = "crashed"
-AT_ONCE = 40  # axes between two writes
+BATCH_AXES = 40  # between two writes of the rows
 
 
 class Outcome(NamedTuple):
@@ -80,12 +80,13 @@ class Outcome(NamedTuple):
     nominal: str  # ... with those of the scenario
     creep_counts: float  # nan where it was not run
     nominal_creep_counts: float
-    open_creep_counts: float  # with the tuned gains in motion and none at rest: the command stands still
+    open_creep_counts: float  # with the tuned gains in motion and none at rest: a constant command
     phase_deg: float  # margin of the design
     rest_share: float
     seconds: float
     commissioned_delay_s: float  # less what is true; nan where the chain ended before
     fitted_delay_s: float  # ... of identify
+    commit: str  # that it was measured at
 
 
 class Job(NamedTuple):
@@ -215,7 +216,7 @@ def run_job(job: Job) -> Outcome:
         open_creep = creep_counts(case, candidate._replace(controller=no_gains))
     return Outcome(
         axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
-        open_creep, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s,
+        open_creep, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s, commit(),
     )  # fmt: skip
 
 
@@ -255,7 +256,7 @@ def table(found: list[Outcome]) -> list[str]:
     anyway = [one for one in found if one.passive and one.open_creep_counts > MOST_CREEP_COUNTS]
     both = [one for one in creeping if one.open_creep_counts > MOST_CREEP_COUNTS]
     lines += [
-        f"With no gains at rest, so that the command stands still, {len(anyway)} creep over {MOST_CREEP_COUNTS:g} "
+        f"With no gains at rest, that is with a constant command, {len(anyway)} creep over {MOST_CREEP_COUNTS:g} "
         f"counts; {len(both)} of them are among the {len(creeping)}.",
         "",
     ]
@@ -270,7 +271,7 @@ def read_rows(path: Path) -> list[Outcome]:
 
 
 def add_rows(path: Path, found: Sequence[Outcome]) -> None:
-    """A line for each axis; not-a-number is written as JSON's readers in Python know it."""
+    """Append one JSON line per axis (NaN as Python's json writes it)."""
     with path.open("a", encoding="utf-8") as file:
         file.writelines(json.dumps(one._asdict()) + "\n" for one in found)
 
@@ -296,7 +297,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--axes", type=int, default=1000)
     parser.add_argument("--first", type=int, default=FRESH, help="number of the first random axis")
     parser.add_argument("--out", type=Path, default=RESULTS / "chain.md")
-    parser.add_argument("--rows", type=Path, help="JSON lines of the axes that are done; read first when it exists")
+    parser.add_argument("--rows", type=Path, help="save results here (JSON lines), and resume from it")
     options = parser.parse_args(arguments)
     case = case_of(read_scenario(SCENARIO), 1)
     warm_up(case)
@@ -304,7 +305,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = {one.number for one in found}
     numbers = [n for n in range(options.first, options.first + options.axes) if n not in known]
     with progress_bar("axes") as progress:
-        for part in (numbers[k : k + AT_ONCE] for k in range(0, len(numbers), AT_ONCE)):
+        for part in (numbers[k : k + BATCH_AXES] for k in range(0, len(numbers), BATCH_AXES)):
             new = over_cores(run_job, (Job(wide_axis(case.plant, number), case) for number in part))
             found += new
             if options.rows is not None:
@@ -312,6 +313,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if progress is not None:
                 progress((len(found) - len(known)) / len(numbers))
     found.sort(key=lambda one: one.number)
+    commits = ", ".join(sorted({one.commit for one in found}))
     lines = [
         "# chain",
         "",
@@ -319,7 +321,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "identify, tune, run, with nothing told but a torque constant that is 5 % wrong.",
         "",
         *table(found),
-        f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}; "
+        f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commits}, {machine()}; "
         f"{np.median([one.seconds for one in found]):.1f} s an axis.",
     ]
     options.out.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
