@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from .motion import Integers, PulseMotion, extreme, integral, pulse_starts, pulse_windows
+from .motion import Integers, PulseMotion, extreme, integral, pulse_windows
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ SHORTEST_STRETCH = 8  # rows
 # of the variance of the velocity that one rigid inertia leaves: beyond the first, gain and delay are rough (backlash,
 # elasticity, strong cogging); beyond the second they are wrong: an axis that is held, or whose load swings. On the axes
 # 3300 to 3399 of tools/benchmarks/chain.py the delay was off by 0.3 ms in the median and 2.8 ms at most on the 16
-# between the two, and by 14 ms on the one beyond; `tune` takes the longer of it and the fitted delay
+# between the two, and by 3.3 ms on the one beyond; `tune` takes the longer of it and the fitted delay
 RIGID_UNEXPLAINED = 0.1
 LARGEST_UNEXPLAINED = 0.5
 
@@ -124,25 +124,33 @@ def sliding_stretches(motion: PulseMotion, share: float) -> list[slice]:
     for window in pulse_windows(motion):
         velocity = motion.velocity_rps[window]
         peak = extreme(velocity)
-        fast = velocity * np.sign(peak) > share * abs(peak)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], fast, [False]]).astype(np.int8)))
-        runs = edges.reshape(-1, 2)
+        runs = _fast_runs(velocity * np.sign(peak), share * abs(peak))
         if runs.size:
             begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
-            if end - begin >= SHORTEST_STRETCH:
-                found.append(slice(window.start + int(begin), window.start + int(end)))
+            found.append(slice(window.start + int(begin), window.start + int(end)))
     return found
 
 
-def _shortest_onset_s(motion: PulseMotion, stretches: Sequence[slice]) -> float:
-    """Shortest time from the start of a pulse until the axis slides: the delay cannot be longer.
+def _fast_runs(speed_rps: Floats, above_rps: float) -> Integers:
+    """Begin and end of each run of rows above a speed that is long enough. Shape (n, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], speed_rps > above_rps, [False]]).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    return runs[runs[:, 1] - runs[:, 0] >= SHORTEST_STRETCH]
 
-    In a wider search, friction that falls with speed can be mistaken for a long delay and a negative gain.
+
+def _shortest_onset_s(motion: PulseMotion) -> float:
+    """Shortest time from the start of a pulse until the axis slides, either way: the delay cannot be longer.
+
+    In a wider search, friction that falls with speed can be mistaken for a long delay and a negative gain. A load on a
+    spring swings back after the pulse, perhaps longer than the pulse drove it: only the first slide counts.
     """
-    starts = pulse_starts(motion)
-    slides = np.array([stretch.start for stretch in stretches])
-    pulses = starts[np.searchsorted(starts, slides, side="right") - 1]
-    return float(np.min(motion.time_s[slides] - motion.time_s[pulses]))
+    onsets_s = []
+    for window in pulse_windows(motion):
+        speed_rps = np.abs(motion.velocity_rps[window])
+        runs = _fast_runs(speed_rps, SLIDING_SHARE * float(speed_rps.max()))
+        if runs.size:
+            onsets_s.append(motion.time_s[window.start + runs[0, 0]] - motion.time_s[window.start])
+    return float(np.min(onsets_s))
 
 
 def fit_gain(motion: PulseMotion) -> GainFit | None:
@@ -168,7 +176,7 @@ def fit_gain(motion: PulseMotion) -> GainFit | None:
         rest = target - columns @ coefficients
         return np.asarray(coefficients), float(rest @ rest)
 
-    delay_s = _search(lambda d: solve(d)[1], 0.0, _shortest_onset_s(motion, stretches), DELAY_STEP_S)
+    delay_s = _search(lambda d: solve(d)[1], 0.0, _shortest_onset_s(motion), DELAY_STEP_S)
     coefficients, rest = solve(delay_s)
     return GainFit(float(coefficients[0]), delay_s, rest / float(target @ target))
 

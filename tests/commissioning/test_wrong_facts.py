@@ -145,6 +145,20 @@ def test_friction_that_falls_with_speed_does_not_hide_the_delay(number):
     assert checks["delay"].measured == pytest.approx(plant.delay_s - hold_s, abs=1e-3)
 
 
+def elastic(load_share):
+    return of_plant(
+        effects=(EffectConfig("elasticity", {"load_share": load_share, "frequency_hz": 20.0, "damping": 0.02}),)
+    )
+
+
+def test_a_load_that_swings_back_does_not_pass_for_a_long_delay():
+    assert checks_of(MisdeclaredDrive(**elastic(0.5)))["delay"].measured == pytest.approx(0.00275, abs=1e-3)
+    checks = checks_of(MisdeclaredDrive(**elastic(0.8)))
+    assert failed(checks) == {"motion"}
+    assert "velocity variance unexplained" in checks["motion"].text
+    assert "elastic coupling" in checks["motion"].remedy
+
+
 def test_an_axis_with_play_is_no_rigid_inertia_and_is_commissioned_all_the_same():
     play = EffectConfig("backlash", {"gap_rev": 0.01, "load_share": 0.5})
     checks = checks_of(MisdeclaredDrive(**of_plant(effects=(play,))))
