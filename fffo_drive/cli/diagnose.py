@@ -32,8 +32,8 @@ from ..identification.coverage import Coverage, coverage_lines
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
-from ..report.diagnose import doubts, unproven
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
+from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar

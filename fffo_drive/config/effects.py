@@ -59,8 +59,11 @@ def services(axis: AxisFile, model: ModelFile) -> list[EffectService]:
 
 
 def reason_against(effect: EffectModel) -> str | None:
-    """Why no feed-forward can give the torque of this effect; None where one can."""
+    """Why no feed-forward gives the torque of this effect; None where one does: it is decided, and known ahead."""
     term = effect.term()
+    if effect.alternatives:
+        members = " or ".join([effect.name, *effect.alternatives])
+        return f"the data do not decide: {members}; `fffo-drive run AXIS --decide {effect.name}` records what does"
     if not is_compensable(effect.name, term.values):
         return "its torque is not known ahead"
     if effect.datum == "run" and any(term.values.get(name, 0.0) != 0.0 for name in law_of(effect.name).per_run):

@@ -302,6 +302,7 @@ def _finding(
         experiment=law.experiment,
         compensable=is_compensable(effect.name, effect.values(0)) and not effect.per_run,
         strength_percent=100.0 * float(np.sqrt(np.mean(torque**2) / max(np.mean(friction**2), 1e-300))),
+        torque_rms_nm=float(np.sqrt(np.mean(torque**2))),
         rivals=tuple(_rival(note, *one) for one in note.rivals),
         picture=picture(data, selected.fitted, number),
         gain=(note.gain.value, note.gain.sd),

@@ -75,7 +75,7 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
         says = _means(load[rows], bins, edges.size - 1)[shown]
         curves.append(FoundCurve("what the effect says" + where, x, says, kind="line"))
     return Picture(
-        title=f"{effect.name} over {place.label}",
+        title=f"{law_of(effect.name).plain_name}, over {place.label}".capitalize(),
         x_label=place.label,
         x_unit=place.unit,
         y_label="residual torque",

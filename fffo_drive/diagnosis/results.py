@@ -22,6 +22,8 @@ from ..units import name_on, text_on, unit_on
 
 Floats = npt.NDArray[np.float64]
 
+Confidence = Literal["certain", "probable", "cannot tell"]
+NORMAL_95 = 1.96
 VerdictWord = Literal["effects_found", "no_effect_found", "unexplained", "nothing_carries_over"]
 
 
@@ -105,12 +107,37 @@ class Finding:
     experiment: str  # what would tell it from its alternatives
     compensable: bool
     strength_percent: float  # rms of its torque over rms of the friction torque, fit runs
+    torque_rms_nm: float = 0.0  # of its own, where the axis moves in the fit runs
     rivals: tuple[Rival, ...] = ()
     picture: Picture | None = None
     gain: tuple[float, float] | None = None  # nats on rows that the fit did not see, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
     regime_after: ErrorFigures | None = None
+
+    @property
+    def place(self) -> str:
+        """Where on the machine, or in its motion, it is."""
+        law = law_of(self.name)
+        if self.curve is not None:
+            return law.regime
+        return law.place_of(law.filled({n.name: n.value for n in self.parameters}))
+
+    @property
+    def confidence(self) -> Confidence:
+        """Certain where held-out runs show it beyond their intervals: by its gain, or by the error where it acts.
+
+        A member of a family that the data do not separate cannot be told.
+        """
+        if self.alternatives:
+            return "cannot tell"
+        shown = False
+        if self.held_out_gain is not None:
+            value, sd = self.held_out_gain
+            shown = value - NORMAL_95 * sd > 0.0
+        if self.regime_before is not None and self.regime_after is not None:
+            shown = shown or self.regime_after.torque_rms_nm.high < self.regime_before.torque_rms_nm.low
+        return "certain" if shown else "probable"
 
     @property
     def is_form(self) -> bool:
@@ -320,6 +347,12 @@ def _effect(finding: Finding, linear: bool) -> dict[str, Any]:
         "experiment": finding.experiment,
         "compensable": finding.compensable,
         "strength_percent": finding.strength_percent,
+        "torque_rms_nm": finding.torque_rms_nm,
+        "plain_name": text_on(law_of(finding.name).plain_name, linear),
+        "cause": text_on(law_of(finding.name).cause, linear),
+        "remedy": text_on(law_of(finding.name).remedy, linear),
+        "place": text_on(finding.place, linear),
+        "confidence": finding.confidence,
         "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None and curve is None},
         "units": {n.name: unit_on(n.unit, linear) for n in finding.parameters if curve is None},
         "symbols": {n.name: name_on(n.name, n.unit, linear) for n in finding.parameters if curve is None},

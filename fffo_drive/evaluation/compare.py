@@ -6,6 +6,7 @@ between runs of one seed, and their intervals come from resampling seeds.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +27,16 @@ class SeedInterval(NamedTuple):
 
 
 def mean_interval(values: Floats) -> SeedInterval:
-    """Mean of independent values (n,) with Student's interval."""
+    """Mean of independent values (n,) with Student's interval: of the mean, or of its logarithm where all are positive.
+
+    What cannot be negative then has no interval that reaches below zero (delta method: sd(ln m) = sd(m) / m).
+    """
     mean = float(values.mean())
     if values.size < 2:
         return SeedInterval(mean, float("nan"), float("nan"))
     half = float(student_t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
+    if values.min() > 0.0:
+        return SeedInterval(mean, mean * math.exp(-half / mean), mean * math.exp(half / mean))
     return SeedInterval(mean, mean - half, mean + half)
 
 
@@ -57,6 +63,7 @@ class MetricComparison(NamedTuple):
     absolute: dict[str, SeedInterval]
     percent: dict[str, SeedInterval]  # of `base`, as Table II has it
     base: str
+    values: dict[str, Floats]  # (seeds,)
 
 
 def compare_metric(values: dict[str, Floats], base: str | None = None) -> MetricComparison:
@@ -72,4 +79,4 @@ def compare_metric(values: dict[str, Floats], base: str | None = None) -> Metric
     for name, own in values.items():
         ratio = ratio_interval(own, values[base])
         percent[name] = SeedInterval(100.0 * ratio.value, 100.0 * ratio.low, 100.0 * ratio.high)
-    return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, base)
+    return MetricComparison({name: mean_interval(own) for name, own in values.items()}, percent, base, values)

@@ -22,7 +22,9 @@ from ..recording.reader import Run
 from . import bench_figures as draw
 from .document import (
     Cell,
+    Confidence,
     Heading,
+    Line,
     Report,
     ReportProvenance,
     Row,
@@ -32,6 +34,7 @@ from .document import (
     count,
     number,
     provenance,
+    significant,
     source_file,
 )
 from .figures import Figure
@@ -43,6 +46,7 @@ Intervals = dict[str, dict[str, ShownInterval]]
 PICTURE_NAMES = ("bench.svg", "bench.png")
 STRETCH_S = 1.0
 UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
+COMPARABLE_S = 60.0  # of the paper's kind of reference: shorter ones hold too few reversals to compare with Table II
 SOUND_LATE_SHARE = 0.01
 SOUND_MISSING_SHARE = 0.01
 LATE_SHARE_OF_PERIOD = 0.2
@@ -105,19 +109,20 @@ def bench_report(records: Mapping[str, BenchRecord]) -> Report:
     result = evaluate(records)
     cutouts = draw.choose_cutouts(result.data.reference_rps, result.data.period_s)
     head = next(iter(records.values())).metadata
-    seconds = result.data.reference_rps.size * result.data.period_s
     return Report(
         kind="bench",
         title=f"Bench of {', '.join(records)}",
         subtitle=(
             f"Axis {head.get('axis', 'unnamed')}, {head.get('drive', 'drive not named')}: the same "
-            f"{seconds:g} s of reference velocity under each controller, at {1.0 / result.data.period_s:g} Hz."
+            f"{result.data.duration_s:g} s of reference velocity under each controller, at "
+            f"{1.0 / result.data.period_s:g} Hz."
         ),
         verdict=_verdict(result),
         tables=(_metrics_table(result), _ticks_table(result)),
         sections=_sections(result, cutouts),
         provenance=_provenance(records),
         results=_results(result),
+        opening=draw.cutout_figures(result.data, cutouts)[0].name if cutouts else "",
     )
 
 
@@ -161,28 +166,81 @@ def _sections(result: BenchResult, cutouts: list[draw.ShownPart]) -> tuple[Secti
 def _verdict(result: BenchResult) -> Verdict:
     cautions = _cautions(result)
     names = list(result.metrics)
+    timing = Line(label="Timing", text=_timing(result))
+    step = "run longer" if result.data.duration_s < COMPARABLE_S else "try your own axis"
+    if step == "run longer":
+        text = f"{result.data.duration_s:g} s are too short to compare with the paper: run {COMPARABLE_S:g} s."
+    else:
+        text = "Lay down the example files for an axis of your own."
+    last = Line(label="Next", text=text, command="" if step == "run longer" else "fffo-drive init DIR")
     if "PI" not in names or len(names) < 2:
         best = min(names, key=lambda name: result.metrics[name].mae)
         return Verdict(
-            standing="caution" if cautions else "good",
             headline=f"{best} has the smallest mean error.",
+            finding=best,
+            confidence="probable",
+            next_step=step,
+            lines=[timing, last],
             cautions=cautions,
         )
     best = min((name for name in names if name != "PI"), key=lambda name: result.metrics[name].ise)
     own, base = result.metrics[best], result.metrics["PI"]
     if own.ise >= base.ise:
         headline = f"PI alone is best: {best} brings the ISE to {own.ise / base.ise:.2f} times that of PI."
-        return Verdict(standing="bad", headline=headline, reasons=_reasons(result, names), cautions=cautions)
+        return Verdict(
+            headline=headline,
+            finding="PI alone is best",
+            confidence=_confidence(result, "PI", best),
+            next_step="check gains and model",
+            lines=[_sizes(result, "PI"), timing, last],
+            reasons=_reasons(result, names),
+            cautions=cautions,
+        )
     headline = (
         f"{best} takes the squared error (ISE) of PI down to {_percent(own.ise, base.ise)} "
         f"and the mean error (MAE) to {_percent(own.mae, base.mae)}."
     )
     return Verdict(
-        standing="caution" if cautions else "good",
         headline=headline,
+        finding=f"{best} is best",
+        confidence=_confidence(result, best, "PI"),
+        next_step=step,
+        lines=[_sizes(result, best), _surety(result, best), timing, last],
         reasons=_reasons(result, names),
         cautions=cautions,
     )
+
+
+def _sizes(result: BenchResult, best: str) -> Line:
+    own, base = result.metrics[best], result.metrics["PI"]
+    text = (
+        f"Mean error {significant(own.mae)} rps (PI {significant(base.mae)} rps), largest {significant(own.max)} rps "
+    )
+    return Line(label="How big", text=text + f"(PI {significant(base.max)} rps), over {result.data.duration_s:g} s.")
+
+
+def _surety(result: BenchResult, best: str) -> Line:
+    ends = result.intervals.get("PI", {}).get("ise")
+    if ends is None:
+        return Line(label="How sure", text="The run is too short for an interval.")
+    text = f"The squared error of PI is {100.0 * ends.low:.0f} to {100.0 * ends.high:.0f} % of that of the best"
+    return Line(label="How sure", text=f"{text}, by which parts of the profile count (95 %).")
+
+
+def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:
+    """Certain where the interval of the ratio of both ISE leaves 1 out, on a machine that kept time."""
+    ends = result.intervals.get(worse, {}).get("ise")
+    if ends is None or better != min(result.metrics, key=lambda name: result.metrics[name].ise):
+        return "probable"
+    if ends.low <= 1.0:
+        return "cannot tell"
+    return "probable" if _cautions(result) else "certain"
+
+
+def _timing(result: BenchResult) -> str:
+    untimely = _untimely(result)
+    worst = max(untimely, key=lambda name: untimely[name])
+    return f"Up to {100.0 * untimely[worst]:.2g} % of the ticks came late or were skipped ({worst})."
 
 
 def _reasons(result: BenchResult, names: list[str]) -> list[str]:
@@ -202,7 +260,7 @@ def _reasons(result: BenchResult, names: list[str]) -> list[str]:
 def _cautions(result: BenchResult) -> list[str]:
     """What makes the comparison weaker than it looks."""
     due = {name: ticks.ticks + ticks.skipped for name, ticks in result.ticks.items()}
-    untimely = {name: (ticks.late + ticks.skipped) / due[name] for name, ticks in result.ticks.items()}
+    untimely = _untimely(result)
     unanswered = {name: ticks.missing_feedback / due[name] for name, ticks in result.ticks.items()}
     cautions = []
     if max(untimely.values()) > SOUND_LATE_SHARE:
@@ -215,6 +273,11 @@ def _cautions(result: BenchResult) -> list[str]:
         lost = ", ".join(f"{name} {rows}" for name, rows in result.rows_lost.items())
         cautions.append(f"Rows that the recorder lost: {lost}.")
     return cautions
+
+
+def _untimely(result: BenchResult) -> dict[str, float]:
+    """Share of the ticks that were late or skipped, by controller."""
+    return {name: (t.late + t.skipped) / (t.ticks + t.skipped) for name, t in result.ticks.items()}
 
 
 def _shares(shares: Mapping[str, float]) -> str:

@@ -52,6 +52,11 @@ class BenchData(NamedTuple):
     lateness_us: dict[str, Floats]
     turnaround_us: dict[str, Floats]
 
+    @property
+    def duration_s(self) -> float:
+        """Of the profile."""
+        return self.reference_rps.size * self.period_s
+
     def error_rps(self, name: str) -> Floats:
         """Reference minus velocity."""
         return self.reference_rps - self.velocity_rps[name]

@@ -14,7 +14,21 @@ import numpy as np
 from .. import formats
 from ..evaluation.metrics import ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
-from .document import Cell, Heading, Report, ReportProvenance, Row, Section, Standing, Table, Verdict, count, number
+from .document import (
+    Cell,
+    Confidence,
+    Heading,
+    Line,
+    Report,
+    ReportProvenance,
+    Row,
+    Section,
+    Table,
+    Verdict,
+    count,
+    number,
+    significant,
+)
 from .figures import Floats
 from .intervals import ShownInterval, ratio_intervals
 from .page import ReportPaths, write_report
@@ -177,26 +191,31 @@ def circle_report(source: CircleSource) -> Report:
 
 
 def _verdict(source: CircleSource) -> Verdict:
-    pair = source.tracking.metrics["true" if "true" in source.tracking.metrics else "measured"]
-    names = ", ".join(source.effects)
-    standing: Standing = "good"
+    pair = source.tracking.metrics["measured"]  # what a real axis knows of itself
+    served = [name for name in source.effects if name not in source.not_compensated]
+    names = ", ".join(served if source.adopted else source.effects)
+    confidence: Confidence = "certain"
+    finding, step = "nothing missing", "nothing to do"
     if source.verdict == "nothing_carries_over":
-        standing = "caution"
+        finding, step = "nothing that carries over", "keep the model"
         headline = "Nothing was found that carries over to the run that was held out: the model stays as it is."
     elif not source.effects:
         headline = "Nothing was found that the model lacks: it stays as it is."
     elif not source.adopted:
-        standing = "caution"
+        finding, step = "found, not adopted", "see the gates"
         refused = ", ".join(gate["name"] for gate in source.gates if not gate["passed"])
         headline = f"Found: {names}. Not adopted: {refused}."
     elif pair.after is None:
-        standing = "caution"
+        confidence = "cannot tell"
+        finding, step = "adopted", "run again"
         headline = f"Found and adopted: {names}. There is no run with it."
     else:
         change = 100.0 * (pair.after.ise / pair.before.ise - 1.0)
-        standing = "good" if change < 0.0 else "bad"
+        finding, step = ("adopted, better", "run with it") if change < 0.0 else ("adopted, worse", "roll back")
+        confidence = _confidence(source.tracking)
         word = "falls" if change < 0.0 else "rises"
         headline = f"Found and adopted: {names}. The squared tracking error {word} by {abs(change):.0f} %."
+    lines = [Line(label="How big", text=_size(source.tracking))] if pair.after is not None else []
     reasons = []
     held_out = [(source.model_error.get(key) or {}).get("held_out") for key in ("before", "after")]
     errors = [figures["torque_relative_percent"] for figures in held_out if figures]
@@ -210,8 +229,50 @@ def _verdict(source: CircleSource) -> Verdict:
     cautions = _cautions(source.runs)
     if source.unexplained_rest:
         cautions.append(f"Not explained: {source.unexplained_rest}.")
-    standing = "caution" if cautions and standing == "good" else standing
-    return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
+    lines += [Line(label="Model", text=text) for text in reasons[:1]]
+    lines.append(_next(source, step))
+    return Verdict(
+        headline=headline, finding=finding, confidence=confidence, next_step=step, alarm=step == "roll back",
+        lines=lines, reasons=reasons[1:], cautions=cautions,
+    )  # fmt: skip
+
+
+def _confidence(tracking: Tracking) -> Confidence:
+    """Certain where the interval of the squared error's ratio leaves 1 out."""
+    ends = tracking.intervals["measured"].get("ise")
+    if ends is None:
+        return "probable"
+    return "cannot tell" if ends.low <= 1.0 <= ends.high else "certain"
+
+
+def _size(tracking: Tracking) -> str:
+    """Mean and largest error before and after, as measured; of the shaft where the drive is simulated."""
+    texts = []
+    for kind, pair in tracking.metrics.items():
+        if pair.after is not None:
+            old, new = pair.before, pair.after
+            texts.append(
+                f"{KINDS[kind]}: mean error {significant(old.mae)} to {significant(new.mae)} rps, largest "
+                f"{significant(old.max)} to {significant(new.max)} rps"
+            )
+    return f"{'; '.join(texts)}.".capitalize()
+
+
+def _next(source: CircleSource, step: str) -> Line:
+    if step == "roll back":
+        command = "fffo-drive adopt --rollback --axis axis.yaml"
+        return Line(label="Next", text="The axis is worse with it: take it out of service.", command=command)
+    if step == "run with it":
+        command = "fffo-drive adopt diagnosis/model.yaml --axis AXIS.yaml"
+        return Line(label="Next", text="It is in the circle's own axis file. Into yours, past the same gates:",
+                    command=command)  # fmt: skip
+    texts = {
+        "see the gates": "Read why in the table of gates; the diagnosis has a page of its own.",
+        "run again": "Run the circle's own axis file again, on a quieter machine.",
+        "keep the model": "The model in service stays.",
+        "nothing to do": "Nothing to do: the model in service stays.",
+    }
+    return Line(label="Next", text=texts[step])
 
 
 def _cautions(runs: Sequence[CircleRun]) -> list[str]:

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..diagnosis.gates import NEGLIGIBLE
-from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, Rest, report
+from ..diagnosis.results import NORMAL_95, Diagnosis, ErrorFigures, Finding, Interval, report
 from ..identification.runs import Estimate, RunsLook
-from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import inertia_kg_m2
 from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_verdict import diagnosis_verdict, names_of, unproven
 from .document import (
     Cell,
     Heading,
@@ -31,9 +31,7 @@ from .document import (
     ReportProvenance,
     Row,
     Section,
-    Standing,
     Table,
-    Verdict,
     count,
     number,
     significant,
@@ -41,7 +39,6 @@ from .document import (
 from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
 
 KIND = "diagnose"
-NORMAL_95 = 1.96
 WIDEST = 1e3  # half an interval over its value, beyond which the data say nothing of a parameter
 SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
@@ -95,7 +92,11 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     tables += [_base(diagnosis, words)]
     channels = channel_figure(diagnosis.channels, words)
     sections: tuple[Section, ...] = (
-        Section("What convinces", "Each effect over the axis on which it lives.", effect_figures(accepted, words)),
+        Section(
+            "What convinces",
+            "Each effect over the axis on which it lives.",
+            effect_figures(sorted(accepted, key=unproven), words),
+        ),
         Section(
             "Before and after",
             f"Residual {words.torque} of each run: of the base model, and with everything that was added.",
@@ -105,116 +106,19 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     )
     if source.data is not None:
         sections = (*sections, source.data)
-    runs = f"fitted on {_names(diagnosis.fit_names)}" + (
-        f", held out {_names(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", nothing held out"
+    runs = f"fitted on {names_of(diagnosis.fit_names)}" + (
+        f", held out {names_of(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", nothing held out"
     )
     return Report(
         kind=KIND,
         title=f"Diagnosis of {source.name}",
         subtitle=f"{runs}; {diagnosis.seconds:.0f} s of computing.",
-        verdict=_verdict(diagnosis, accepted, source),
+        verdict=diagnosis_verdict(diagnosis, source.model_path),
         tables=tuple(tables),
         sections=tuple(section for section in sections if section.figures),
         provenance=source.provenance,
         listings=(*_reasons(accepted), *_experiments(accepted)),
     )
-
-
-def _verdict(diagnosis: Diagnosis, accepted: Sequence[Finding], source: DiagnosisSource) -> Verdict:
-    cautions = [*doubts(diagnosis), *diagnosis.cautions]
-    if diagnosis.before is None:
-        cautions.append("Nothing was held out: the errors are those of the runs that were fitted.")
-    standing: Standing = "caution" if cautions or diagnosis.verdict == "unexplained" else "good"
-    if diagnosis.verdict == "nothing_carries_over" or _not_finite(diagnosis):
-        standing = "bad"
-    reasons = [_reason(finding, words_of(diagnosis)) for finding in accepted]
-    rate = 100.0 * diagnosis.false_alarm_rate
-    reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
-    reasons += _repeated(diagnosis)
-    if source.model_path and accepted:
-        reasons.append(f"The model with it is in {source.model_path}; `fffo-drive adopt` puts it in service.")
-    if not source.model_path and diagnosis.model_after is None:
-        reasons.append("No model was written: the one in service stays.")
-    return Verdict(standing=standing, headline=diagnosis.headline, reasons=reasons, cautions=cautions)
-
-
-def _repeated(diagnosis: Diagnosis) -> list[str]:
-    """What repeats of a reference say, a sentence each."""
-    found, ceiling = [], diagnosis.ceiling
-    if ceiling.explained_of_explainable is not None:
-        share = 100.0 * ceiling.explained_of_explainable
-        found.append(f"{share:.0f} % of what any model could explain is explained ({ceiling.note}).")
-    if ceiling.left_repeatable_fraction is not None:
-        share = 100.0 * ceiling.left_repeatable_fraction
-        found.append(f"{share:.0f} % of the squared residual that is left repeats with the reference.")
-    return found
-
-
-def doubts(diagnosis: Diagnosis) -> list[str]:
-    """What speaks against the figures of a diagnosis, a sentence each: held-out errors that rose, what is left."""
-    found = []
-    words = words_of(diagnosis)
-    for what, before, after in _held_out_errors(diagnosis):
-        if not math.isfinite(after):
-            found.append(f"The held-out error in {what} is not finite: the model cannot be used for it.")
-        elif after > before:
-            found.append(f"The held-out error in {what} rose from {before:.3g} to {after:.3g} {words.unit_of(what)}.")
-    if diagnosis.unexplained_rest is not None:
-        found.append(_rest(diagnosis.unexplained_rest, words))
-    return found
-
-
-def _held_out_errors(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
-    """(quantity, before, after) of the held-out runs, in the units of the page."""
-    before, after = diagnosis.before, diagnosis.after
-    if before is None or after is None:
-        return []
-    words = words_of(diagnosis)
-    quantities = (
-        (words.torque, words.torque_scale, before.torque_rms_nm, after.torque_rms_nm),
-        ("velocity", words.speed_scale, before.velocity_rms_rps, after.velocity_rms_rps),
-    )
-    return [(what, scale * old.value, scale * new.value) for what, scale, old, new in quantities]
-
-
-def _not_finite(diagnosis: Diagnosis) -> bool:
-    return not all(math.isfinite(after) for _, _, after in _held_out_errors(diagnosis))
-
-
-def _rest(rest: Rest, words: DiagnosisWords) -> str:
-    left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
-    text = (
-        f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
-        "the same rows leaves, or what does not repeat"
-    )
-    if rest.repeats_share is not None:
-        text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
-    if rest.axes:
-        text += f"; it goes with {_names([words.axis(axis) for axis in rest.axes])}"
-    return text + "."
-
-
-def _reason(finding: Finding, words: DiagnosisWords) -> str:
-    family = f", or {_names(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
-    share = 100.0 * finding.explained_fraction
-    chance = significant(finding.false_alarm_probability, 2)
-    law = law_of(finding.name)
-    meaning = "" if law.name == "lookup" else words.text(f" It is: {law.meaning}.")
-    return (
-        f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
-        f"noise and an effect too small to matter would do so with p = {chance}. "
-        f"Acts in: {finding.regime}."
-        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
-    )
-
-
-def unproven(finding: Finding) -> bool:
-    """The held-out runs were asked, and do not show it."""
-    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
-
-
-def _names(names: Sequence[str]) -> str:
-    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
@@ -495,7 +399,7 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     open_ = [finding for finding in accepted if finding.alternatives]
     if not open_:
         return ()
-    text = "\n".join(_wrapped(f"{_names([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
+    text = "\n".join(_wrapped(f"{names_of([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
     note = "What distinguishes the members of a family; `fffo-drive run AXIS --decide EFFECT` does its motions."
     return (Listing(name="experiments", title="What would decide", note=note, text=text),)
 

@@ -64,13 +64,13 @@ def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[
     """The picture of each finding that has one."""
     pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
     return tuple(
-        _effect(f"effect-{number}", finding.name, finding.picture, "full" if len(pictured) == 1 else "half", words)
+        _effect(f"effect-{number}", finding.picture, "full" if len(pictured) == 1 else "half", words)
         for number, finding in enumerate(pictured, 1)
         if finding.picture is not None
     )
 
 
-def _effect(name: str, effect: str, picture: Picture, width: str, words: DiagnosisWords) -> Figure:
+def _effect(name: str, picture: Picture, width: str, words: DiagnosisWords) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
     series = [_series(curve, POINTS[k % len(POINTS)], words) for k, curve in enumerate(clouds)]
@@ -80,7 +80,7 @@ def _effect(name: str, effect: str, picture: Picture, width: str, words: Diagnos
         name=name,
         kind="xy",
         title=words.text(picture.title),
-        caption=f"What is left without and with {effect}: means with 95 % intervals.{note}",
+        caption=f"What is left without and with it: means with 95 % intervals.{note}",
         x=PlotAxis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
         y=PlotAxis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),

@@ -21,16 +21,29 @@ from ..documents import StrictRecord
 from ..units import text_on
 from .figures import Figure
 
+Confidence = Literal["certain", "probable", "cannot tell"]
 VERSIONED = ("numpy", "numba", "scipy")
 
-Standing = Literal["good", "caution", "bad"]
+MOST_LINES = 4  # below the headline: a page opens with at most five
+
+
+class Line(StrictRecord):
+    """One of the lines that a page opens with."""
+
+    label: str
+    text: str
+    command: Annotated[str, Field(description="to be typed; empty: nothing")] = ""
 
 
 class Verdict(StrictRecord):
-    """The first thing that is read: one sentence, and what it rests on."""
+    """What a page opens with: a headline, three words about it, a few lines. What it rests on is folded."""
 
-    standing: Standing
     headline: str
+    finding: Annotated[str, Field(description="what was found, in a few words")]
+    confidence: Confidence
+    next_step: Annotated[str, Field(description="what to do, in a few words")]
+    alarm: Annotated[bool, Field(description="what was looked at must not be used as it is")] = False
+    lines: list[Line] = Field(default_factory=list, max_length=MOST_LINES)
     reasons: list[str] = Field(default_factory=list)
     cautions: Annotated[list[str], Field(description="what speaks against trusting the headline")] = Field(
         default_factory=list
@@ -152,6 +165,24 @@ class Report:
     provenance: ReportProvenance
     results: dict[str, Any] = field(default_factory=dict)
     listings: tuple[Listing, ...] = ()
+    opening: str = ""  # name of the figure that the page opens with; empty: the first
+
+    @property
+    def opening_figure(self) -> Figure | None:
+        """The figure that the page opens with. Raises ValueError where none is called `opening`."""
+        if not self.figures:
+            return None
+        found = [figure for figure in self.figures if self.opening in ("", figure.name)]
+        if not found:
+            raise ValueError(f"the report opens with a figure {self.opening!r}, which it does not have")
+        return found[0]
+
+    @property
+    def folded_sections(self) -> tuple[Section, ...]:
+        """The sections without the figure that the page opens with; none that is empty."""
+        first = self.opening_figure
+        rest = (replace(s, figures=tuple(f for f in s.figures if f is not first)) for s in self.sections)
+        return tuple(section for section in rest if section.figures)
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -200,11 +231,13 @@ def of_linear_axis(report: Report) -> Report:
         return replace(figure, title=said(figure.title), caption=said(figure.caption), x=x, y=y, series=series)
 
     verdict = report.verdict
-    sentences = {key: [said(one) for one in getattr(verdict, key)] for key in ("reasons", "cautions")}
+    sentences: dict[str, Any] = {key: said(getattr(verdict, key)) for key in ("headline", "finding", "next_step")}
+    sentences |= {key: [said(one) for one in getattr(verdict, key)] for key in ("reasons", "cautions")}
+    sentences["lines"] = [line.model_copy(update={"text": said(line.text)}) for line in verdict.lines]
     return replace(
         report,
         subtitle=said(report.subtitle),
-        verdict=verdict.model_copy(update={"headline": said(verdict.headline), **sentences}),
+        verdict=verdict.model_copy(update=sentences),
         tables=tuple(table_of(table) for table in report.tables),
         sections=tuple(
             Section(said(section.title), said(section.text), tuple(figure_of(one) for one in section.figures))

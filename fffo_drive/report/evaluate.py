@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,11 +11,24 @@ from typing import NamedTuple
 import numpy as np
 
 from ..evaluation.campaign import Cutout, Evaluation
-from ..evaluation.compare import SeedInterval
+from ..evaluation.compare import SeedInterval, ratio_interval
 from ..evaluation.measures import Yardstick
 from ..evaluation.metrics import PAPER_TABLE_2
 from ..evaluation.summary import Summary, as_object
-from .document import Cell, Heading, Report, ReportProvenance, Row, Section, Table, Verdict, number, significant
+from .document import (
+    Cell,
+    Confidence,
+    Heading,
+    Line,
+    Report,
+    ReportProvenance,
+    Row,
+    Section,
+    Table,
+    Verdict,
+    number,
+    significant,
+)
 from .figures import Dash, Figure, Group, PlotAxis, Series, Uniform, grouped_bars
 from .page import ReportPaths, write_report
 
@@ -90,7 +104,46 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
             f"that of {ranking[-1]}."
         )
     order = f"ISE against {KINDS[kind]}: {' < '.join(ranking)}."
-    return Verdict(standing="caution" if cautions else "good", headline=headline, reasons=[order], cautions=cautions)
+    best = ranking[0]
+    lines = [_size(summary, kind, best)]
+    if len(ranking) > 1:
+        lines.append(_surety(summary, kind, best, ranking[1]))
+    one_seed = len(summary.seeds) < 2
+    text = "Run several seeds (--seeds N): one says nothing of chance." if one_seed else (
+        f"Put `toggle` and gains of {best} into the axis file, and try it there with `fffo-drive run`."
+    )  # fmt: skip
+    return Verdict(
+        headline=headline, finding=f"{best} is best" if len(ranking) > 1 else best,
+        confidence=_confidence(summary, kind, ranking), next_step="run more seeds" if one_seed else "use it",
+        lines=[*lines, Line(label="Next", text=text)], reasons=[order], cautions=cautions,
+    )  # fmt: skip
+
+
+def _size(summary: Summary, kind: str, best: str) -> Line:
+    mean, largest = (summary.figures[f"{kind}.{key}"].absolute[best].value for key in ("mae", "max"))
+    text = f"Mean error {significant(mean)} rps, largest {significant(largest)} rps, over {len(summary.seeds)} seed"
+    return Line(label="How big", text=text + ("." if len(summary.seeds) == 1 else "s."))
+
+
+def _surety(summary: Summary, kind: str, best: str, second: str) -> Line:
+    ratio = _ratio_of(summary, kind, second, best)
+    if not math.isfinite(ratio.low):
+        return Line(label="How sure", text="One seed only: there is no interval.")
+    text = f"The squared error of {second}, the next best, is {significant(100.0 * ratio.low)} to "
+    return Line(label="How sure", text=f"{text}{significant(100.0 * ratio.high)} % of it, over seeds (95 %).")
+
+
+def _ratio_of(summary: Summary, kind: str, one: str, other: str) -> SeedInterval:
+    """ISE of one controller over that of another, of runs that saw the same noise; NaN ends with a single seed."""
+    values = summary.figures[f"{kind}.ise"].values
+    return ratio_interval(values[one], values[other])
+
+
+def _confidence(summary: Summary, kind: str, ranking: Sequence[str]) -> Confidence:
+    """Certain where the interval of the ratio to the next best leaves 1 out."""
+    if len(ranking) < 2 or len(summary.seeds) < 2:
+        return "probable"
+    return "certain" if _ratio_of(summary, kind, ranking[1], ranking[0]).low > 1.0 else "cannot tell"
 
 
 def _cell(interval: SeedInterval, best: bool = False) -> Cell:
@@ -203,7 +256,7 @@ def _bars(summary: Summary, kind: str) -> Figure:
     return Figure(
         name=f"bars-{kind}", kind="bars", title=f"Error against {KINDS[kind]}",
         caption=f"Per cent of {base}" + ("; markers: the paper's Table II." if marks else "."),
-        x=PlotAxis("metric", "-", categories=tuple(METRICS.values())), y=PlotAxis(f"share of {base}", "%"),
+        x=PlotAxis("error", "-", categories=tuple(METRICS.values())), y=PlotAxis(f"share of {base}", "%"),
         series=tuple(grouped_bars(groups, marks, "paper")), width="half" if kind == "true" else "full",
     )  # fmt: skip
 

@@ -24,13 +24,13 @@ from .cyclic import cyclic_section, cyclic_table
 from .document import (
     Cell,
     Heading,
+    Line,
     Listing,
     Report,
     ReportProvenance,
     Row,
     Section,
     SourceFile,
-    Standing,
     Table,
     Verdict,
     count,
@@ -86,16 +86,17 @@ def identify_report(
         title=f"Identification of {source.name}",
         subtitle=f"{len(records)} {'logs' if len(records) > 1 else 'log'}, {seconds:.4g} s at "
         f"{1.0 / records[0].period_s:.5g} Hz, fitted together: {', '.join(record.name for record in records)}.",
-        verdict=_verdict(results, words),
+        verdict=_verdict(source, results, words),
         tables=tuple(tables),
         sections=sections if cyclic is None else (*sections, cyclic_section(cyclic)),
         provenance=_provenance(source, records, results),
         results=results,
+        opening="friction",
         listings=(_next_steps(source),),
     )
 
 
-def _verdict(results: dict[str, Any], words: IdentifyWords) -> Verdict:
+def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWords) -> Verdict:
     doubted = [doubt["symbol"] for doubt in results["doubts"]]
     fitted = [row["symbol"] for row in results["parameters"] if row["of_the_model"] and row["fitted"]]
     told = [symbol for symbol in fitted if symbol not in doubted]
@@ -116,8 +117,49 @@ def _verdict(results: dict[str, Any], words: IdentifyWords) -> Verdict:
         f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
     ]
     useless = worst > USELESS_RESIDUAL_PERCENT or INERTIA in [doubt["name"] for doubt in results["doubts"]]
-    standing: Standing = "bad" if useless else "caution" if cautions or worst > LARGE_RESIDUAL_PERCENT else "good"
-    return Verdict(standing=standing, headline=headline, reasons=_quality(results, words), cautions=cautions)
+    doubtful = bool(doubted) or worst > LARGE_RESIDUAL_PERCENT
+    quality = _quality(results, words)
+    good = quality[0].removeprefix("Quality: ")
+    lines = [Line(label="What", text=_known(results, doubted)), Line(label="How good", text=good)]
+    lines += [Line(label="How sure", text=_first_doubt(results))] if doubted else []
+    if useless:
+        text = "Do not tune with this model: record what determines it, and identify again."
+        lines.append(Line(label="Next", text=text))
+    else:
+        lines.append(Line(label="Next", text="Choose gains for this model.", command=_tune_command(source)))
+    return Verdict(
+        headline=headline,
+        finding="a model that leaves too much" if worst > LARGE_RESIDUAL_PERCENT else "a model of the axis",
+        confidence="cannot tell" if useless else "probable" if doubtful else "certain",
+        next_step="record more" if useless else "tune",
+        alarm=useless,
+        lines=lines,
+        reasons=quality[1:],
+        cautions=cautions,
+    )
+
+
+def _first_doubt(results: dict[str, Any]) -> str:
+    """The first parameter that the data do not determine, and what would."""
+    doubt = results["doubts"][0]
+    return f"{doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}."
+
+
+def _known(results: dict[str, Any], doubted: Sequence[str]) -> str:
+    """Inertia, Coulomb friction, delay and the rest of the model that the data determine, in one line."""
+    known = []
+    for p in results["parameters"]:
+        if not (p["of_the_model"] and p["fitted"]) or p["symbol"] in doubted or p["name"] == "offset_nm":
+            continue
+        value, unit = p["value"], "" if p["unit"] == "-" else f" {p['unit'].replace('^2', '²')}"
+        if p["name"] == INERTIA and results["units"] == "rotary":
+            value, unit = inertia_kg_m2(value), " kg m²"
+        known.append(f"{p['symbol']} {significant(value)}{unit}")
+    return ", ".join(known) + "."
+
+
+def _tune_command(source: IdentifySource) -> str:
+    return f"fffo-drive tune {source.model_file} --out {source.model_file.parent / 'tune'}"
 
 
 def _span(values: Any) -> str:
@@ -400,7 +442,7 @@ def _next_steps(source: IdentifySource) -> Listing:
     model = source.model_file
     return Listing(
         name="next", title="What to do with it", note="The model file is what a controller runs.",
-        text=f"fffo-drive tune {model} --out {model.parent / 'tune'}   # gains and margins for this model\n"
+        text=f"{_tune_command(source)}   # gains and margins for this model\n"
              f"fffo-drive config check AXIS.yaml   # after `model: {model.name}` in the axis file",
     )  # fmt: skip
 

@@ -61,7 +61,7 @@ def render_page(report: Report) -> str:
         .get_template("report.html.j2")
         .render(
             report=report,
-            numbers={figure.name: index for index, figure in enumerate(report.figures, 1)},
+            numbers=_numbers(report),
             data=script_json(encode_figures(report.figures)),
             styles=[_asset(name) for name in STYLES],
             scripts=[_asset(name) for name in SCRIPTS],
@@ -70,6 +70,13 @@ def render_page(report: Report) -> str:
             dark=palette.variables(dark=True),
         )
     )
+
+
+def _numbers(report: Report) -> dict[str, int]:
+    """Numbers of the figures by name, from 1 in the order of the page."""
+    first = report.opening_figure
+    shown = [first, *(f for section in report.folded_sections for f in section.figures)] if first else []
+    return {figure.name: index for index, figure in enumerate(shown, 1)}
 
 
 def script_json(content: object) -> Markup:

@@ -16,11 +16,11 @@ from . import tune_figures as draw
 from .document import (
     Cell,
     Heading,
+    Line,
     Listing,
     Report,
     Row,
     Section,
-    Standing,
     Table,
     Verdict,
     number,
@@ -57,7 +57,7 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
         kind="tune",
         title=f"Gains for {source.model.name}",
         subtitle="PI and observer for the fitted axis with its whole delay, judged at friction's smallest damping.",
-        verdict=_verdict(tuning),
+        verdict=_verdict(source, tuning),
         tables=(_gains(tuning), _margins(source, tuning), _checks(tuning, source.model), _axis(source, tuning)),
         sections=(
             Section("Poles", "Where the closed loop's poles go as the gain rises.",
@@ -70,37 +70,60 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
         ),
         provenance=provenance(files, {name: text for name, text in facts.items() if text}),
         results=results,
+        opening="step",
         listings=_listings(source),
     )  # fmt: skip
     return of_linear_axis(report) if source.model.units == "linear" else report
 
 
-def _verdict(tuning: Tuning) -> Verdict:
+def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
     design, gains = tuning.design, tuning.gains
     margins = design.margins_observer
     headline = (
         f"Kp {significant(gains.proportional_a_per_rps, 4)} A/rps, "
-        f"Ki {significant(gains.integral_a_per_rev, 4)} A/rev, L {significant(gains.observer_nm_per_rev, 4)} Nm/rev: "
-        f"phase margin {significant(margins.phase_deg, 2)}°, gain margin {significant(margins.gain, 2)} "
-        "with delay and observer."
+        f"Ki {significant(gains.integral_a_per_rev, 4)} A/rev, L {significant(gains.observer_nm_per_rev, 4)} Nm/rev."
     )
     unstable = margins.phase_deg <= 0.0 or margins.gain <= 1.0
-    standing: Standing = "bad" if unstable else "caution" if design.warnings else "good"
     bound = design.real_poles_from_a_per_rps
     share = f", {significant(gains.proportional_a_per_rps / bound, 2)} times the bound" if bound > 0.0 else ""
     reasons = [
         "The loop with these gains must not be run."
         if unstable
         else f"Poles are real from Kp {significant(bound)} A/rps{share}. {_condition_14(design)}",
-        f"At rest, where the contact is a spring, {significant(100.0 * gains.rest_share, 3)} % of Kp and Ki have a "
-        f"phase margin of {significant(design.margins_rest.phase_deg, 2)}°.",
-        f"A step goes {significant(design.overshoot_percent, 2)} % over and is within 2 % after "
-        f"{significant(1e3 * design.settled_s, 2)} ms.",
         f"Friction's damping may vary {_ratio(design.without_overshoot)} with real poles, "
         f"{_ratio(design.within_margins)} within the margins.",
     ]
     cautions = [f"{text[0].upper()}{text[1:]}." for text in design.warnings]
-    return Verdict(standing=standing, headline=headline, reasons=reasons, cautions=cautions)
+    lines = [
+        Line(label="Margins", text=f"Phase {significant(margins.phase_deg, 2)}°, gain {significant(margins.gain, 2)} "
+                                   f"with delay and observer; required: {tuning.wish.phase_margin_deg:g}° and "
+                                   f"{tuning.wish.gain_margin:g}."),
+        Line(label="Step", text=f"Goes {significant(design.overshoot_percent, 2)} % over, at worst "
+                                f"{significant(tuning.worst_overshoot_percent, 2)} % with the observer, and is within "
+                                f"2 % after {significant(1e3 * design.settled_s, 2)} ms."),
+        Line(label="At rest", text=f"{significant(100.0 * gains.rest_share, 3)} % of Kp and Ki keep a phase margin of "
+                                   f"{significant(design.margins_rest.phase_deg, 2)}° on the contact's spring."),
+    ]  # fmt: skip
+    if unstable:
+        lines.append(Line(label="Next", text="Do not run these gains: let `fffo-drive tune` choose them."))
+    else:
+        text = "Try them on the simulated drive before they meet an axis."
+        lines.append(Line(label="Next", text=text, command=_first_command(source)))
+    return Verdict(
+        headline=headline,
+        finding="an unstable loop" if unstable else "gains" if cautions else "gains that keep the margins",
+        confidence="probable" if cautions and not unstable else "certain",
+        next_step="do not run it" if unstable else "try them in simulation",
+        alarm=unstable,
+        lines=lines,
+        reasons=reasons,
+        cautions=cautions,
+    )
+
+
+def _first_command(source: TuneSource) -> str:
+    commands = [command.split("#")[0].strip() for command in source.commands]
+    return next(filter(None, commands))
 
 
 def _condition_14(design: Design) -> str:

@@ -40,6 +40,19 @@ class Tuning(NamedTuple):
         """Kp / Ki."""
         return self.gains.proportional_a_per_rps / self.gains.integral_a_per_rev
 
+    @property
+    def integral_with_observer_a_per_rev(self) -> float:
+        """At worst the observer is one more integral action of L."""
+        return self.gains.integral_a_per_rev + self.gains.observer_nm_per_rev / self.axis.torque_constant_nm_per_a
+
+    @property
+    def worst_overshoot_percent(self) -> float:
+        """Of a step of the reference with that integral action, zero and delay."""
+        duration_s = max(SHORTEST_STEP_S, 1.5 * self.design.settled_s)
+        integral = self.integral_with_observer_a_per_rev
+        response = step_response(self.axis, self.gains.proportional_a_per_rps, integral, duration_s)
+        return 100.0 * max(0.0, float(response.max()) - 1.0)
+
 
 def locus_figures(tuning: Tuning) -> list[Figure]:
     """Fig. 6: both closed-loop poles as the proportional gain rises, the integral time kept; and near the bound."""
@@ -107,12 +120,11 @@ def step_figure(tuning: Tuning) -> Figure:
     """A step of the reference with the PI's zero and the delay, and what each of them does."""
     design, axis, gains = tuning.design, tuning.axis, tuning.gains
     duration_s = max(SHORTEST_STEP_S, 1.5 * design.settled_s)
-    with_observer = gains.integral_a_per_rev + gains.observer_nm_per_rev / axis.torque_constant_nm_per_a
     prompt = axis._replace(delay_s=0.0)
     cases: tuple[tuple[str, LinearAxis, float, str, Dash, float], ...] = (
         ("PI, zero and delay", axis, gains.integral_a_per_rev, "blue", "solid", 2.0),
         ("without the delay", prompt, gains.integral_a_per_rev, "grey", "dashed", 1.3),
-        ("with L, at worst", axis, with_observer, "orange", "dashdot", 1.5),
+        ("with L, at worst", axis, tuning.integral_with_observer_a_per_rev, "orange", "dashdot", 1.5),
     )
     series = []
     for name, plant, integral, colour, dash, weight in cases:

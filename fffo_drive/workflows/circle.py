@@ -44,6 +44,7 @@ from .recorded_facts import facts_of_axis
 from .simulated_process import SimulatedProcess
 
 SECOND_SURFACE = "second_surface"
+IN_SERVICE = "effects in service"  # gate
 GAIN_ROOM = 1.02  # of what condition (14) asks for
 RECIPE = {"kind": "recipe", "repeats": 1}
 IDENTIFY = {"kind": "identify", "lowest_hz": 0.05}
@@ -245,6 +246,9 @@ def _adopt(
     if gain is not None:
         change(axis_path, ("controller", "observer", "gain_nm_per_rev"), gain)
         axis = read_axis(axis_path)
+    if not compensated_names(axis, model):
+        reasons = "; ".join(f"{service.effect.name}: {service.reason}" for service in services(axis, model))
+        return False, [Gate(IN_SERVICE, False, f"no effect can go into service: {reasons}")]
     found = gates(axis, model_of(axis_path, axis), model, report, None)
     weak = refused_effects(model, found)
     if weak and set(compensated_names(axis, model)) - set(weak):

@@ -62,17 +62,20 @@ def test_skipped_ticks_are_gaps_on_the_profile_s_grid(records):
 
 def test_the_verdict_names_the_gain_and_doubts_a_bad_run(report, tmp_path):
     assert report.verdict.headline.startswith("PI+FFFO takes the squared error (ISE) of PI down to ")
-    assert report.verdict.standing == "caution"
+    assert report.verdict.confidence == "probable"
     assert any("late or skipped" in text for text in report.verdict.cautions)
     sound = bench_report(bench_records(tmp_path, 4.0))
-    assert sound.verdict.standing == "good"
+    assert sound.verdict.confidence == "probable"  # 4 s are no 8 stretches: there is no interval
+    (tmp_path / "longer").mkdir()
+    longer = bench_report(bench_records(tmp_path / "longer", 12.0)).verdict
+    assert (longer.finding, longer.confidence, longer.next_step) == ("PI+FFFO is best", "certain", "run longer")
     assert sound.verdict.cautions == []
 
 
 def test_a_gain_that_is_none_is_called_so(records):
     swapped = {"PI": records["PI+FFFO"], "PI+FFFO": records["PI"]}
     verdict = bench_report(swapped).verdict
-    assert verdict.standing == "bad"
+    assert verdict.next_step == "check gains and model"
     assert verdict.headline.startswith("PI alone is best")
 
 

@@ -40,7 +40,7 @@ def refused():
 def test_what_does_not_carry_over_is_not_adopted_and_the_page_says_so(refused):
     report = circle_report(refused)
     assert not refused.adopted
-    assert report.verdict.standing == "caution"
+    assert report.verdict.finding == "nothing that carries over"
     assert "carries over" in report.verdict.headline
     assert HEADLINE in render_page(report)
     assert as_object(refused)["verdict"] == "nothing_carries_over"
@@ -48,11 +48,11 @@ def test_what_does_not_carry_over_is_not_adopted_and_the_page_says_so(refused):
 
 def test_an_adoption_that_helps_is_good_unless_something_is_left():
     report = circle_report(circle())
-    assert report.verdict.standing == "good"
-    assert "5.00 to 2.00 % of the torque that the axis needs" in report.verdict.reasons[0]
+    assert (report.verdict.finding, report.verdict.confidence) == ("adopted, better", "certain")
+    lines = {line.label: line.text for line in report.verdict.lines}
+    assert "5.00 to 2.00 % of the torque that the axis needs" in lines["Model"]
     left = circle(unexplained_rest=REST)
     report = circle_report(left)
-    assert report.verdict.standing == "caution"
     assert f"Not explained: {REST}." in report.verdict.cautions
     assert as_object(left)["unexplained_rest"] == REST
 
@@ -60,4 +60,20 @@ def test_an_adoption_that_helps_is_good_unless_something_is_left():
 def test_an_error_that_is_no_number_does_not_stop_the_page():
     none = {"held_out": {"torque_relative_percent": None}}
     report = circle_report(circle(model_error={"before": none, "after": none}))
-    assert "not finite to not finite %" in report.verdict.reasons[0]
+    assert any("not finite to not finite %" in line.text for line in report.verdict.lines)
+
+
+def test_the_headline_is_of_what_a_real_axis_measures():
+    source = circle()
+    metrics = source.tracking.metrics
+    shaft = source.tracking._replace(
+        metrics={**metrics, "true": metrics["measured"]._replace(after=metrics["measured"].before)}
+    )
+    intervals = {**source.tracking.intervals, "true": source.tracking.intervals["measured"]}
+    report = circle_report(source._replace(tracking=shaft._replace(intervals=intervals)))
+    assert report.verdict.headline == circle_report(source).verdict.headline
+
+
+def test_what_was_found_and_is_not_in_service_is_no_headline():
+    report = circle_report(circle(effects=("cogging", "backlash"), not_compensated={"backlash": "not known ahead"}))
+    assert report.verdict.headline.startswith("Found and adopted: cogging. ")

@@ -28,9 +28,10 @@ from fffo_drive.diagnosis.results import (
 )
 from fffo_drive.diagnosis.results import report as report_object
 from fffo_drive.identification.runs import PARAMETERS, Estimate, Remark, RunLook, RunsLook
-from fffo_drive.model.effects.registry import law_of
+from fffo_drive.model.effects.registry import LAWS, law_of
 from fffo_drive.model.parameters import read_model
-from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, doubts, write_diagnosis_report
+from fffo_drive.report.diagnose import DiagnosisSource, diagnosis_report, write_diagnosis_report
+from fffo_drive.report.diagnose_verdict import doubts
 from fffo_drive.report.document import provenance, source_file
 from fffo_drive.report.page import render_page
 
@@ -63,6 +64,7 @@ def finding(**changes):
         "parameters": (Number("cos_nm", 0.008, 0.0002, "Nm", "track"), Number("order", 12.0, None, "1/rev")),
         "false_alarm_probability": 0.002, "accepted": True, "reason": "beyond chance", "regime": "everywhere",
         "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
+        "torque_rms_nm": 0.008,
         "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
         "picture": picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
         "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
@@ -89,17 +91,58 @@ def diagnosis(**changes):
 
 def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     report = diagnosis_report(SOURCE, diagnosis())
-    assert report.verdict.headline == "Cogging is missing in the model."
-    assert report.verdict.standing == "good"
+    assert report.verdict.headline == "The model lacks cogging or torque ripple."
+    assert (report.verdict.finding, report.verdict.confidence) == ("cogging or torque ripple", "cannot tell")
+    lines = {line.label: line for line in report.verdict.lines}
+    assert list(lines) == ["Where", "How big", "How sure", "Next"]
+    assert lines["Where"].text == "12 waves in a motor turn."
+    assert lines["How big"].text.startswith("8.0 mNm rms, 17 % of the friction.")
+    assert "cannot tell cogging and torque ripple apart" in lines["How sure"].text
+    assert lines["Next"].command == "fffo-drive run AXIS.yaml --decide cogging"
     first = report.verdict.reasons[0]
     assert "cogging, or torque_ripple" in first
     assert "62 % of the squared residual that all others leave" in first
     assert "p = 0.0020" in first
     page = render_page(report)
-    marks = [page.index(mark) for mark in ('class="verdict', 'id="table-found"', 'id="table-errors"', "<figure")]
+    marks = [page.index(mark) for mark in ('class="verdict', "<figure", 'id="table-found"', 'id="table-errors"')]
     assert marks == sorted(marks)
     assert "&lt;axis&gt;" in page
     assert len(page.encode()) < LARGEST_PAGE_BYTES
+
+
+def test_a_certain_finding_is_told_with_cause_place_size_and_the_command_that_adopts_it():
+    sure = finding(alternatives=())
+    verdict = diagnosis_report(SOURCE, diagnosis(findings=(sure, finding(name="backlash", alternatives=())))).verdict
+    assert verdict.headline == (
+        "The model lacks cogging, and backlash. Usually: the motor's magnets against the teeth of its stator."
+    )
+    assert (verdict.finding, verdict.confidence, verdict.next_step) == ("2 effects", "certain", "adopt it")
+    assert verdict.lines[-1].command == "fffo-drive adopt model_after.yaml --axis AXIS.yaml"
+    mended = diagnosis_report(SOURCE, diagnosis(findings=(replace(sure, name="backlash", compensable=False),))).verdict
+    assert (mended.next_step, mended.lines[-1].command) == ("mend it at the machine", "")
+    assert "coupling" in mended.lines[-1].text
+
+
+@pytest.mark.parametrize(
+    ("changes", "confidence"),
+    [
+        ({}, "certain"),
+        ({"held_out_gain": (50.0, 40.0)}, "certain"),  # by the error where it acts: 10 before, 3 after
+        ({"held_out_gain": (50.0, 40.0), "regime_after": errors(0.0095)}, "probable"),
+        ({"held_out_gain": None, "regime_before": None, "regime_after": None}, "probable"),
+        ({"alternatives": ("unbalance",)}, "cannot tell"),
+    ],
+)
+def test_a_finding_is_certain_where_held_out_runs_show_it_beyond_their_intervals(changes, confidence):
+    assert finding(**{"alternatives": (), **changes}).confidence == confidence
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+def test_every_law_has_a_plain_name_a_cause_a_remedy_and_a_place(law):
+    assert "_" not in law.plain_name
+    assert law.cause
+    assert law.remedy
+    assert law.place_of({p.name: p.typical for p in law.parameters})
 
 
 def test_errors_stand_before_and_after_with_intervals_on_all_of_it_and_where_the_effect_acts():
@@ -158,7 +201,8 @@ def test_each_finding_has_its_picture_and_each_run_its_residual():
 def test_nothing_found_is_a_page_too():
     nothing = diagnosis(verdict="no_effect_found", headline="Nothing is missing.", findings=())
     report = diagnosis_report(SOURCE, nothing)
-    assert report.verdict.standing == "good"
+    assert (report.verdict.finding, report.verdict.confidence) == ("nothing missing", "certain")
+    assert not any("of what any model could explain" in text for text in report.verdict.reasons)  # nothing was
     assert {table.name for table in report.tables} == {"errors", "channels", "base"}
     assert "Nothing is missing." in render_page(report)
 
@@ -175,7 +219,7 @@ def test_of_the_pairs_of_axes_the_strongest_are_shown():
 def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
     open_ = diagnosis(verdict="unexplained", before=None, after=None, held_out_names=(), findings=())
     report = diagnosis_report(SOURCE, open_)
-    assert report.verdict.standing == "caution"
+    assert (report.verdict.finding, report.verdict.confidence) == ("not explained", "cannot tell")
     assert any("Nothing was held out" in text for text in report.verdict.cautions)
     assert "nothing held out" in report.subtitle
 
@@ -209,7 +253,9 @@ def test_a_rest_is_never_silent():
     for verdict in ("effects_found", "unexplained", "nothing_carries_over"):
         found = diagnosis(verdict=verdict, unexplained_rest=REST)
         report = diagnosis_report(SOURCE, found)
-        assert report.verdict.standing == ("bad" if verdict == "nothing_carries_over" else "caution")
+        assert report.verdict.alarm == (verdict == "nothing_carries_over")
+        if verdict != "nothing_carries_over":
+            assert any("Not explained: 4 mNm rms" in line.text for line in report.verdict.lines)
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
         assert "2 are what a black box" in said
         assert "40 % of the square" in said
@@ -221,7 +267,7 @@ def test_where_nothing_carries_over_there_is_no_model_and_nothing_is_good():
     refused = finding(accepted=False, reason="does not carry over: the error in torque is no smaller")
     found = diagnosis(verdict="nothing_carries_over", findings=(refused,), model_after=None)
     report = diagnosis_report(SOURCE._replace(model_path=""), found)
-    assert report.verdict.standing == "bad"
+    assert report.verdict.alarm
     assert any("No model was written" in reason for reason in report.verdict.reasons)
     base = next(table for table in report.tables if table.name == "base")
     assert {row.cells[1].text for row in base.rows} == {"–"}
@@ -232,13 +278,15 @@ def test_where_nothing_carries_over_there_is_no_model_and_nothing_is_good():
 @pytest.mark.parametrize("field", ["torque_rms_nm", "velocity_rms_rps"])
 def test_a_held_out_error_that_rose_or_is_not_finite_is_never_good(field):
     risen = replace(errors(0.002), **{field: Interval(1.0, 0.9, 1.1)})
-    report = diagnosis_report(SOURCE, diagnosis(after=risen))
-    assert report.verdict.standing == "caution"
+    sure = finding(alternatives=())
+    assert diagnosis_report(SOURCE, diagnosis(findings=(sure,))).verdict.confidence == "certain"
+    report = diagnosis_report(SOURCE, diagnosis(after=risen, findings=(sure,)))
+    assert report.verdict.confidence == "probable"
     assert any("rose from" in text for text in report.verdict.cautions)
     for value in (float("nan"), float("inf")):
         broken = diagnosis(after=replace(errors(0.002), **{field: Interval(value, value, value)}))
         report = diagnosis_report(SOURCE, broken)
-        assert report.verdict.standing == "bad"
+        assert report.verdict.alarm
         assert any("not finite" in text for text in report.verdict.cautions)
         cells = next(table for table in report.tables if table.name == "errors").rows[0].cells
         assert "not finite" in {cell.text for cell in cells}

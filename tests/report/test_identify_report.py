@@ -97,9 +97,11 @@ def test_page_and_json_tell_the_same_numbers(made, page, tmp_path):
 @pytest.mark.slow
 def test_a_good_fit_is_called_good_with_its_quality(made):
     _, _, document = made
-    assert document.verdict.standing == "good", document.verdict
+    assert (document.verdict.confidence, document.verdict.next_step) == ("certain", "tune"), document.verdict
     assert "all 9 parameters" in document.verdict.headline
-    assert document.verdict.reasons[0].startswith("Quality: torque residual ")
+    lines = {line.label: line for line in document.verdict.lines}
+    assert lines["How good"].text.startswith("torque residual ")
+    assert lines["Next"].command.startswith("fffo-drive tune ")
 
 
 @pytest.mark.slow
@@ -159,7 +161,7 @@ def test_what_is_not_told_stands_first_and_in_a_table(tmp_path):
     current = 1.0 + 0.4 * np.sin(2 * np.pi * time) + 0.3 * np.sin(2 * np.pi * 7.0 * time)
     fast = on_disk(record_of(current, lsb_rev=2.0**-15, noise_rev=1e-5), tmp_path, "fast")
     _, _, document = reported([fast], tmp_path)
-    assert document.verdict.standing in ("caution", "bad")
+    assert document.verdict.confidence != "certain"
     assert "do not determine" in document.verdict.headline
     table = next(table for table in document.tables if table.name == "doubts")
     row = next(row for row in table.rows if row.label == "K")

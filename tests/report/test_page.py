@@ -6,12 +6,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from report.bench_runs import bench_records
 
 from fffo_drive.report.bench import bench_report
 from fffo_drive.report.document import (
     Cell,
     Heading,
+    Line,
     Report,
     ReportFile,
     Row,
@@ -106,7 +108,7 @@ def test_every_figure_says_what_it_shows(page, report):
 
 
 def test_verdict_comes_first_and_provenance_last(page):
-    order = [page.index(mark) for mark in ('class="verdict', "<table", "<figure", "<footer", "SHA-256")]
+    order = [page.index(mark) for mark in ('class="verdict', "<figure", "<table", "<footer", "SHA-256")]
     assert order == sorted(order)
 
 
@@ -151,7 +153,7 @@ def test_longer_records_give_way_to_the_limit():
 
 
 def small_report(**changes):
-    verdict = Verdict(standing="good", headline="It is good.")
+    verdict = Verdict(headline="It is good.", finding="good", confidence="certain", next_step="nothing to do")
     content = {
         "kind": "identify", "title": "A report", "subtitle": "of something", "verdict": verdict, "tables": (),
         "sections": (Section("s", "text", (long_figure("f", 100),)),),
@@ -173,6 +175,23 @@ def test_a_report_of_another_kind_needs_no_more(tmp_path):
     content = ReportFile.model_validate_json(paths.json.read_text())
     assert content.tables[0].rows[0].cells[0].value == 1.5e-4
     assert content.provenance.files[0].sha256.startswith("ba7816bf")
+
+
+def test_the_opening_figure_stands_first_and_once():
+    sections = (Section("s", "text", (long_figure("f", 10), long_figure("g", 10))),)
+    report = small_report(sections=sections, opening="g")
+    page = render_page(report)
+    assert [f.name for s in report.folded_sections for f in s.figures] == ["f"]
+    assert page.index('id="figure-g"') < page.index('id="figure-f"')
+    assert "<b>Figure 1.</b>" in page[page.index('id="caption-g"') :][:60]
+    with pytest.raises(ValueError, match="does not have"):
+        _ = small_report(sections=sections, opening="h").opening_figure
+
+
+def test_a_page_opens_with_at_most_five_lines():
+    line = Line(label="a", text="b")
+    with pytest.raises(ValidationError):
+        Verdict(headline="h", finding="f", confidence="certain", next_step="n", lines=[line] * 5)
 
 
 def test_two_figures_of_one_name_are_refused():

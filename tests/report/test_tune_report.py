@@ -70,19 +70,21 @@ def test_the_page_carries_the_numbers_of_the_json_and_nothing_from_outside(repor
 
 
 def test_a_design_that_keeps_its_wishes_is_good(report):
-    assert report[1].verdict.standing == "good"
-    assert "phase margin 45" in report[1].verdict.headline
+    verdict = report[1].verdict
+    assert (verdict.finding, verdict.confidence) == ("gains that keep the margins", "certain")
+    assert verdict.lines[0].text.startswith("Phase 45°")
 
 
 def test_what_is_missed_is_a_caution_and_an_unstable_loop_is_bad(tmp_path):
     missed = made(tmp_path, Wish(bandwidth_hz=45.0))[1].verdict
-    assert missed.standing == "caution"
+    assert missed.confidence == "probable"
     assert any("phase margin" in text for text in missed.cautions)
     less = made(tmp_path, observer_nm_per_rev=0.0)[1].verdict
-    assert less.standing == "caution"
+    assert less.confidence == "probable"
     assert any("(14)" in text for text in less.cautions)
     broken = made(tmp_path, observer_nm_per_rev=200.0)[1].verdict
-    assert broken.standing == "bad"
+    assert broken.alarm
+    assert broken.next_step == "do not run it"
     assert any("must not be run" in text for text in broken.reasons)
 
 

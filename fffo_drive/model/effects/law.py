@@ -110,6 +110,14 @@ def folded_over_order(values: Mapping[str, float]) -> Folded:
     return "motor_angle", 1.0 / values["order"]
 
 
+def place_of_order(values: Mapping[str, float]) -> str:
+    """Where a wave of the motor turn is."""
+    order = values["order"]
+    if order < 1.0:
+        return f"one wave in {1.0 / order:.4g} rev"
+    return f"{order:.4g} wave{'s' if order > 1.0 else ''} in a motor turn"
+
+
 @dataclass(frozen=True)
 class Law:
     """An effect that a model may have."""
@@ -120,6 +128,9 @@ class Law:
     parameters: tuple[Parameter, ...]
     search: Callable[[SearchContext], list[Shape]]  # shapes to try; those that it leaves out are typical
     meaning: str
+    plain_name: str  # what people at the machine call it
+    cause: str  # what usually makes it
+    remedy: str  # what to do about it, at the machine and in the controller
     compensable: bool  # a feed-forward can give the torque
     regime: str  # where it acts
     lookalikes: tuple[str, ...]  # laws that it is confused with
@@ -138,10 +149,15 @@ class Law:
     rotary: bool = False  # it is of a shaft that turns: no linear axis has it
     in_base: bool = False  # the base model has it already: a note, and never a finding
     rung: Literal[0, 1, 2, 3, 4] = 3  # of the ladder: 0 constants; 1 weight; 2 cogging; 3 other laws; 4 free curves
+    place: Callable[[Mapping[str, float]], str] | None = None  # where with these shapes; None: `regime` says it
     fold: Callable[[Mapping[str, float]], Folded | None] = not_folded  # of a picture; None: it is over `picture`
     wave: Literal["", "plain", "torque", "friction"] = ""  # cos and sin of the motor angle, times what: 1, the motor's
     # torque, the level of the friction (felt late, over a travel of level / attraction); such a column needs no kernel,
     # and does not alias
+
+    def place_of(self, values: Mapping[str, float]) -> str:
+        """Where on the machine, or in its motion, the effect with these parameters is."""
+        return self.regime if self.place is None else self.place(values)
 
     @property
     def follows_model(self) -> bool:

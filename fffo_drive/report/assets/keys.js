@@ -41,11 +41,25 @@
   const again = () => Plots.made.forEach((plot) => plot.u.redraw(false, true));
 
   let waiting = 0;
+  /* What is folded has no width; paper shows everything. */
+  const folds = [...document.querySelectorAll("details.fold")], unfold = document.getElementById("unfold");
+  const open = (on) => folds.forEach((fold) => { fold.open = on; });
+  unfold.addEventListener("click", () => {
+    const on = unfold.getAttribute("aria-pressed") !== "true";
+    unfold.setAttribute("aria-pressed", String(on));
+    unfold.textContent = on ? "fold everything" : "open everything";
+    open(on);
+  });
+  for (const fold of folds) fold.addEventListener("toggle", () => fold.open && fit());
+
   new ResizeObserver(() => { cancelAnimationFrame(waiting); waiting = requestAnimationFrame(fit); }).observe(document.querySelector("main"));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
 
   /* Paper is white, and narrower than a screen. */
+  let before = [];
   const paper = (on) => {
+    if (on) { before = folds.map((fold) => fold.open); open(true); }
+    else folds.forEach((fold, i) => { fold.open = before[i]; });
     document.documentElement.toggleAttribute("data-paper", on);
     if (on) document.documentElement.dataset.paper = "light";
     document.querySelector("main").style.width = on ? "690px" : "";

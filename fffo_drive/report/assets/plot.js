@@ -32,6 +32,7 @@ const Plots = (() => {
     return grounded ? [Math.min(0, min), max + pad] : [min - pad, max + pad];
   }
 
+  const FOLDED_WIDTH = 600; // until it is unfolded and has one
   const GROUP_AXIS = 52; // figures that zoom together stand with their ordinates one above the other
 
   function axis(side, spec, group, extra) {
@@ -203,7 +204,7 @@ const Plots = (() => {
     made.push(plot);
     legend(plot, box.querySelector(".legend"));
     box.querySelector(".detail").textContent = detail(figure);
-    plot.u = new uPlot(options(plot, host.clientWidth), [[...plot.full], [null, null]], host);
+    plot.u = new uPlot(options(plot, host.clientWidth || FOLDED_WIDTH), [[...plot.full], [null, null]], host);
     const actions = { in: () => zoom(plot, 0.5), out: () => zoom(plot, 2), all: () => showAll(plot), csv: () => csv(plot) };
     for (const button of box.querySelectorAll("[data-do]")) button.addEventListener("click", actions[button.dataset.do]);
   }

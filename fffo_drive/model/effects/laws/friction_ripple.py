@@ -5,7 +5,18 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import level_response, over_step, wave
-from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
+from ..law import (
+    SHAPE,
+    STRENGTH,
+    Law,
+    Parameter,
+    SearchContext,
+    Shape,
+    folded_over_order,
+    motor_orders,
+    over,
+    place_of_order,
+)
 from ..slots import Floats
 
 
@@ -33,6 +44,10 @@ LAW = Law(
     ),
     search=_search,
     meaning="friction varies with the motor angle",
+    plain_name="friction that varies within a motor turn",
+    cause="a bearing, seal or gear that is out of round or out of line",
+    remedy="check bearing, seal and coupling for run-out; the controller compensates it",
+    place=place_of_order,
     compensable=True,
     regime="sliding",
     lookalikes=("cogging", "torque_ripple", "position_dependent_friction"),

@@ -27,6 +27,18 @@ def _search(context: SearchContext) -> list[Shape]:
     return shapes
 
 
+def _place(values: Mapping[str, float]) -> str:
+    places = []
+    if values.get("width_rev", 0.0) > 0.0:
+        text = f"at {values['centre_rev']:.4g} rev, ± {0.5 * values['width_rev']:.3g} rev"
+        pitch, share = values.get("pitch_rev", 0.0), values.get("window_share", 0.0)
+        text += f", again every {pitch:.4g} rev" if pitch > 0.0 else ""
+        places.append(f"{text}, where friction is {100.0 * abs(share):.2g} % {'higher' if share > 0.0 else 'lower'}")
+    if values.get("period_rev", 0.0) > 0.0:
+        places.append(f"a wave every {values['period_rev']:.4g} rev of the travel")
+    return " and ".join(places) or "along the travel"
+
+
 def _fold(values: Mapping[str, float]) -> Folded | None:
     period_rev = values.get("period_rev", 0.0)
     return ("motor_angle", period_rev) if period_rev > 0.0 else None
@@ -102,6 +114,10 @@ LAW = Law(
     ),
     search=_search,
     meaning="friction varies along the travel, in waves or in a window",
+    plain_name="a tight or loose spot along the travel",
+    cause="a bent or worn screw, a guide out of line, dirt or dry grease at one place",
+    remedy="clean, grease and align the guide or screw there; the controller compensates what is left",
+    place=_place,
     compensable=True,
     regime="sliding",
     lookalikes=("friction_ripple", "unbalance", "coulomb_drift"),

@@ -1,0 +1,244 @@
+"""What the page of a diagnosis opens with: what the axis has, where, how big, how sure, and what to do about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..diagnosis.results import Diagnosis, Finding, Rest
+from ..model.effects.registry import law_of
+from .diagnose_figures import DiagnosisWords, words_of
+from .document import Confidence, Line, Verdict, significant
+
+SHOWN_NAMES = 3  # of further effects in the headline
+
+
+def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
+    """The opening of the page. `model_path`: of the updated model file; empty where none was written."""
+    accepted = [finding for finding in diagnosis.findings if finding.accepted]
+    effects = [finding for finding in accepted if not finding.is_form]
+    words = words_of(diagnosis)
+    cautions = [*doubts(diagnosis), *diagnosis.cautions]
+    if diagnosis.before is None:
+        cautions.append("Nothing was held out: the errors are those of the runs that were fitted.")
+    reasons = [_reason(finding, words) for finding in accepted]
+    rate = 100.0 * diagnosis.false_alarm_rate
+    reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
+    reasons += _repeated(diagnosis) if accepted else []
+    if not model_path and diagnosis.model_after is None:
+        reasons.append("No model was written: the one in service stays.")
+    if diagnosis.verdict == "nothing_carries_over" or _not_finite(diagnosis):
+        opening = _nothing_carries_over(diagnosis)
+    elif diagnosis.verdict == "effects_found" and effects:
+        opening = _effects_found(diagnosis, effects, model_path, words)
+    else:
+        opening = _no_effect(diagnosis, words)
+    return opening.model_copy(update={"reasons": reasons, "cautions": cautions})
+
+
+def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
+    return Verdict(
+        headline=diagnosis.headline, finding="nothing that carries over", confidence="certain",
+        next_step="keep the model in service", alarm=True,
+        lines=[
+            Line(label="How sure", text="What was found on the fitted runs does not make the held-out runs better."),
+            Line(label="Next", text="Keep the model in service. Record runs that are alike in load, temperature and "
+                                    "drive settings, and diagnose them again."),
+        ],
+    )  # fmt: skip
+
+
+def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path: str, words: DiagnosisWords) -> Verdict:
+    """The first effect that the held-out runs show in five lines; the others by name."""
+    shown = [finding for finding in effects if not unproven(finding)] or list(effects)
+    lead = shown[0]
+    others = list(dict.fromkeys(plain_name(finding) for finding in shown[1:]))
+    more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
+    more += f" and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
+    law = law_of(lead.name)
+    # what usually makes it is told of one that is known by name
+    cause = "" if law.name == "lookup" or lead.alternatives else f" Usually: {law.cause}."
+    step, next_line = _next(lead, model_path)
+    return Verdict(
+        headline=words.text(f"The model lacks {plain_name(lead)}{more}.{cause}"),
+        finding=f"{len(shown)} effects" if len(shown) > 1 else words.text(plain_name(lead)),
+        confidence=_confidence(diagnosis, lead),
+        next_step=step,
+        lines=[
+            Line(label="Where", text=words.text(f"{_capital(lead.place)}.")),
+            Line(label="How big", text=_size(diagnosis, lead, words)),
+            Line(label="How sure", text=_surety(diagnosis, lead, words)),
+            next_line.model_copy(update={"text": words.text(next_line.text)}),
+        ],
+    )
+
+
+def _confidence(diagnosis: Diagnosis, lead: Finding) -> Confidence:
+    """Of the first finding; never certain where a held-out error rose with what was found."""
+    rose = any(after > before for _, before, after in _held_out_errors(diagnosis))
+    return "probable" if rose and lead.confidence == "certain" else lead.confidence
+
+
+def plain_name(finding: Finding) -> str:
+    """What people at the machine call it; all members of a family that the data do not separate."""
+    names = [law_of(name).plain_name for name in (finding.name, *finding.alternatives)]
+    own = [f"{name} (over the {finding.axis.replace('_', ' ')})" if k == 0 and finding.curve is not None else name
+           for k, name in enumerate(names)]  # fmt: skip
+    return " or ".join(dict.fromkeys(own))
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _size(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
+    rms = significant(words.torque_scale * lead.torque_rms_nm, 2)
+    text = f"{rms} {words.small_torque} rms, {significant(lead.strength_percent, 2)} % of the friction."
+    errors = [figures for figures in (diagnosis.before, diagnosis.after) if figures is not None]
+    where = "held-out runs" if len(errors) == 2 else "fitted runs"
+    old, new = errors if len(errors) == 2 else (diagnosis.fit_before, diagnosis.fit_after)
+    shares = [significant(figures.torque_relative_percent.value, 2) for figures in (old, new)]
+    text += f" With all that was found the model's error on the {where} goes from {shares[0]} to {shares[1]} % of the "
+    text += f"{words.torque} that the axis needs."
+    return text if diagnosis.unexplained_rest is None else f"{text} {_rest(diagnosis.unexplained_rest, words)}"
+
+
+def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
+    chance = f"the chance that noise looks like this is {significant(lead.false_alarm_probability, 2)}"
+    if lead.alternatives:
+        members = " and ".join(dict.fromkeys(words.text(law_of(n).plain_name) for n in (lead.name, *lead.alternatives)))
+        return f"Something is there ({chance}), but these runs cannot tell {members} apart."
+    if lead.held_out_gain is None:
+        return f"Probable: {chance}, but no held-out run shows it."
+    if _confidence(diagnosis, lead) == "certain":
+        return f"Certain: {chance}, and runs that were held out show it too."
+    return f"Probable: {chance}; the held-out runs do not show it clearly."
+
+
+def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
+    law = law_of(lead.name)
+    if lead.alternatives:
+        return "decide between them", Line(
+            label="Next", text=f"A run that decides: {lead.experiment}.",
+            command=f"fffo-drive run AXIS.yaml --decide {lead.name}",
+        )  # fmt: skip
+    remedy = f"{_capital(law.remedy)}."
+    if lead.compensable and model_path:
+        return "adopt it", Line(label="Next", text=remedy, command=f"fffo-drive adopt {model_path} --axis AXIS.yaml")
+    return "mend it at the machine" if not lead.compensable else "look at it", Line(label="Next", text=remedy)
+
+
+def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
+    """Nothing with a name: the friction's own form, nothing at all, or something that stays unexplained."""
+    rest = diagnosis.unexplained_rest
+    errors = diagnosis.after or diagnosis.fit_after
+    share = significant(errors.torque_relative_percent.value, 2)
+    where = "fitted" if diagnosis.after is None else "held-out"
+    size = f"The model's error on the {where} runs is {share} % of the {words.torque} that the axis needs."
+    if diagnosis.verdict == "unexplained":
+        axes = names_of([words.axis(axis) for axis in rest.axes]) if rest is not None else ""
+        lines = [Line(label="Where", text=f"It goes with {axes}.")] if axes else []
+        lines += [Line(label="How big", text=size if rest is None else f"{size} {_rest(rest, words)}")]
+        lines += [
+            Line(label="How sure", text="Something is left, and nothing that is searched for explains it."),
+            Line(label="Next", text="Look at what the residual goes with, below; a recording with slow, fast and "
+                                    "reversing motion separates more."),
+        ]  # fmt: skip
+        return Verdict(
+            headline=diagnosis.headline,
+            finding="not explained",
+            confidence="cannot tell",
+            next_step="record more",
+            lines=lines,
+        )
+    confidence: Confidence = "probable" if diagnosis.before is None else "certain"
+    step = "nothing to do" if diagnosis.before is not None else "hold a run out"
+    text = "Nothing to do." if diagnosis.before is not None else "Diagnose again with a run held out (--held-out)."
+    sure = "Effects that are smaller than these runs can show are not excluded."
+    return Verdict(
+        headline=diagnosis.headline,
+        finding="nothing missing",
+        confidence=confidence,
+        next_step=step,
+        lines=[Line(label="How big", text=size), Line(label="How sure", text=sure), Line(label="Next", text=text)],
+    )
+
+
+def _repeated(diagnosis: Diagnosis) -> list[str]:
+    """What repeats of a reference say, a sentence each."""
+    found, ceiling = [], diagnosis.ceiling
+    if ceiling.explained_of_explainable is not None:
+        share = 100.0 * ceiling.explained_of_explainable
+        found.append(f"{share:.0f} % of what any model could explain is explained ({ceiling.note}).")
+    if ceiling.left_repeatable_fraction is not None:
+        share = 100.0 * ceiling.left_repeatable_fraction
+        found.append(f"{share:.0f} % of the squared residual that is left repeats with the reference.")
+    return found
+
+
+def doubts(diagnosis: Diagnosis) -> list[str]:
+    """What speaks against the figures of a diagnosis, a sentence each: held-out errors that rose, what is left."""
+    found = []
+    words = words_of(diagnosis)
+    for what, before, after in _held_out_errors(diagnosis):
+        if not math.isfinite(after):
+            found.append(f"The held-out error in {what} is not finite: the model cannot be used for it.")
+        elif after > before:
+            found.append(f"The held-out error in {what} rose from {before:.3g} to {after:.3g} {words.unit_of(what)}.")
+    if diagnosis.unexplained_rest is not None:
+        found.append(_rest(diagnosis.unexplained_rest, words))
+    return found
+
+
+def _held_out_errors(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
+    """(quantity, before, after) of the held-out runs, in the units of the page."""
+    before, after = diagnosis.before, diagnosis.after
+    if before is None or after is None:
+        return []
+    words = words_of(diagnosis)
+    quantities = (
+        (words.torque, words.torque_scale, before.torque_rms_nm, after.torque_rms_nm),
+        ("velocity", words.speed_scale, before.velocity_rms_rps, after.velocity_rms_rps),
+    )
+    return [(what, scale * old.value, scale * new.value) for what, scale, old, new in quantities]
+
+
+def _not_finite(diagnosis: Diagnosis) -> bool:
+    return not all(math.isfinite(after) for _, _, after in _held_out_errors(diagnosis))
+
+
+def _rest(rest: Rest, words: DiagnosisWords) -> str:
+    left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
+    text = (
+        f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
+        "the same rows leaves, or what does not repeat"
+    )
+    if rest.repeats_share is not None:
+        text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
+    if rest.axes:
+        text += f"; it goes with {names_of([words.axis(axis) for axis in rest.axes])}"
+    return text + "."
+
+
+def _reason(finding: Finding, words: DiagnosisWords) -> str:
+    family = f", or {names_of(finding.alternatives)}: the data do not decide" if finding.alternatives else ""
+    share = 100.0 * finding.explained_fraction
+    chance = significant(finding.false_alarm_probability, 2)
+    law = law_of(finding.name)
+    meaning = "" if law.name == "lookup" else words.text(f" It is: {law.meaning}.")
+    return (
+        f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
+        f"noise and an effect too small to matter would do so with p = {chance}. "
+        f"Acts in: {finding.regime}."
+        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
+    )
+
+
+def unproven(finding: Finding) -> bool:
+    """The held-out runs were asked, and do not show it."""
+    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
+
+
+def names_of(names: Sequence[str]) -> str:
+    """Words in a row: a, b and c."""
+    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
