@@ -22,6 +22,7 @@ from hypothesis import settings  # noqa: E402
 settings.register_profile("fffo", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("fffo")
 
+from browser import chromium  # noqa: E402, F401
 from bus_fixtures import drive_bus, whole_run  # noqa: E402, F401
 from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on this machine is left out, with a word
     pytest_collection_modifyitems,

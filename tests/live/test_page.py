@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from daemon.rig import PATIENCE_S
-from interpreted import TESTS
 from live.served import Served
 
 from fffo_drive.signals import SIGNALS
@@ -23,15 +21,6 @@ LAPTOP, TABLET, UPRIGHT = (1366, 768), (1024, 768), (768, 1024)
 def served(tmp_path_factory):
     with Served(tmp_path_factory.mktemp("served")) as served:
         yield served
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    sys.path.append(str(TESTS.parent / "tools"))
-    from headless import chromium
-
-    with chromium() as browser:
-        yield browser
 
 
 class Page:

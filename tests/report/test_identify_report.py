@@ -47,12 +47,16 @@ def reported(records, directory, facts=FACTS):
     return fit, runs, identify_report(source, fit, records, runs, results, coverage_of(records))
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("identify")
+def chirp_report(directory):
+    """Report of a fit of one chirp."""
     chirp = chirp_record(12.0, lsb_rev=2.0**-15, noise_rev=1e-5)
     late = np.concatenate([np.zeros(2), np.gradient(chirp.position_rev, PERIOD_S)[:-2]])
-    return reported([on_disk(replace(chirp, velocity_rps=late), directory, "chirp/1")], tmp_path_factory.mktemp("out"))
+    return reported([on_disk(replace(chirp, velocity_rps=late), directory, "chirp/1")], directory)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return chirp_report(tmp_path_factory.mktemp("identify"))
 
 
 @pytest.fixture(scope="module")
