@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -239,15 +240,61 @@ def test_what_gives_torque_or_motion_carries_the_epoch_that_was_shown(served, ch
     page.context.close()
 
 
-def test_a_stop_that_nobody_confirms_says_so(served, chromium):
+def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(served, chromium):
     page = Page(chromium, served)
-    page.tab.route_web_socket("**/live?key=*", lambda socket: None)  # a daemon that hears and does not answer
+    sockets = []
+    page.tab.route_web_socket("**/live?key=*", lambda socket: sockets.append(socket))  # hears, and does not answer
     page.tab.goto(page.address)
-    page.until("document.querySelector('#connection').textContent === 'connected'")
+    page.until("document.querySelector('#connection').textContent === 'connected, waiting for the daemon'")
+    assert not page.tab.is_visible("#rights")  # nobody has refused the key yet
     page.tab.click("#stop")
     page.until("document.querySelector('#said').textContent.includes('NOT CONFIRMED')")
     assert "emergency stop of the machine" in page.said
+    status = {"state": "running", "epoch": 1, "obstacles": [], "toggle": "ff", "model": {"name": "m"}}
+    status |= {"recording": {"on": False}, "profile": None, "fault": None, "drive": None, "set_point": None}
+    sockets[0].send(json.dumps({"kind": "status", "status": status}))
+    page.until("document.querySelector('#state').textContent === 'RUNNING'")
+    assert "NOT CONFIRMED" in page.said  # it still turns
+    sockets[0].send(json.dumps({"kind": "status", "status": status | {"state": "ready"}}))
+    page.until("document.querySelector('#said').textContent.includes('confirmed late')")
+    page.until("document.querySelector('#connection').textContent.startsWith('no status for')")
+    assert "what is shown is old" in page.js("document.querySelector('#connection').textContent")
     page.context.close()
+
+
+def test_what_a_connection_may_is_told_apart(served, page, chromium):
+    served.run()
+    page.until("document.querySelector('#connection').textContent === 'connected, with the key'")
+    watching = Page(chromium, served, key=False).open()
+    watching.until("document.querySelector('#connection').textContent === 'connected, to look only'")
+    watching.context.close()
+
+
+def test_friction_is_drawn_over_velocity_and_any_signal_by_its_name(served, page):
+    served.run()
+    page.see(1.0)
+    page.until("document.querySelector('#friction-map canvas')")
+    assert page.tab.evaluate(INKED, ["Friction over velocity", "green"]) > 20
+    page.tab.select_option("#signal", "integral_a")
+    page.see(0.5)
+    assert page.tab.evaluate(INKED, ["integral_a, A", "purple"]) > 20
+    page.tab.select_option("#signal", "")
+    assert page.js("[...document.querySelectorAll('figure')].every((f) => !f.textContent.startsWith('integral_a'))")
+
+
+def test_the_crosshair_gives_the_values_of_its_time(served, page):
+    served.run()
+    page.see(2.0)
+    page.tab.keyboard.press("Space")
+    last = page.tab.locator("figure").first.locator(".value").first.text_content()
+    box = page.tab.locator("figure .u-over").first.bounding_box()
+    page.tab.mouse.move(box["x"] + 0.98 * box["width"], box["y"] + 30)
+    seen = set()
+    for k in range(1, 6):
+        page.tab.mouse.move(box["x"] + (0.98 - 0.01 * k) * box["width"], box["y"] + 30)
+        seen.add(page.tab.locator("figure").first.locator(".value").first.text_content())
+    assert len(seen - {last}) >= 2
+    page.tab.keyboard.press("0")
 
 
 def test_everything_can_be_done_with_keys(served, page):

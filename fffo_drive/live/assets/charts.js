@@ -90,7 +90,7 @@ class Picture {
       hooks: { setSelect: [(u) => {
         if (u.select.width > 4) own.onSelect(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
         u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-      }] },
+      }], setCursor: [(u) => own.read(u)] },
     }, data || series.map(() => []), this.plotAt);
     if (data && scale && scale.min != null) this.plot.setScale("x", { min: scale.min, max: scale.max });
   }
@@ -103,12 +103,76 @@ class Picture {
       if (s.band) data.push(store.column(s.name, 1, begin, end, factor), store.column(s.name, 0, begin, end, factor));
       const line = store.column(s.name, s.part === undefined ? 2 : s.part, begin, end, factor);
       data.push(line);
-      if (tell) this.values[i].textContent = shown(line[line.length - 1]);
+      if (tell && !this.crossed) this.values[i].textContent = shown(line[line.length - 1]);
     });
     this.plot.batch(() => {
       this.plot.setData(data, false);
       this.plot.setScale("x", { min: from, max: to });
     });
+  }
+
+  resize() { this.plot.setSize(this.size()); }
+
+  remove() {
+    this.plot.destroy();
+    this.figure.remove();
+  }
+
+  // values at the crosshair of any picture; the last ones without
+  read(u) {
+    const at = u.cursor.idx;
+    this.crossed = at != null && u.cursor.left >= 0;
+    if (!this.crossed) return;
+    let column = 1;
+    this.spec.series.forEach((s, i) => {
+      if (s.band) column += 2;
+      this.values[i].textContent = shown(u.data[column++][at]);
+    });
+  }
+}
+
+// friction over velocity, while it turns: what the current leaves beside inertia, and what the observer makes of it
+class FrictionMap {
+  constructor(parent) {
+    this.figure = document.createElement("figure");
+    this.figure.id = "friction-map";
+    const head = document.createElement("figcaption"), title = document.createElement("b");
+    title.textContent = "Friction over velocity, Nm";
+    const key = document.createElement("span");
+    key.textContent = "○ motor minus inertia   ● estimate";
+    head.append(title, key);
+    this.plotAt = document.createElement("div");
+    this.plotAt.className = "plot";
+    this.figure.append(head, this.plotAt);
+    parent.insertBefore(this.figure, parent.lastElementChild);
+    this.build();
+  }
+
+  size() { return { width: Math.max(240, this.plotAt.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
+
+  build() {
+    const data = this.points || [[], [], []];
+    if (this.plot) this.plot.destroy();
+    const axis = (size, text) => ({ stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size, values: (u, ticks) => ticks.map((t) => `${+t.toPrecision(4)}${text}`.replace("-", "−")) });
+    const dots = (colour, filled) => ({ paths: () => null, points: { show: true, size: 4, width: 1, stroke: cssColour(colour), fill: filled ? cssColour(colour) : "transparent" } });
+    this.plot = new uPlot({
+      ...this.size(), mode: 1, legend: { show: false }, padding: [8, 14, 0, 0],
+      scales: { x: { time: false } }, axes: [axis(26, " rps"), axis(58, "")],
+      series: [{ sorted: 0 }, dots("--series-grey", false), dots("--series-green", true)],
+      cursor: { points: { show: false } },
+    }, data, this.plotAt);
+  }
+
+  draw(store, from, to, constant, tell) {
+    if (!tell) return; // a cloud of points: five pictures a second
+    const [begin, end] = store.between(from, to);
+    const speed = store.column("velocity_rps", 2, begin, end, 1);
+    const motor = store.column("current_a", 2, begin, end, constant || NaN);
+    const inertia = store.column("inertia_nm", 2, begin, end, 1), estimate = store.column("friction_nm", 2, begin, end, 1);
+    const order = speed.map((v, i) => i).filter((i) => speed[i] != null).sort((a, b) => speed[a] - speed[b]);
+    const left = (i) => (motor[i] == null ? null : motor[i] - (inertia[i] || 0));
+    this.points = [order.map((i) => speed[i]), order.map(left), order.map((i) => estimate[i])];
+    this.plot.setData(this.points);
   }
 
   resize() { this.plot.setSize(this.size()); }

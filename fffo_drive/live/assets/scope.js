@@ -3,7 +3,7 @@
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
   const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
-  const FRAME_MS = 40, SILENT_MS = 1500, TELL_MS = 200;
+  const FRAME_MS = 33, SILENT_MS = 1500, STALE_MS = 2500, TELL_MS = 200;
   const scope = { fields: [], store: null, shown: null, view: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: null, late: [], mayCommand: false };
   let pictures = [], histogram = null, capture = null, dirty = true, drawnMs = 0, costMs = 0, sign = 0, tripped = false, heardMs = 0, toldMs = 0;
 
@@ -13,18 +13,35 @@
     history.replaceState(null, "", location.pathname);
   }
   mayStop(Boolean(token));
+  $("rights").hidden = Boolean(token);
   const wire = new Wire(token, hear, see, connection);
   window.fffoScope = scope; // for tests
 
   function say(text, bad) { $("said").textContent = text; $("said").className = bad ? "bad" : ""; }
 
+  // what the page knows of its connection: none, open and not heard of yet, open and silent, with or without the key
+  const link = { open: false, may: token ? null : false, heardMs: -Infinity };
+
   function connection(open) {
-    $("connection").textContent = open ? "connected" : "no connection to the daemon: what is shown is old";
-    document.body.classList.toggle("cut", !open);
+    Object.assign(link, { open, may: token ? null : false, heardMs: -Infinity });
     if (!open) mayCommand(false); // Stop stays as it is: it makes a connection
+    tellLink();
   }
 
+  function tellLink() {
+    const silent = performance.now() - link.heardMs > STALE_MS;
+    const text = !link.open ? "no connection to the daemon: what is shown is old"
+      : link.heardMs < 0 ? "connected, waiting for the daemon"
+      : silent ? `no status for ${((performance.now() - link.heardMs) / 1000).toFixed(0)} s: what is shown is old`
+      : link.may === null ? "connected" : link.may ? "connected, with the key" : "connected, to look only";
+    if ($("connection").textContent !== text) $("connection").textContent = text;
+    document.body.classList.toggle("cut", !link.open || (link.heardMs > 0 && silent));
+  }
+  setInterval(tellLink, 500);
+
   function rights(may) { // a key that is not the daemon's (it was started anew) gives none
+    link.may = may;
+    tellLink();
     mayCommand(may);
     mayStop(may);
   }
@@ -32,7 +49,7 @@
   function mayCommand(may) {
     scope.mayCommand = may;
     $("commands").disabled = !may;
-    $("rights").hidden = may;
+    $("rights").hidden = may || link.may === null; // not told yet, or not connected: nobody has refused anything
   }
 
   function mayStop(may) {
@@ -59,7 +76,8 @@
     if (!pictures.length) {
       scope.fields = message.fields;
       scope.store = new Store(message.fields);
-      pictures = PICTURES.map((spec) => new Picture(spec, $("pictures"), select, live));
+      pictures = [...PICTURES.map((spec) => new Picture(spec, $("pictures"), select, live)), new FrictionMap($("pictures"))];
+      $("signal").replaceChildren(new Option("none", ""), ...message.fields.map((f) => new Option(`${f.name}${f.unit && f.unit !== "-" ? ", " + f.unit : ""}`, f.name)));
       histogram = new Histogram($("histogram"), message.lateness_edges_us);
     }
     $("events").replaceChildren();
@@ -75,6 +93,12 @@
   }
 
   function status(s) {
+    link.heardMs = performance.now();
+    tellLink();
+    if (scope.unconfirmed && AT_REST.includes(s.state)) {
+      scope.unconfirmed = false;
+      say(`Stop: the axis is at rest, no torque (confirmed late, by its state: ${s.state})`);
+    }
     if (s.state === "fault" && scope.state !== "fault" && scope.state) armed("fault", scope.store.now);
     scope.state = s.state;
     scope.epoch = s.epoch;
@@ -257,10 +281,11 @@
 
   async function stop() {
     if ($("stop").disabled) { say("Stop is not available: this page only looks. Use the emergency stop of the machine.", true); return; }
+    scope.unconfirmed = false;
     say("Stop …");
     const answer = await wire.stop();
     if (answer.error && AT_REST.includes(scope.state) && wire.open) say(`Stop: the axis is at rest already (${answer.error})`);
-    else if (answer.error) say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true);
+    else if (answer.error) { scope.unconfirmed = true; say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true); }
     else if (AT_REST.includes(answer.result.state)) say("Stop: the axis is at rest, no torque");
     else say(answer.result.method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
   }
@@ -276,6 +301,16 @@
   $("seconds").onchange = () => { scope.seconds = Number($("seconds").value); live(); };
   $("trigger").onchange = () => { scope.trigger = null; live(); say($("trigger").value === "none" ? "Trigger off" : `Trigger waits for a ${$("trigger").value}`); };
   $("save").onclick = save;
+  $("signal").onchange = () => {
+    const field = scope.fields.find((f) => f.name === $("signal").value);
+    if (scope.own) { pictures = pictures.filter((p) => p !== scope.own); scope.own.remove(); scope.own = null; }
+    if (field) {
+      const series = [{ name: field.name, label: field.name, colour: "purple", width: 1.8, band: true }];
+      scope.own = new Picture({ title: field.name, unit: field.unit || "-", series }, $("pictures"), select, live);
+      pictures.push(scope.own);
+    }
+    dirty = true;
+  };
   $("in").onclick = () => zoom(0.5, 0);
   $("out").onclick = () => zoom(2, 0);
   $("clear").onclick = () => { histogram.clear(); dirty = true; };
