@@ -32,6 +32,7 @@ class DriveFacts(StrictRecord):
 
     format: Annotated[str, formats.FACTS.key] = formats.FACTS.word
 
+    name: Annotated[str, Field(description="of the axis or drive: titles of pages say it")] = ""
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6, description="declared, never fitted")]
     rated_current_a: Annotated[
         float | None, Field(gt=0, le=1e4, description="what it cannot accelerate is refused as an inertia")

@@ -68,8 +68,14 @@ class DiagnosisSource(NamedTuple):
 def write_diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis, directory: Path) -> ReportPaths:
     """Write report.html and report.json into a directory that exists."""
     paths = ReportPaths(directory / PAGE_NAME, directory / JSON_NAME)
-    paths.page.write_text(render_page(diagnosis_report(source, diagnosis)), encoding="utf-8")
-    content = {"kind": KIND, **report(diagnosis), "provenance": source.provenance.model_dump(mode="json")}
+    page = diagnosis_report(source, diagnosis)
+    paths.page.write_text(render_page(page), encoding="utf-8")
+    content = {
+        "kind": KIND,
+        **report(diagnosis),
+        "opening": page.verdict.model_dump(mode="json"),
+        "provenance": source.provenance.model_dump(mode="json"),
+    }
     paths.json.write_text(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
     return paths
 

@@ -83,7 +83,7 @@ def identify_report(
     seconds = sum(record.duration_s for record in records)
     return Report(
         kind="identify",
-        title=f"Identification of {source.name}",
+        title=f"Identification of {source.facts.name or source.name}",
         subtitle=f"{len(records)} {'logs' if len(records) > 1 else 'log'}, {seconds:.4g} s at "
         f"{1.0 / records[0].period_s:.5g} Hz, fitted together: {', '.join(record.name for record in records)}.",
         verdict=_verdict(source, results, words),

@@ -110,8 +110,8 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: 
     """Runs, diagnosis, adoption, the run with it, the report."""
     out, say = circle.out, circle.say
     say("run and record: the file's profile, identification current, " + ("another one" if quick else "recipe"))
-    third = ("other", _other_reference(plan)) if quick else ("recipe", _recipe(plan))
-    identify = _identify(plan, quick)
+    third = ("other", _other_reference(plan)) if quick else ("recipe", recipe_profile(plan))
+    identify = identification_profile(plan, quick)
     before, *fit = circle.at_a_rate_it_keeps(
         lambda: (circle.run("before"), circle.run("identify", identify), circle.run(*third))
     )
@@ -184,7 +184,7 @@ def _drive_process(plan: Plan, wish: CircleWish, out: Path) -> Iterator[None]:
         yield
 
 
-def _identify(plan: Plan, quick: bool) -> dict[str, Any]:
+def identification_profile(plan: Plan, quick: bool) -> dict[str, Any]:
     """An identification current that the axis can follow inside its envelope, by the model in service."""
     break_away_a = plan.model.friction.static_nm.value / plan.model.torque_constant_nm_per_a
     ratio = BREAK_AWAY_RATIO
@@ -202,8 +202,8 @@ def _identify(plan: Plan, quick: bool) -> dict[str, Any]:
     )
 
 
-def _recipe(plan: Plan) -> dict[str, Any]:
-    """The recipe inside the axis' limits."""
+def recipe_profile(plan: Plan) -> dict[str, Any]:
+    """The motions that separate effects, inside the axis' limits: the `profile` section of an axis file."""
     return RECIPE | {"high_rps": min(14.0, 0.6 * plan.axis.envelope.speed_limit_rps)}
 
 

@@ -105,7 +105,7 @@ def write_diagnosis(
         removed = True
     sources = provenance([source_file(path.name, path.read_bytes()) for path in files], {"units": facts.units})
     data = coverage_section(list(fit), coverage_of(list(fit)), facts.units == "linear")
-    source = DiagnosisSource(name, sources, str(model_path) if written else "", data)
+    source = DiagnosisSource(facts.name or name, sources, str(model_path) if written else "", data)
     paths = write_diagnosis_report(source, found, out)
     return Diagnosed(
         found, paths.page, paths.json, model_path if written else None, model_path if removed else None

@@ -68,13 +68,28 @@ def evaluate_recordings(
         yardstick = Yardstick(BANDS_RPS, np.linspace(-largest_rps, largest_rps, HISTOGRAM_BINS + 1))
     counted: dict[str, int] = {}
     evaluations = []
-    for run, (own, samples) in zip(runs, rows, strict=True):
-        name = controller_name(run)
+    for run, name, (own, samples) in zip(runs, controller_names(runs), rows, strict=True):
         counted[name] = counted.get(name, 0) + 1
         period_s = float(run.metadata["period_s"])
         windows = cutouts_of(period_s * samples) if counted[name] == 1 else ()
         evaluations.append(evaluation_of(name, counted[name], trace_of(own, period_s), yardstick, windows))
     return yardstick, evaluations, cautions
+
+
+def controller_names(runs: Sequence[Run]) -> list[str]:
+    """Name of each run's controller; with its model's where runs of one controller have different models."""
+    names = [controller_name(run) for run in runs]
+    models = [_model_name(run) for run in runs]
+    of_one = {name: {m for n, m in zip(names, models, strict=True) if n == name} for name in names}
+    return [f"{name}, {model}" if len(of_one[name]) > 1 else name for name, model in zip(names, models, strict=True)]
+
+
+def _model_name(run: Run) -> str:
+    """Of the model in a recording; empty for one of `evaluate`, whose controllers have names, and without its files."""
+    if CANDIDATE not in run.metadata:
+        with contextlib.suppress(DocumentError):
+            return recorded_files(run)[1].name
+    return ""
 
 
 def controller_name(run: Run) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
+LINES_ENVIRONMENT = "FFFO_DRIVE_PROGRESS_LINES"  # set: progress goes to stderr as lines, for a program that reads it
+LINE_MARK = "::progress "  # before a JSON object {share, text}
 Share = Callable[[float], None]  # is told the share done, 0 to 1
 Bar = Callable[[str], AbstractContextManager[Share | None]]  # of the text beside it
 

@@ -35,7 +35,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
                 "with `fffo-drive import`"
             )
         own = facts_in(read_run(log))
-        if found is not None and own != found:
+        if found is not None and own.model_copy(update={"name": found.name}) != found:
             raise DocumentError(f"{log}: its facts are not those of {logs[0]}: logs of one axis belong together")
         found = own
     assert found is not None
@@ -62,6 +62,7 @@ def facts_of_axis(axis: AxisFile, model: ModelFile, absolute_angle: bool | None 
     on_bus = isinstance(section, CanopenDriveSection)
     return {
         "format": formats.FACTS.word,
+        "name": axis.name,
         "torque_constant_nm_per_a": model.torque_constant_nm_per_a,
         **_resolution(section),
         "absolute_angle": not on_bus if absolute_angle is None else absolute_angle,

@@ -1,0 +1,65 @@
+"""Open the workbench: record, identify, tune, diagnose and adopt in a browser, on this machine.
+
+AXIS is an axis file; recordings of any program may be given with it or instead (with --drive, the facts of their
+drive). Every step that you click is a line of the command line, which the page shows, in a process of its own with
+progress and cancel; what comes of it is written to --out. The page asks before a drive on a bus moves.
+
+Addresses with fewer rights can be handed on: `look` shows, `stop` also cancels what runs, `move` also records and takes
+files in, `tune` also changes gains and models. Who did what stands in workbench.log.
+
+Ctrl-C ends it; a run in progress brakes to standstill first. Not a safety function: keep the emergency stop at hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+from pathlib import Path
+
+from ..config.axis import read_axis
+from ..documents import DocumentError
+from ..workbench import shelf
+from ..workbench.actions import ROLES
+from ..workbench.bench import Workbench
+from ..workbench.server import WorkbenchServer, served_directory
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("files", nargs="*", metavar="AXIS|RUN", help="axis file (YAML), recordings")
+    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive of foreign recordings (YAML)")
+    parser.add_argument(
+        "--out", metavar="DIR", help="directory of everything that is written (default: runs/workbench)"
+    )
+    parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
+    parser.add_argument("--no-browser", action="store_true", help="print the addresses, open no browser")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    axes = [Path(name) for name in options.files if Path(name).suffix in (".yaml", ".yml")]
+    runs = [Path(name) for name in options.files if Path(name) not in axes]
+    if len(axes) > 1:
+        raise DocumentError(f"{axes[1]}: a workbench has one axis file, {axes[0]} is the first")
+    for path in runs:
+        if not shelf.is_recording(path):
+            raise DocumentError(f"{path}: neither an axis file (.yaml) nor a recording ({', '.join(shelf.RECORDINGS)})")
+        if not path.exists():
+            raise DocumentError(f"{path}: no such file")
+    for path in axes:
+        read_axis(path)
+    facts = None if options.drive is None else Path(options.drive).resolve()
+    axis = axes[0].resolve() if axes else None
+    bench = Workbench(served_directory(options.out), axis, facts, tuple(path.resolve() for path in runs))
+    server = WorkbenchServer(bench, options.port)
+    server.start()
+    for role in reversed(ROLES):
+        print(f"{role:>5}: {server.url(role)}", flush=True)
+    print("Ctrl-C ends it", flush=True)
+    if not options.no_browser:
+        webbrowser.open(server.url(ROLES[-1]))
+    try:
+        server.wait()
+    finally:
+        server.close()
+    return 0

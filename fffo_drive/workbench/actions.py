@@ -1,0 +1,176 @@
+"""What a page may ask for: each action is a line of the command line, with the role that it needs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import yaml
+
+from ..config.axis import read_axis
+from ..config.drive_section import CanopenDriveSection
+from ..documents import DocumentError
+from ..workflows.circle import identification_profile, recipe_profile
+from ..workflows.plan import make_plan
+from . import shelf
+
+Role = Literal["look", "stop", "move", "tune"]
+ROLES: tuple[Role, ...] = ("look", "stop", "move", "tune")  # each may do what those before it may
+MOTIONS = ("profile", "identify", "recipe")
+
+
+class Order(NamedTuple):
+    """What an action comes to: the words after `fffo-drive`, and what they write."""
+
+    title: str
+    words: tuple[str, ...]
+    out: Path | None = None
+
+
+class Bench(NamedTuple):
+    """What the actions work on."""
+
+    directory: Path
+    axis: Path | None  # the file in use
+    facts: Path | None  # declared about the drive of foreign recordings
+    given: tuple[Path, ...]  # recordings given at the start
+
+    def required_axis(self) -> Path:
+        """Raises DocumentError without an axis file."""
+        if self.axis is None:
+            raise DocumentError("this workbench was opened on recordings: give it an axis file for that")
+        return self.axis
+
+    def runs(self, names: Any) -> list[str]:
+        """Paths of recordings of this bench. Raises DocumentError for none, and for one that is not on it."""
+        if not isinstance(names, list) or not names:
+            raise DocumentError("tick at least one run")
+        known = {run["path"] for run in shelf.recordings(self.directory, self.given)}
+        strangers = [name for name in names if name not in known]
+        if strangers:
+            raise DocumentError(f"{strangers[0]}: is no recording of this workbench")
+        return names
+
+    def declared(self) -> list[str]:
+        """The option that names the declared facts."""
+        return [] if self.facts is None else ["--drive", str(self.facts)]
+
+
+Make = Callable[[Bench, Mapping[str, Any]], Order]
+
+
+class Action(NamedTuple):
+    """An action, and who may."""
+
+    role: Role
+    make: Make
+    moves: bool = False  # the page asks before it
+
+
+def _record(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    axis, motion, toggle = bench.required_axis(), wish.get("motion", "profile"), wish.get("toggle")
+    out = bench.directory / shelf.RUNS / f"{motion.replace(':', '_')}_{time.strftime('%H%M%S')}.mcap"
+    words = ["run", str(axis), "--out", str(out)]
+    if motion in ("identify", "recipe"):
+        plan = make_plan(axis)
+        profile = recipe_profile(plan) if motion == "recipe" else identification_profile(plan, quick=False)
+        path = bench.directory / f"{motion}.yaml"
+        path.write_text(yaml.safe_dump({"profile": profile}, sort_keys=False), encoding="utf-8")
+        words += ["--profile", str(path)]
+    elif str(motion).startswith("decide:"):
+        words += ["--decide", str(motion).removeprefix("decide:")]
+    elif motion != "profile":
+        raise DocumentError(f"no motion is called {motion!r}; known: {', '.join(MOTIONS)}, decide:EFFECT")
+    if toggle in ("off", "ff", "fb"):
+        words += ["--toggle", toggle]
+    return Order(f"record {motion}", tuple(words), out)
+
+
+def _commission(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    axis = bench.required_axis()
+    if not isinstance(read_axis(axis).drive, CanopenDriveSection):
+        raise DocumentError(f"{axis}: a simulated drive in process needs no commissioning record: record a run")
+    return Order("commission", ("commission", str(axis), "--yes"))
+
+
+def _identify(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    out = shelf.next_free(bench.directory, "identify")
+    return Order("identify", ("identify", *bench.declared(), "--out", str(out), *bench.runs(wish.get("fit"))), out)
+
+
+def _tune(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    out = shelf.next_free(bench.directory, "tune")
+    words = ["tune", _model(bench, wish), "--out", str(out)]
+    if bench.axis is not None:
+        words += ["--axis", str(bench.axis)]
+    for option, key in (("--bandwidth-hz", "bandwidth_hz"), ("--phase-margin-deg", "phase_margin_deg")):
+        if wish.get(key):
+            words += [option, f"{float(wish[key]):g}"]
+    return Order("tune", tuple(words), out)
+
+
+def _diagnose(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    out = shelf.next_free(bench.directory, "diagnose")
+    words = ["diagnose", *bench.declared(), "--out", str(out), "--fit", *bench.runs(wish.get("fit"))]
+    if wish.get("held_out"):
+        words += ["--held-out", *bench.runs(wish["held_out"])]
+    return Order("diagnose", tuple(words), out)
+
+
+def _adopt(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    words = ["adopt", _model(bench, wish), "--axis", str(bench.required_axis())]
+    if wish.get("dry_run"):
+        return Order("show the gates", (*words, "--dry-run"))
+    return Order("adopt", tuple(words))
+
+
+def _circle(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    out = shelf.next_free(bench.directory, "circle")
+    words = ["close-the-loop", str(bench.required_axis()), "--out", str(out)]
+    return Order("the whole circle", (*words, "--quick") if wish.get("quick") else tuple(words), out)
+
+
+def _roll_back(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    return Order("take the last model out", ("adopt", "--rollback", "--axis", str(bench.required_axis())))
+
+
+def _compare(bench: Bench, wish: Mapping[str, Any]) -> Order:
+    out = shelf.next_free(bench.directory, "compare")
+    return Order("compare runs", ("evaluate", "--out", str(out), "--runs", *bench.runs(wish.get("fit"))), out)
+
+
+def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
+    """A model that stands beside a page of this bench. Raises DocumentError for any other."""
+    known = [page["model"] for page in shelf.pages(bench.directory) if page["model"]]
+    if wish.get("model") not in known:
+        raise DocumentError("choose a model: `identify` and `diagnose` write one")
+    return str(wish["model"])
+
+
+ACTIONS: dict[str, Action] = {
+    "commission": Action("move", _commission, moves=True),
+    "record": Action("move", _record, moves=True),
+    "circle": Action("tune", _circle, moves=True),
+    "identify": Action("look", _identify),
+    "diagnose": Action("look", _diagnose),
+    "compare": Action("look", _compare),
+    "tune": Action("tune", _tune),
+    "adopt": Action("tune", _adopt),
+    "roll_back": Action("tune", _roll_back),
+}
+
+
+def may(role: Role, needed: Role) -> bool:
+    """Whether who has `role` may do what needs another."""
+    return ROLES.index(role) >= ROLES.index(needed)
+
+
+def known_axis(bench: Bench, path: Any, files: Sequence[Path]) -> Path:
+    """An axis file of this bench. Raises DocumentError for any other, and for one that cannot be read."""
+    chosen = next((file for file in files if str(file) == path), None)
+    if chosen is None:
+        raise DocumentError(f"{path}: is no axis file of this workbench")
+    read_axis(chosen)
+    return chosen

@@ -1,0 +1,207 @@
+"use strict";
+(() => {
+  const $ = (id) => document.getElementById(id);
+  const BUSY_MS = 400, IDLE_MS = 2000;
+  const STEP_OF = { commission: "h-axis", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
+  const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", wanted: "" };
+  let state = null, timer = 0, lastJob = 0;
+  window.fffoWorkbench = { get state() { return state; } }; // for tests
+
+  async function ask(what, body, raw) {
+    const answer = await fetch(what, body === undefined ? {} : { method: "POST", body: raw ? body : JSON.stringify(body) });
+    const content = await answer.json();
+    if (!answer.ok) throw new Error(content.error || answer.statusText);
+    return content;
+  }
+
+  async function look() {
+    clearTimeout(timer);
+    try {
+      state = await ask("state");
+      $("connection").textContent = "";
+      show();
+    } catch (error) {
+      $("connection").textContent = "no connection to the workbench: what is shown is old";
+    }
+    timer = setTimeout(look, state && running() ? BUSY_MS : IDLE_MS);
+  }
+
+  const running = () => state.jobs.find((job) => job.state === "running");
+
+  function show() {
+    axis();
+    runs();
+    pages();
+    job();
+    for (const button of document.querySelectorAll("[data-act]")) button.disabled = !possible(button.dataset.act);
+    const step = next();
+    $("next").textContent = step ? step.text : "";
+    for (const section of document.querySelectorAll(".steps section")) section.classList.toggle("now", Boolean(step) && section.getAttribute("aria-labelledby") === STEP_OF[step.act]);
+  }
+
+  function possible(act) {
+    if (running() || !state.may.includes(act)) return false;
+    if (["commission", "record", "circle", "roll_back", "adopt"].includes(act) && (!state.axis || state.axis.error)) return false;
+    if (act === "commission") return state.axis.on_bus;
+    if (["identify", "diagnose", "compare"].includes(act)) return chosen.use.size > 0;
+    if (["tune", "adopt"].includes(act)) return Boolean($("model").value);
+    return true;
+  }
+
+  // what somebody who is new here would do next
+  function next() {
+    if (running()) return null;
+    const kinds = state.pages.map((page) => page.kind);
+    if (state.axis && state.axis.commissioning) return { act: "commission", text: "Next: commission the axis" };
+    if (!state.runs.length) return { act: "record", text: "Next: record a run, or take a file in" };
+    if (kinds[0] === "diagnose") {
+      const page = state.pages[0];
+      return page.next_step === "adopt it" && state.axis ? { act: "adopt", text: "Next: show the gates, and adopt what was found" } : { act: "", text: `Next: ${page.next_step}` };
+    }
+    if (!kinds.includes("diagnose") && !kinds.includes("close-the-loop")) {
+      if (state.runs.length < 3 && state.axis) return { act: "record", text: "Next: record profile, identification current and recipe" };
+      return { act: "diagnose", text: "Next: tick the runs, hold one out, diagnose" };
+    }
+    return state.pages.length ? { act: "", text: `Next: ${state.pages[0].next_step}` } : null;
+  }
+
+  function axis() {
+    const found = state.axis;
+    $("where").textContent = `${state.directory}; this page may ${state.role}`;
+    $("title").textContent = found ? found.name : "Recordings";
+    document.title = `${$("title").textContent}: workbench`;
+    $("axis-error").hidden = !found || !found.error;
+    if (found && found.error) $("axis-error").textContent = found.error;
+    const rows = !found ? [["axis", "none: opened on recordings"]] : found.error ? [["file", found.path]] : [
+      ["file", found.path], ["drive", `${found.drive}, ${found.rate_hz} Hz`], ["model", found.model], ["gains", found.gains], ["profile", found.profile],
+      ["effects", found.effects.map((e) => e.name + (e.reason ? ` (not compensated: ${e.reason})` : "")).join(", ") || "none"],
+      ...(found.commissioning ? [["commissioning", found.commissioning]] : [])];
+    if (state.facts) rows.push(["declared facts", state.facts]);
+    fill($("axis-facts"), rows.flatMap(([name, text]) => [element("dt", name), element("dd", text)]));
+    $("axis-choice").hidden = state.axis_files.length < 2;
+    options($("axis-file"), state.axis_files.map((path) => [path, path.split("/").slice(-2).join("/")]), found ? found.path : "");
+    $("axis-file").disabled = !state.may.includes("tune");
+  }
+
+  function runs() {
+    for (const run of state.runs) if (!chosen.seen.has(run.path)) { chosen.seen.add(run.path); chosen.use.add(run.path); }
+    $("no-runs").hidden = state.runs.length > 0;
+    const body = $("runs").tBodies[0], key = JSON.stringify(state.runs);
+    if (body.dataset.key === key) return;
+    body.dataset.key = key;
+    fill(body, state.runs.map((run) => {
+      const row = document.createElement("tr");
+      const use = box(`use ${run.name}`, chosen.use, run.path), hold = box(`hold ${run.name} out`, chosen.hold, run.path);
+      use.onchange = () => { set(chosen.use, run.path, use.checked); if (use.checked) { chosen.hold.delete(run.path); hold.checked = false; } show(); };
+      hold.onchange = () => { set(chosen.hold, run.path, hold.checked); if (hold.checked) { chosen.use.delete(run.path); use.checked = false; } show(); };
+      for (const content of [use, hold, run.name, String(run.megabytes)]) row.insertCell().append(content);
+      return row;
+    }));
+  }
+
+  function pages() {
+    $("no-pages").hidden = state.pages.length > 0;
+    options($("model"), state.pages.filter((page) => page.model).map((page) => [page.model, `${page.name}: ${page.finding}`]), $("model").value);
+    const body = $("pages").tBodies[0], key = JSON.stringify(state.pages) + chosen.page;
+    if (body.dataset.key === key) return;
+    body.dataset.key = key;
+    fill(body, state.pages.map((page) => {
+      const row = document.createElement("tr"), button = element("button", page.name);
+      button.type = "button";
+      button.onclick = () => open(page);
+      row.classList.toggle("shown", page.page === chosen.page);
+      for (const content of [button, page.finding, page.confidence, page.next_step]) row.insertCell().append(content);
+      return row;
+    }));
+  }
+
+  function open(page) {
+    chosen.page = page.page;
+    $("headline").textContent = page.headline;
+    $("viewer").hidden = false;
+    $("viewer").src = `files/${page.page}`;
+    if (page.model) $("model").value = page.model;
+    show();
+  }
+
+  function job() {
+    const now = state.jobs[0];
+    if (!now) return;
+    const works = now.state === "running";
+    $("job-title").textContent = `${now.title[0].toUpperCase()}${now.title.slice(1)}`;
+    $("job-state").textContent = `${now.state}, ${now.seconds} s${works && now.step ? `: ${now.step}` : ""}${works && now.share !== null ? ` ${Math.round(100 * now.share)} %` : ""}`;
+    $("job-share").hidden = !works;
+    if (now.share === null) $("job-share").removeAttribute("value"); else $("job-share").value = now.share;
+    $("job-line").textContent = now.line;
+    $("job-output").textContent = now.output.join("\n");
+    $("cancel").hidden = !works || !state.may_cancel;
+    if (works) { lastJob = now.number; chosen.wanted = now.action; return; }
+    if (lastJob !== now.number && chosen.wanted === "") return;
+    if (chosen.wanted) { // it has just ended
+      chosen.wanted = "";
+      $("job-output-fold").open = now.state !== "done" || ["adopt", "roll_back", "commission"].includes(now.action);
+      if (now.state === "done" && ["identify", "tune", "diagnose", "compare", "circle"].includes(now.action) && state.pages.length) open(state.pages.find((page) => now.action !== "circle" || page.kind === "close-the-loop") || state.pages[0]);
+    }
+  }
+
+  function wish(button) {
+    const act = button.dataset.act;
+    if (act === "record") return { motion: $("motion").value, toggle: $("toggle").value };
+    if (act === "circle") return { quick: $("quick").checked };
+    if (act === "identify" || act === "compare") return { fit: [...chosen.use] };
+    if (act === "diagnose") return { fit: [...chosen.use], held_out: [...chosen.hold] };
+    if (act === "tune") return { model: $("model").value };
+    if (act === "adopt") return { model: $("model").value, dry_run: Boolean(button.dataset.dry) };
+    return {};
+  }
+
+  function confirmed(act) {
+    if (!state.moves.includes(act) || !state.axis.on_bus) return Promise.resolve(true);
+    $("ask-text").textContent = `The axis ${state.axis.name} moves. Nobody is in its reach, and the emergency stop is at hand?`;
+    return new Promise((done) => {
+      $("ask-yes").onclick = () => { $("ask").close(); done(true); };
+      $("ask-no").onclick = () => { $("ask").close(); done(false); };
+      $("ask").oncancel = () => done(false);
+      $("ask").showModal();
+      $("ask-no").focus();
+    });
+  }
+
+  async function tell(work) {
+    $("said").textContent = "";
+    try { await work(); } catch (error) { $("said").textContent = error.message; }
+    await look();
+  }
+
+  for (const button of document.querySelectorAll("[data-act]")) button.onclick = () => tell(async () => {
+    if (await confirmed(button.dataset.act)) await ask(button.dataset.act, wish(button));
+  });
+  $("cancel").onclick = () => tell(() => ask("cancel", {}));
+  $("axis-file").onchange = () => tell(() => ask("use_axis", { path: $("axis-file").value }));
+  $("take").onchange = () => tell(async () => {
+    for (const file of $("take").files) await ask(`take?name=${encodeURIComponent(file.name)}`, file, true);
+    $("take").value = "";
+  });
+
+  // small helpers
+  function element(tag, text) { const made = document.createElement(tag); made.textContent = text; return made; }
+  function fill(parent, children) { parent.replaceChildren(...children); }
+  function set(of, value, on) { if (on) of.add(value); else of.delete(value); }
+  function box(label, of, value) {
+    const made = document.createElement("input");
+    made.type = "checkbox";
+    made.checked = of.has(value);
+    made.setAttribute("aria-label", label);
+    return made;
+  }
+  function options(select, pairs, value) {
+    const key = JSON.stringify(pairs);
+    if (select.dataset.key !== key) {
+      select.dataset.key = key;
+      fill(select, pairs.map(([given, text]) => new Option(text, given)));
+    }
+    if (pairs.some(([given]) => given === value)) select.value = value;
+  }
+
+  look();
+})();

@@ -1,0 +1,137 @@
+"""Work that takes long, in a process of its own: the commands of the command line, with progress and cancel.
+
+What a page asks for is what somebody would type. A job tells the line, its output as it comes, how far it is, and how
+it ended; one job runs at a time, because all of them want both the drive and the processor.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+
+State = Literal["running", "done", "failed", "cancelled"]
+KEPT_LINES = 200
+COLUMNS = 110  # of the output, as the page shows it
+GRACE_S = 20.0  # from the interrupt, on which a run brakes to standstill, to the end of the process
+
+
+class BusyError(Exception):
+    """Another job runs."""
+
+
+class Job:
+    """One command, from its start to its end."""
+
+    def __init__(self, number: int, action: str, title: str, words: Sequence[str], out: Path | None) -> None:
+        """`words`: what is typed after `fffo-drive`. `out`: where its page is written, or the file that it writes."""
+        self.number, self.action, self.title = number, action, title
+        self.words, self.out = tuple(words), out
+        self.state: State = "running"
+        self.share: float | None = None
+        self.step = ""
+        self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.began_s = time.time()
+        self.ended_s: float | None = None
+        self.exit_code: int | None = None
+        self._cancelled = False
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "fffo_drive", *self.words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
+            env=os.environ | {LINES_ENVIRONMENT: "1", "COLUMNS": str(COLUMNS)},
+        )  # fmt: skip
+
+    def follow(self, ended: Callable[[Job], None]) -> None:
+        """Read until the process ends; on a thread of its own."""
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        streams = (self.process.stdout, self.process.stderr)
+        readers = [threading.Thread(target=self._read, args=(stream,), daemon=True) for stream in streams]
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join()
+        self.exit_code = self.process.wait()
+        self.ended_s = time.time()
+        self.state = "cancelled" if self._cancelled else "done" if self.exit_code == 0 else "failed"
+        ended(self)
+
+    def _read(self, stream: IO[str]) -> None:
+        with stream:
+            for line in stream:
+                if not line.startswith(LINE_MARK):
+                    self.lines.append(line.rstrip("\n"))
+                    continue
+                told = json.loads(line[len(LINE_MARK) :])
+                self.share, self.step = told["share"], told["text"]
+
+    def cancel(self) -> None:
+        """Interrupt it as Ctrl-C does: a run brakes to standstill first. What does not end in GRACE_S is terminated."""
+        if self.state != "running":
+            return
+        self._cancelled = True
+        self.process.send_signal(signal.SIGINT)
+        late = threading.Timer(GRACE_S, self._terminate)
+        late.daemon = True
+        late.start()
+
+    def _terminate(self) -> None:
+        if self.process.poll() is None:
+            self.process.terminate()
+
+    def as_object(self) -> dict[str, Any]:
+        """For the page."""
+        return {
+            "number": self.number, "action": self.action, "title": self.title, "state": self.state,
+            "line": shlex.join(["fffo-drive", *self.words]), "share": self.share, "step": self.step,
+            "output": list(self.lines), "seconds": round((self.ended_s or time.time()) - self.began_s, 1),
+            "exit_code": self.exit_code,
+        }  # fmt: skip
+
+
+class Jobs:
+    """All jobs of a workbench; one runs at a time."""
+
+    def __init__(self) -> None:
+        self._jobs: list[Job] = []
+        self._lock = threading.Lock()
+
+    def start(
+        self, action: str, title: str, words: Sequence[str], out: Path | None, ended: Callable[[Job], None]
+    ) -> Job:
+        """Start a command. `ended` is called on the job's thread. Raises BusyError while another one runs."""
+        with self._lock:
+            running = self.running
+            if running is not None:
+                raise BusyError(f"{running.title} is running: wait for it, or cancel it")
+            job = Job(len(self._jobs) + 1, action, title, words, out)
+            self._jobs.append(job)
+        threading.Thread(target=job.follow, args=(ended,), daemon=True).start()
+        return job
+
+    @property
+    def running(self) -> Job | None:
+        """The job that runs."""
+        return next((job for job in self._jobs if job.state == "running"), None)
+
+    def all(self) -> list[Job]:
+        """The newest first."""
+        return list(reversed(self._jobs))
+
+    def close(self) -> None:
+        """Cancel what runs, and wait for it."""
+        job = self.running
+        if job is not None:
+            job.cancel()
+            job.process.wait(GRACE_S + 5.0)

@@ -1,0 +1,46 @@
+"""The page of the workbench: one HTML text that asks nobody else for anything, and the headers that keep it so."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from ..live.page import source_hash
+from ..report import palette
+
+ASSETS = Path(__file__).parent / "assets"
+
+
+@cache
+def page() -> str:
+    """The page."""
+    text = (ASSETS / "workbench.html").read_text(encoding="utf-8")
+    return text.replace("{{style}}", _style()).replace("{{script}}", _script())
+
+
+@cache
+def headers() -> dict[str, str]:
+    """Nothing but what is in the page may run in it; frames show our own pages."""
+    policy = (
+        f"default-src 'none'; script-src {source_hash(_script())}; style-src {source_hash(_style())}; "
+        "connect-src 'self'; frame-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )
+    return {
+        "Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy,
+        "X-Content-Type-Options": "nosniff", "Cross-Origin-Opener-Policy": "same-origin",
+    }  # fmt: skip
+
+
+@cache
+def _style() -> str:
+    light, dark = palette.variables(dark=False), palette.variables(dark=True)
+    colours = (
+        f":root {{ color-scheme: light dark; {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
+    )
+    return "\n".join((colours, (ASSETS / "workbench.css").read_text(encoding="utf-8")))
+
+
+@cache
+def _script() -> str:
+    return (ASSETS / "workbench.js").read_text(encoding="utf-8")

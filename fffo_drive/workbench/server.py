@@ -1,0 +1,168 @@
+"""The workbench over HTTP, on this machine alone: the page, its state, what it asks for, pages that were written.
+
+The first part of every path is a key, and the key says what may be done. A request must name us as its host, and one
+that changes something must come from our own page.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from ..documents import DocumentError
+from .actions import Role
+from .bench import ForbiddenError, Workbench
+from .jobs import BusyError
+from .page import headers, page
+
+HOST = "127.0.0.1"
+LARGEST_BYTES = 1 << 30  # of a file that is taken in
+SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".yaml": "text/plain; charset=utf-8",
+         ".svg": "image/svg+xml", ".png": "image/png"}  # fmt: skip
+
+
+class WorkbenchServer:
+    """Serves a workbench from `start` to `close`."""
+
+    def __init__(self, bench: Workbench, port: int = 0) -> None:
+        """`port`: 0 is any that is free. Raises OSError where it cannot be had."""
+        self.bench = bench
+
+        class Handler(_Handler):
+            workbench = bench
+
+        self._server = ThreadingHTTPServer((HOST, port), Handler)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+
+    def start(self) -> None:
+        """Serve, on a thread of its own."""
+        self._thread.start()
+
+    def url(self, role: Role) -> str:
+        """The address that gives a role."""
+        return f"http://{HOST}:{self._server.server_address[1]}/{self.bench.keys[role]}/"
+
+    def wait(self) -> None:
+        """Until it is interrupted."""
+        self._thread.join()
+
+    def close(self) -> None:
+        """Cancel what runs, stop serving."""
+        self.bench.jobs.close()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    workbench: Workbench
+    server_version = "fffo-drive"
+    sys_version = ""
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: the key would stand in it."""
+
+    def do_GET(self) -> None:
+        """The page, its state, a page that was written."""
+        found = self._judged()
+        if found is None:
+            return
+        role, rest = found
+        if rest == "":
+            self._answer(HTTPStatus.OK, page().encode(), headers())
+        elif rest == "state":
+            self._json(HTTPStatus.OK, self.workbench.state(role))
+        elif rest.startswith("files/"):
+            self._file(rest.removeprefix("files/"))
+        else:
+            self._json(HTTPStatus.NOT_FOUND, {"error": "not here"})
+
+    def do_POST(self) -> None:
+        """What the page asks for."""
+        found = self._judged()
+        if found is None:
+            return
+        role, rest = found
+        host = self.headers.get("Host", "")
+        if self.headers.get("Origin") != f"http://{host}":
+            self._json(HTTPStatus.FORBIDDEN, {"error": "not from this page"})
+            return
+        size = int(self.headers.get("Content-Length") or 0)
+        if not 0 <= size <= LARGEST_BYTES:
+            self._json(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": "a file of at most 1 GiB can be taken in"})
+            return
+        body = self.rfile.read(size)
+        try:
+            self._json(HTTPStatus.OK, self._do(role, rest, body))
+        except ForbiddenError as error:
+            self._json(HTTPStatus.FORBIDDEN, {"error": str(error)})
+        except BusyError as error:
+            self._json(HTTPStatus.CONFLICT, {"error": str(error)})
+        except (DocumentError, OSError) as error:
+            self._json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+        except (KeyError, ValueError):
+            self._json(HTTPStatus.BAD_REQUEST, {"error": "not understood"})
+
+    def _do(self, role: Role, what: str, body: bytes) -> dict[str, Any]:
+        if what == "take":
+            name = parse_qs(urlsplit(self.path).query).get("name", [""])[0]
+            self.workbench.take(role, name, body)
+            return {}
+        wish = json.loads(body or b"{}")
+        if not isinstance(wish, dict):
+            raise ValueError(wish)
+        if what == "cancel":
+            self.workbench.cancel(role)
+            return {}
+        if what == "use_axis":
+            self.workbench.use_axis(role, wish.get("path"))
+            return {}
+        return self.workbench.act(role, what, wish)
+
+    def _judged(self) -> tuple[Role, str] | None:
+        """(role, rest of the path); None where an answer was given: another host, no key."""
+        port = self.connection.getsockname()[1]
+        if self.headers.get_all("Host") not in [[f"{name}:{port}"] for name in (HOST, "localhost")]:
+            self._json(HTTPStatus.MISDIRECTED_REQUEST, {"error": f"this is http://{HOST}:{port}/"})
+            return None
+        key, _, rest = unquote(urlsplit(self.path).path).lstrip("/").partition("/")
+        role = self.workbench.role_of(key)
+        if role is None:
+            self._json(
+                HTTPStatus.NOT_FOUND, {"error": "not here: open the address that `fffo-drive workbench` printed"}
+            )
+            return None
+        return role, rest
+
+    def _file(self, name: str) -> None:
+        """A file under the bench's directory."""
+        path = (self.workbench.directory / name).resolve()
+        kind = SHOWN.get(path.suffix)
+        if kind is None or not path.is_relative_to(self.workbench.directory.resolve()) or not path.is_file():
+            self._json(HTTPStatus.NOT_FOUND, {"error": f"{name}: not here"})
+            return
+        self._answer(HTTPStatus.OK, path.read_bytes(), {"Content-Type": kind, "X-Content-Type-Options": "nosniff"})
+
+    def _json(self, status: HTTPStatus, content: Any) -> None:
+        self._answer(status, json.dumps(content).encode(), {"Content-Type": "application/json"})
+
+    def _answer(self, status: HTTPStatus, body: bytes, more: dict[str, str]) -> None:
+        self.send_response(status.value)
+        for name, value in {**more, "Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+
+def served_directory(wanted: str | None) -> Path:
+    """The directory of a workbench, absolute."""
+    return Path(wanted or "runs/workbench").resolve()

@@ -1,0 +1,71 @@
+"""What stands in the directory of a workbench: recordings, pages with their three words, models, axis files."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..report.page import JSON_NAME, PAGE_NAME
+
+RUNS = "runs"
+RECORDINGS = (".mcap", ".csv", ".csv.gz", ".tsv", ".txt", ".mat")
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a name is one that `identify` and `diagnose` take."""
+    return path.name.endswith(RECORDINGS)
+
+
+def recordings(directory: Path, given: tuple[Path, ...]) -> list[dict[str, Any]]:
+    """Recordings given, and those under DIR/runs; the newest last."""
+    here = sorted((directory / RUNS).glob("*"), key=lambda path: path.stat().st_mtime)
+    found = [*given, *(path for path in here if is_recording(path))]
+    return [
+        {"name": path.name, "path": str(path), "megabytes": round(path.stat().st_size / 1e6, 2),
+         "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime))}
+        for path in found
+        if path.exists()
+    ]  # fmt: skip
+
+
+def pages(directory: Path) -> list[dict[str, Any]]:
+    """Every report under the directory, the newest first: what it found, how sure, what to do, and where it is."""
+    found = sorted(directory.glob(f"**/{JSON_NAME}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    return [one for path in found if (one := _page(directory, path)) is not None]
+
+
+def _page(directory: Path, path: Path) -> dict[str, Any] | None:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None  # it is being written
+    verdict = content.get("opening") or content.get("verdict")
+    if not isinstance(verdict, dict) or "finding" not in verdict or not path.with_name(PAGE_NAME).exists():
+        return None
+    model = path.with_name("model.yaml")
+    return {
+        "kind": content.get("kind", ""), "name": path.parent.relative_to(directory).as_posix(),
+        "page": path.with_name(PAGE_NAME).relative_to(directory).as_posix(),
+        "model": str(model) if model.exists() else "",
+        **{key: verdict[key] for key in ("headline", "finding", "confidence", "next_step", "alarm")},
+        "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime)),
+    }  # fmt: skip
+
+
+def axis_files(directory: Path, first: Path | None) -> Iterator[Path]:
+    """The axis file of the start, then those that `tune` and the circle wrote here."""
+    if first is not None:
+        yield first
+        yield from sorted(directory.glob(f"tune_*/{first.name}"))
+    yield from sorted(directory.glob("circle_*/axis.yaml"))
+
+
+def next_free(directory: Path, stem: str) -> Path:
+    """DIR/STEM_N with the first N that is not there yet."""
+    number = 1
+    while (directory / f"{stem}_{number}").exists():
+        number += 1
+    return directory / f"{stem}_{number}"

@@ -1,0 +1,60 @@
+"""Jobs: commands in processes of their own, followed, refused while one runs, cancelled as Ctrl-C does."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import pytest
+
+from fffo_drive.cli.progress import progress_bar
+from fffo_drive.workbench.jobs import BusyError, Jobs
+from fffo_drive.workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+
+PATIENCE_S = 120.0
+
+
+def finished(jobs, *words):
+    ended = threading.Event()
+    job = jobs.start("test", "a test", words, None, lambda _: ended.set())
+    assert ended.wait(PATIENCE_S)
+    return job
+
+
+def test_a_command_is_followed_to_its_end():
+    job = finished(Jobs(), "--version")
+    assert (job.state, job.exit_code) == ("done", 0)
+    assert job.as_object()["line"] == "fffo-drive --version"
+    assert job.lines[0].startswith("fffo-drive ")
+
+
+def test_what_the_command_refuses_is_said():
+    job = finished(Jobs(), "run", "nowhere.yaml")
+    assert (job.state, job.exit_code) == ("failed", 78)
+    assert "nowhere.yaml" in "\n".join(job.lines)
+
+
+def test_progress_is_told_in_lines_that_are_no_output(monkeypatch, capsys):
+    monkeypatch.setenv(LINES_ENVIRONMENT, "1")
+    with progress_bar("diagnose", quiet=True) as tell:
+        tell(0.25)
+    lines = capsys.readouterr().err.splitlines()
+    assert all(line.startswith(LINE_MARK) for line in lines)
+    assert [json.loads(line[len(LINE_MARK) :])["share"] for line in lines] == [0.0, 0.25, 1.0]
+
+
+@pytest.mark.slow
+def test_one_job_runs_at_a_time_and_an_interrupt_ends_it(tmp_path):
+    jobs = Jobs()
+    ended = threading.Event()
+    job = jobs.start("serve", "a workbench", ("workbench", "--no-browser", "--out", str(tmp_path)), None,
+                     lambda _: ended.set())  # fmt: skip
+    with pytest.raises(BusyError, match="a workbench is running"):
+        jobs.start("other", "another", ("--version",), None, lambda _: None)
+    while not any("Ctrl-C" in line for line in job.lines):
+        assert job.process.poll() is None
+    job.cancel()
+    assert ended.wait(PATIENCE_S)
+    assert job.state == "cancelled"
+    assert jobs.running is None
+    assert finished(jobs, "--version").state == "done"

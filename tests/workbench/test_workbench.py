@@ -1,0 +1,224 @@
+"""The workbench without a browser: lines that it types, roles, what it refuses, what it leaves in its log."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fffo_drive.documents import DocumentError
+from fffo_drive.workbench import shelf
+from fffo_drive.workbench.actions import ACTIONS, ROLES, Bench, may
+from fffo_drive.workbench.bench import AUDIT_NAME, ForbiddenError, Workbench
+from fffo_drive.workbench.server import WorkbenchServer
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+VERDICT = {"headline": "The model lacks cogging.", "finding": "cogging", "confidence": "certain",
+           "next_step": "adopt it", "alarm": False}  # fmt: skip
+
+
+@pytest.fixture
+def axis(tmp_path):
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    return tmp_path / "configs" / "axis_undeclared.yaml"
+
+
+@pytest.fixture
+def workbench(tmp_path, axis):
+    return Workbench(tmp_path / "out", axis, None, ())
+
+
+def with_results(bench):
+    """A recording, and the page of a diagnosis with its model."""
+    (bench.directory / shelf.RUNS / "one.mcap").write_bytes(b"-")
+    page = bench.directory / "diagnose_1"
+    page.mkdir()
+    (page / "report.json").write_text(json.dumps({"kind": "diagnose", "verdict": "effects_found", "opening": VERDICT}))
+    (page / "report.html").write_text("<!DOCTYPE html>")
+    shutil.copy(CONFIGS / "models" / "table1.yaml", page / "model.yaml")
+    return Bench(bench.directory, bench._axis, None, ())
+
+
+def test_every_action_is_a_line_that_its_command_understands(workbench):
+    from fffo_drive.cli import parser_of
+
+    bench = with_results(workbench)
+    run, model = str(bench.directory / "runs" / "one.mcap"), str(bench.directory / "diagnose_1" / "model.yaml")
+    wishes = {
+        "record": {"motion": "recipe", "toggle": "off"}, "circle": {"quick": True}, "identify": {"fit": [run]},
+        "diagnose": {"fit": [run], "held_out": [run]}, "compare": {"fit": [run]}, "roll_back": {},
+        "tune": {"model": model, "bandwidth_hz": 20}, "adopt": {"model": model, "dry_run": True},
+    }  # fmt: skip
+    assert set(wishes) == set(ACTIONS) - {"commission"}
+    for name, wish in wishes.items():
+        order = ACTIONS[name].make(bench, wish)
+        parser_of(order.words[0]).parse_args(order.words[1:])
+    on_bus = bench._replace(axis=bench.axis.with_name("axis_canopen.yaml"))
+    words = ACTIONS["commission"].make(on_bus, {}).words
+    parser_of(words[0]).parse_args(words[1:])
+
+
+@pytest.mark.parametrize(
+    ("name", "wish", "text"),
+    [
+        ("record", {"motion": "dance"}, "no motion is called 'dance'"),
+        ("identify", {"fit": []}, "tick at least one run"),
+        ("identify", {"fit": ["/etc/passwd"]}, "no recording of this workbench"),
+        ("tune", {"model": "/etc/passwd"}, "choose a model"),
+        ("adopt", {}, "choose a model"),
+        ("commission", {}, "needs no commissioning record"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_with_a_reason(workbench, name, wish, text):
+    with pytest.raises(DocumentError, match=text):
+        ACTIONS[name].make(with_results(workbench), wish)
+
+
+def test_without_an_axis_nothing_moves(tmp_path):
+    bench = Bench(tmp_path, None, None, ())
+    for name in ("record", "circle", "commission", "adopt"):
+        with pytest.raises(DocumentError):
+            ACTIONS[name].make(bench, {})
+
+
+def test_roles_hold_each_other_and_everything_that_moves_needs_one_that_may():
+    for k, role in enumerate(ROLES):
+        assert [may(role, other) for other in ROLES] == [j <= k for j in range(len(ROLES))]
+    assert all(may(action.role, "move") for action in ACTIONS.values() if action.moves)
+    assert not any(action.moves for action in ACTIONS.values() if action.role == "look")
+
+
+def test_a_role_is_refused_what_it_may_not_and_the_log_says_who_did_what(workbench):
+    for role, name in (("look", "record"), ("stop", "record"), ("move", "tune"), ("move", "circle")):
+        with pytest.raises(ForbiddenError, match="your key does not allow it"):
+            workbench.act(role, name, {})
+    with pytest.raises(ForbiddenError):
+        workbench.cancel("look")
+    with pytest.raises(ForbiddenError):
+        workbench.take("stop", "run.csv", b"")
+    with pytest.raises(ForbiddenError):
+        workbench.use_axis("move", "x")
+    assert not (workbench.directory / AUDIT_NAME).exists()
+    workbench.take("move", "run.csv", b"time_s\n")
+    entry = json.loads((workbench.directory / AUDIT_NAME).read_text())
+    assert (entry["role"], entry["action"], entry["file"]) == ("move", "take", "run.csv")
+
+
+@pytest.mark.parametrize("name", ["../run.csv", "/tmp/run.csv", ".run.csv", "run.exe", ""])
+def test_a_file_is_taken_in_under_a_plain_name_of_its_kind(workbench, name):
+    with pytest.raises(DocumentError):
+        workbench.take("tune", name, b"")
+
+
+def test_a_file_that_is_there_is_not_overwritten(workbench):
+    workbench.take("tune", "run.csv", b"first")
+    with pytest.raises(DocumentError, match="there already"):
+        workbench.take("tune", "run.csv", b"second")
+    assert (workbench.directory / "runs" / "run.csv").read_bytes() == b"first"
+
+
+def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
+    with_results(workbench)
+    state = workbench.state("look")
+    assert (state["role"], state["may_cancel"]) == ("look", False)
+    assert set(state["may"]) == {"identify", "diagnose", "compare"}
+    assert [run["name"] for run in state["runs"]] == ["one.mcap"]
+    (page,) = state["pages"]
+    assert (page["name"], page["finding"], page["confidence"]) == ("diagnose_1", "cogging", "certain")
+    assert page["model"].endswith("diagnose_1/model.yaml")
+    assert state["axis"]["drive"] == "simulated, in process"
+    json.dumps(state)
+
+
+def test_an_axis_file_with_a_mistake_is_told_and_the_bench_lives(workbench, axis):
+    axis.write_text(axis.read_text().replace("speed_limit_rps", "speed_limt_rps"))
+    told = workbench.state("tune")["axis"]["error"]
+    assert "speed_limt_rps" in told
+
+
+def test_only_axis_files_of_this_bench_can_be_chosen(workbench, tmp_path):
+    with pytest.raises(DocumentError, match="no axis file of this workbench"):
+        workbench.use_axis("tune", str(tmp_path / "configs" / "axis_bench.yaml"))
+    tuned = workbench.directory / "tune_1"
+    tuned.mkdir()
+    text = (tmp_path / "configs" / "axis_undeclared.yaml").read_text()
+    (tuned / "axis_undeclared.yaml").write_text(text)
+    (tuned / "controller.yaml").write_text("controller: {}")
+    workbench.use_axis("tune", str(tuned / "axis_undeclared.yaml"))
+    state = workbench.state("tune")
+    assert state["axis"]["path"] == str(tuned / "axis_undeclared.yaml")
+    assert len(state["axis_files"]) == 2
+
+
+def test_results_never_overwrite_each_other(tmp_path):
+    for number in (1, 2, 3):
+        path = shelf.next_free(tmp_path, "tune")
+        assert path.name == f"tune_{number}"
+        path.mkdir()
+
+
+@pytest.fixture
+def served(workbench):
+    with_results(workbench)
+    server = WorkbenchServer(workbench)
+    server.start()
+    yield server
+    server.close()
+
+
+def asked(served, method, path, body=None, **more):
+    port = served._server.server_address[1]
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+    given = {"Host": f"127.0.0.1:{port}", "Origin": f"http://127.0.0.1:{port}"} | more
+    connection.putrequest(method, path, skip_host=True)
+    for name, value in given.items():
+        if value:
+            connection.putheader(name, value)
+    content = json.dumps(body).encode() if body is not None else b""
+    connection.putheader("Content-Length", str(len(content)))
+    connection.endheaders(content)
+    answer = connection.getresponse()
+    text = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), text
+
+
+def test_nobody_without_the_key_or_from_another_page_gets_anything(served):
+    key = served.bench.keys["tune"]
+    assert asked(served, "GET", "/")[0] == 404
+    assert asked(served, "GET", "/guess/state")[0] == 404
+    assert asked(served, "GET", f"/{key}/state")[0] == 200
+    assert asked(served, "GET", f"/{key}/state", Host="evil.example")[0] == 421
+    for origin in ("http://evil.example", "null", ""):
+        assert asked(served, "POST", f"/{key}/record", {}, Origin=origin)[0] == 403
+    assert served.bench.jobs.all() == []
+
+
+def test_the_page_runs_nothing_but_its_own_and_keys_have_their_role(served):
+    for role in ROLES:
+        status, headers, text = asked(served, "GET", f"/{served.bench.keys[role]}/")
+        assert status == 200
+        assert b"http://" not in text.replace(b"http://www.w3.org", b"")
+        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+        assert headers["Referrer-Policy"] == "no-referrer"
+        assert json.loads(asked(served, "GET", f"/{served.bench.keys[role]}/state")[2])["role"] == role
+    status, _, text = asked(served, "POST", f"/{served.bench.keys['look']}/record", {})
+    assert (status, "move is needed" in json.loads(text)["error"]) == (403, True)
+
+
+@pytest.mark.parametrize("name", ["../configs/axis_bench.yaml", "%2e%2e/configs/axis_bench.yaml", "runs/one.mcap", "x"])
+def test_files_are_those_pages_of_the_directory_and_no_others(served, name):
+    key = served.bench.keys["tune"]
+    assert asked(served, "GET", f"/{key}/files/diagnose_1/report.html")[0] == 200
+    assert asked(served, "GET", f"/{key}/files/{name}")[0] == 404
+
+
+@pytest.mark.parametrize("body", [[], "x", {"fit": 3}, {"fit": ["a"]}])
+def test_what_is_not_understood_is_refused_and_the_server_lives(served, body):
+    key = served.bench.keys["tune"]
+    assert asked(served, "POST", f"/{key}/identify", body)[0] == 400
+    assert asked(served, "POST", f"/{key}/nothing", {})[0] == 400
+    assert asked(served, "GET", f"/{key}/state")[0] == 200

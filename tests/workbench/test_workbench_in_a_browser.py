@@ -1,0 +1,186 @@
+"""The workbench in a real browser: from an axis with an effect that nobody declared to the error before and after."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from fffo_drive.recording.reader import read_run
+from fffo_drive.workbench.bench import Workbench
+from fffo_drive.workbench.server import WorkbenchServer
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+PATIENCE_S = 120.0
+SCREEN = {"width": 1280, "height": 800}
+SERIOUS = ("serious", "critical")
+
+
+class Shown:
+    """A workbench, and the page that works on it."""
+
+    def __init__(self, chromium, bench, role="tune"):
+        self.server = WorkbenchServer(bench)
+        self.server.start()
+        self.context = chromium.new_context(viewport=SCREEN)
+        self.page = self.context.new_page()
+        self.troubles, self.asked = [], []
+        self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(self.server.url(role))
+        self.until("fffoWorkbench.state")
+
+    def until(self, expression):
+        """Wait until it is so: the page's own policy forbids what playwright would do for this."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (value := self.page.evaluate(expression)):
+            assert time.monotonic() < deadline_s, f"never: {expression}; {self.job}"
+            time.sleep(0.1)
+        return value
+
+    @property
+    def job(self):
+        return self.page.evaluate("fffoWorkbench.state.jobs[0]")
+
+    def jobs(self):
+        return self.page.evaluate("fffoWorkbench.state.jobs.length")
+
+    def do(self, button, by_key=False):
+        """Press a button, and wait for its job to end well."""
+        before = self.jobs()
+        self.until(f"!document.querySelector('{button}').disabled")
+        if by_key:
+            self.page.focus(button)
+            self.page.keyboard.press("Enter")
+        else:
+            self.page.click(button)
+        self.until(f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'")
+        assert self.job["state"] == "done", self.job
+        return self.job
+
+    def record(self, motion, **how):
+        self.page.select_option("#motion", motion)
+        return self.do("#record", **how)
+
+    def tick(self, number, column, on=True):
+        self.page.locator("#runs tbody tr").nth(number).locator("input").nth(column).set_checked(on)
+
+    def close(self):
+        self.context.close()
+        self.server.close()
+        assert self.troubles == []
+        own = self.server.url("look").rsplit("/", 2)[0]
+        assert all(url.startswith((own, "data:")) for url in self.asked), self.asked
+
+
+@pytest.fixture
+def shown(tmp_path, chromium):
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    axis = tmp_path / "configs" / "axis_undeclared.yaml"
+    content = yaml.safe_load(axis.read_text())
+    content["profile"]["duration_s"] = 20
+    axis.write_text(yaml.safe_dump(content))
+    shown = Shown(chromium, Workbench(tmp_path / "out", axis, None, ()))
+    yield shown
+    shown.close()
+
+
+def test_a_run_is_recorded_identified_and_tuned_with_keys_alone(shown):
+    assert shown.page.text_content("#next") == "Next: record a run, or take a file in"
+    for motion in ("identify", "recipe"):
+        shown.record(motion, by_key=True)
+    assert shown.do("#identify", by_key=True)["share"] == 1.0
+    shown.until("document.querySelector('#viewer').src.endsWith('identify_1/report.html')")
+    frame = shown.page.frame_locator("#viewer")
+    frame.locator("figure canvas").first.wait_for()
+    assert "Identification of undeclared" in frame.locator("h1").text_content()
+    shown.until("document.querySelector('#model').value.endsWith('identify_1/model.yaml')")
+    shown.do("#tune", by_key=True)
+    shown.until("fffoWorkbench.state.axis_files.length === 2")
+    shown.page.select_option("#axis-file", index=1)
+    shown.until("fffoWorkbench.state.axis.path.includes('/tune_1/')")
+    assert "identify_1" in shown.page.text_content("#axis-facts")
+
+
+def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    shown.record("identify")
+    found = axe.run(shown.page).response["violations"]
+    assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
+    shown.page.set_viewport_size({"width": 420, "height": 800})
+    assert shown.page.evaluate("document.documentElement.scrollWidth") <= 420
+
+
+def test_what_a_key_does_not_allow_cannot_be_pressed(tmp_path, chromium):
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    bench = Workbench(tmp_path / "out", tmp_path / "configs" / "axis_undeclared.yaml", None, ())
+    shown = Shown(chromium, bench, role="look")
+    for button in ("#record", "#circle", "#tune", "#adopt", "#roll_back"):
+        assert shown.page.is_disabled(button)
+    assert "this page may look" in shown.page.text_content("#where")
+    shown.close()
+
+
+def test_a_page_that_is_not_current_says_so(shown):
+    shown.page.route("**/state", lambda route: route.abort())
+    shown.until("document.querySelector('#connection').textContent.includes('what is shown is old')")
+
+
+def test_a_motion_is_cancelled_from_the_page(shown):
+    shown.page.select_option("#motion", "recipe")
+    shown.page.click("#record")
+    shown.until("fffoWorkbench.state.jobs.length === 1")
+    shown.page.click("#cancel")
+    shown.until("fffoWorkbench.state.jobs[0].state === 'cancelled'")
+
+
+@pytest.mark.long
+def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_line(shown):
+    for motion in ("profile", "identify", "recipe"):
+        shown.record(motion)
+    assert shown.page.text_content("#next") == "Next: tick the runs, hold one out, diagnose"
+    shown.tick(0, 1)
+    shown.do("#diagnose")
+    shown.until("document.querySelector('#headline').textContent.includes('cogging')")
+    assert shown.page.text_content("#next") == "Next: show the gates, and adopt what was found"
+    frame = shown.page.frame_locator("#viewer")
+    assert frame.locator(".words dd").first.text_content() == "cogging"
+    shown.do("#gates")
+    assert "held-out error" in shown.page.text_content("#job-output")
+    shown.do("#adopt")
+    shown.until("document.querySelector('#axis-facts').textContent.includes('cogging')")
+    shown.record("profile")
+    for number in range(4):
+        shown.tick(number, 0, number in (0, 3))
+    shown.do("#compare")
+    shown.until("document.querySelector('#headline').textContent.includes('diagnose_1 has the smallest')")
+    shown.do("#roll_back")
+    shown.until("!document.querySelector('#axis-facts').textContent.includes('cogging')")
+
+
+@pytest.mark.long
+def test_a_file_of_somebody_else_is_taken_in_and_diagnosed(shown, tmp_path, chromium):
+    shown.record("recipe")
+    run = read_run(next((tmp_path / "out" / "runs").glob("*.mcap")))
+    columns = {name: np.asarray(run.columns[name]) for name in ("time_s", "position_rev", "current_command_a")}
+    foreign = tmp_path / "theirs.csv"
+    with foreign.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    facts = tmp_path / "facts.yaml"
+    facts.write_text("name: their axis\ntorque_constant_nm_per_a: 0.148\nresolver_bits: 15\nabsolute_angle: true\n")
+    other = Shown(chromium, Workbench(tmp_path / "other", None, None, ()))
+    other.page.set_input_files("#take", [str(facts), str(foreign)])
+    other.until("fffoWorkbench.state.runs.length === 1")
+    assert other.page.is_disabled("#record")
+    other.do("#diagnose")
+    other.until("document.querySelector('#headline').textContent.includes('cogging')")
+    assert "their axis" in other.page.frame_locator("#viewer").locator("h1").text_content()
+    other.close()
