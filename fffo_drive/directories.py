@@ -43,3 +43,9 @@ def require_own(path: Path) -> None:
         return
     text = f"{problem}, and it is in a place where everybody may write; remove it and start again"
     raise ForeignDirectoryError(errno.EPERM, text, str(path))
+
+
+def as_typed(path: str) -> str:
+    """A path as it is typed in the current directory: relative where it lies below, else as it is."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path

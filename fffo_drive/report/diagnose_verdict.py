@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from ..diagnosis.results import Diagnosis, Finding, Rest
+from ..directories import as_typed
 from ..model.effects.registry import law_of
 from .diagnose_figures import DiagnosisWords, words_of
 from .document import Confidence, Line, Verdict, significant
@@ -100,7 +101,15 @@ def _size(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
     shares = [significant(figures.torque_relative_percent.value, 2) for figures in (old, new)]
     text += f" With all that was found the model's error on the {where} goes from {shares[0]} to {shares[1]} % of the "
     text += f"{words.torque} that the axis needs."
-    return text if diagnosis.unexplained_rest is None else f"{text} {_rest(diagnosis.unexplained_rest, words)}"
+    return text + _short_rest(diagnosis.unexplained_rest, words)
+
+
+def _short_rest(rest: Rest | None, words: DiagnosisWords) -> str:
+    """What is left, after another sentence; the whole of it stands among the cautions."""
+    if rest is None:
+        return ""
+    left, floor = (significant(words.torque_scale * value, 2) for value in (rest.rms_nm, rest.floor_nm))
+    return f" Not explained: {left} {words.small_torque} rms are left, and {floor} could be."
 
 
 def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
@@ -124,7 +133,9 @@ def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
         )  # fmt: skip
     remedy = f"{_capital(law.remedy)}."
     if lead.compensable and model_path:
-        return "adopt it", Line(label="Next", text=remedy, command=f"fffo-drive adopt {model_path} --axis AXIS.yaml")
+        return "adopt it", Line(
+            label="Next", text=remedy, command=f"fffo-drive adopt {as_typed(model_path)} --axis AXIS.yaml"
+        )
     return "mend it at the machine" if not lead.compensable else "look at it", Line(label="Next", text=remedy)
 
 
@@ -138,7 +149,7 @@ def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
     if diagnosis.verdict == "unexplained":
         axes = names_of([words.axis(axis) for axis in rest.axes]) if rest is not None else ""
         lines = [Line(label="Where", text=f"It goes with {axes}.")] if axes else []
-        lines += [Line(label="How big", text=size if rest is None else f"{size} {_rest(rest, words)}")]
+        lines += [Line(label="How big", text=size + _short_rest(rest, words))]
         lines += [
             Line(label="How sure", text="Something is left, and nothing that is searched for explains it."),
             Line(label="Next", text="Look at what the residual goes with, below; a recording with slow, fast and "

@@ -21,7 +21,7 @@ ROLES: tuple[Role, ...] = ("look", "stop", "move", "tune")  # each may do what t
 MOTIONS = ("profile", "identify", "recipe")
 
 
-class Order(NamedTuple):
+class CommandLine(NamedTuple):
     """What an action comes to: the words after `fffo-drive`, and what they write."""
 
     title: str
@@ -58,10 +58,10 @@ class Bench(NamedTuple):
         return [] if self.facts is None else ["--drive", str(self.facts)]
 
 
-Make = Callable[[Bench, Mapping[str, Any]], Order]
+Make = Callable[[Bench, Mapping[str, Any]], CommandLine]
 
 
-class Action(NamedTuple):
+class PageAction(NamedTuple):
     """An action, and who may."""
 
     role: Role
@@ -69,7 +69,7 @@ class Action(NamedTuple):
     moves: bool = False  # the page asks before it
 
 
-def _record(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     axis, motion, toggle = bench.required_axis(), wish.get("motion", "profile"), wish.get("toggle")
     out = bench.directory / shelf.RUNS / f"{motion.replace(':', '_')}_{time.strftime('%H%M%S')}.mcap"
     words = ["run", str(axis), "--out", str(out)]
@@ -85,22 +85,24 @@ def _record(bench: Bench, wish: Mapping[str, Any]) -> Order:
         raise DocumentError(f"no motion is called {motion!r}; known: {', '.join(MOTIONS)}, decide:EFFECT")
     if toggle in ("off", "ff", "fb"):
         words += ["--toggle", toggle]
-    return Order(f"record {motion}", tuple(words), out)
+    return CommandLine(f"record {motion}", tuple(words), out)
 
 
-def _commission(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     axis = bench.required_axis()
     if not isinstance(read_axis(axis).drive, CanopenDriveSection):
         raise DocumentError(f"{axis}: a simulated drive in process needs no commissioning record: record a run")
-    return Order("commission", ("commission", str(axis), "--yes"))
+    return CommandLine("commission", ("commission", str(axis), "--yes"))
 
 
-def _identify(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _identify(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "identify")
-    return Order("identify", ("identify", *bench.declared(), "--out", str(out), *bench.runs(wish.get("fit"))), out)
+    return CommandLine(
+        "identify", ("identify", *bench.declared(), "--out", str(out), *bench.runs(wish.get("fit"))), out
+    )
 
 
-def _tune(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _tune(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "tune")
     words = ["tune", _model(bench, wish), "--out", str(out)]
     if bench.axis is not None:
@@ -108,37 +110,37 @@ def _tune(bench: Bench, wish: Mapping[str, Any]) -> Order:
     for option, key in (("--bandwidth-hz", "bandwidth_hz"), ("--phase-margin-deg", "phase_margin_deg")):
         if wish.get(key):
             words += [option, f"{float(wish[key]):g}"]
-    return Order("tune", tuple(words), out)
+    return CommandLine("tune", tuple(words), out)
 
 
-def _diagnose(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _diagnose(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "diagnose")
     words = ["diagnose", *bench.declared(), "--out", str(out), "--fit", *bench.runs(wish.get("fit"))]
     if wish.get("held_out"):
         words += ["--held-out", *bench.runs(wish["held_out"])]
-    return Order("diagnose", tuple(words), out)
+    return CommandLine("diagnose", tuple(words), out)
 
 
-def _adopt(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _adopt(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     words = ["adopt", _model(bench, wish), "--axis", str(bench.required_axis())]
     if wish.get("dry_run"):
-        return Order("show the gates", (*words, "--dry-run"))
-    return Order("adopt", tuple(words))
+        return CommandLine("show the gates", (*words, "--dry-run"))
+    return CommandLine("adopt", tuple(words))
 
 
-def _circle(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _circle(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "circle")
     words = ["close-the-loop", str(bench.required_axis()), "--out", str(out)]
-    return Order("the whole circle", (*words, "--quick") if wish.get("quick") else tuple(words), out)
+    return CommandLine("the whole circle", (*words, "--quick") if wish.get("quick") else tuple(words), out)
 
 
-def _roll_back(bench: Bench, wish: Mapping[str, Any]) -> Order:
-    return Order("take the last model out", ("adopt", "--rollback", "--axis", str(bench.required_axis())))
+def _roll_back(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return CommandLine("take the last model out", ("adopt", "--rollback", "--axis", str(bench.required_axis())))
 
 
-def _compare(bench: Bench, wish: Mapping[str, Any]) -> Order:
+def _compare(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "compare")
-    return Order("compare runs", ("evaluate", "--out", str(out), "--runs", *bench.runs(wish.get("fit"))), out)
+    return CommandLine("compare runs", ("evaluate", "--out", str(out), "--runs", *bench.runs(wish.get("fit"))), out)
 
 
 def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
@@ -149,16 +151,16 @@ def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
     return str(wish["model"])
 
 
-ACTIONS: dict[str, Action] = {
-    "commission": Action("move", _commission, moves=True),
-    "record": Action("move", _record, moves=True),
-    "circle": Action("tune", _circle, moves=True),
-    "identify": Action("look", _identify),
-    "diagnose": Action("look", _diagnose),
-    "compare": Action("look", _compare),
-    "tune": Action("tune", _tune),
-    "adopt": Action("tune", _adopt),
-    "roll_back": Action("tune", _roll_back),
+ACTIONS: dict[str, PageAction] = {
+    "commission": PageAction("move", _commission, moves=True),
+    "record": PageAction("move", _record, moves=True),
+    "circle": PageAction("tune", _circle, moves=True),
+    "identify": PageAction("look", _identify),
+    "diagnose": PageAction("look", _diagnose),
+    "compare": PageAction("look", _compare),
+    "tune": PageAction("tune", _tune),
+    "adopt": PageAction("tune", _adopt),
+    "roll_back": PageAction("tune", _roll_back),
 }
 
 

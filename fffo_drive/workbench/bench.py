@@ -14,6 +14,7 @@ from ..config.axis import model_of, read_axis
 from ..config.commissioning import permission
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import services
+from ..directories import as_typed
 from ..documents import DocumentError
 from ..live.peer import is_key
 from . import shelf
@@ -52,7 +53,7 @@ class Workbench:
             "may": [name for name, action in ACTIONS.items() if may(role, action.role)],
             "moves": [name for name, action in ACTIONS.items() if action.moves],
             "may_cancel": may(role, "stop"),
-            "directory": str(self.directory),
+            "directory": as_typed(str(self.directory)),
             "axis": self._axis_facts(),
             "axis_files": [str(path) for path in shelf.axis_files(self.directory, self._first)],
             "facts": None if self._facts is None else str(self._facts),
@@ -78,7 +79,7 @@ class Workbench:
                     refused = str(error)
             controller = axis.controller
             return {
-                "path": str(path), "name": axis.name, "on_bus": on_bus,
+                "path": str(path), "shown": as_typed(str(path)), "name": axis.name, "on_bus": on_bus,
                 "drive": f"CANopen, node {axis.drive.node_id}" if isinstance(axis.drive, CanopenDriveSection)
                          else "simulated, in process",
                 "rate_hz": round(1.0 / axis.loop.period_s), "profile": axis.profile.kind,
@@ -89,7 +90,7 @@ class Workbench:
                 "commissioning": refused,
             }  # fmt: skip
         except (DocumentError, OSError) as error:
-            return {"path": str(path), "name": path.name, "error": str(error)}
+            return {"path": str(path), "shown": as_typed(str(path)), "name": path.name, "error": str(error)}
 
     def act(self, role: Role, name: str, wish: Mapping[str, Any]) -> dict[str, Any]:
         """Start an action. Raises ForbiddenError, DocumentError, jobs.BusyError, KeyError for no action."""

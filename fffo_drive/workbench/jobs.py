@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any, Literal
 
+from ..directories import as_typed
 from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
 
 State = Literal["running", "done", "failed", "cancelled"]
@@ -94,7 +95,7 @@ class Job:
         """For the page."""
         return {
             "number": self.number, "action": self.action, "title": self.title, "state": self.state,
-            "line": shlex.join(["fffo-drive", *self.words]), "share": self.share, "step": self.step,
+            "line": shlex.join(["fffo-drive", *map(as_typed, self.words)]), "share": self.share, "step": self.step,
             "output": list(self.lines), "seconds": round((self.ended_s or time.time()) - self.began_s, 1),
             "exit_code": self.exit_code,
         }  # fmt: skip

@@ -32,11 +32,8 @@ class WorkbenchServer:
     def __init__(self, bench: Workbench, port: int = 0) -> None:
         """`port`: 0 is any that is free. Raises OSError where it cannot be had."""
         self.bench = bench
-
-        class Handler(_Handler):
-            workbench = bench
-
-        self._server = ThreadingHTTPServer((HOST, port), Handler)
+        handler = type("BoundHandler", (_Handler,), {"workbench": bench})
+        self._server = ThreadingHTTPServer((HOST, port), handler)
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 

@@ -72,8 +72,8 @@
     document.title = `${$("title").textContent}: workbench`;
     $("axis-error").hidden = !found || !found.error;
     if (found && found.error) $("axis-error").textContent = found.error;
-    const rows = !found ? [["axis", "none: opened on recordings"]] : found.error ? [["file", found.path]] : [
-      ["file", found.path], ["drive", `${found.drive}, ${found.rate_hz} Hz`], ["model", found.model], ["gains", found.gains], ["profile", found.profile],
+    const rows = !found ? [["axis", "none: opened on recordings"]] : found.error ? [["file", found.shown]] : [
+      ["file", found.shown], ["drive", `${found.drive}, ${found.rate_hz} Hz`], ["model", found.model], ["gains", found.gains], ["profile", found.profile],
       ["effects", found.effects.map((e) => e.name + (e.reason ? ` (not compensated: ${e.reason})` : "")).join(", ") || "none"],
       ...(found.commissioning ? [["commissioning", found.commissioning]] : [])];
     if (state.facts) rows.push(["declared facts", state.facts]);
