@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Run the subcommand."""
+    """Run the subcommand, until Ctrl-C."""
     axes = [Path(name) for name in options.files if Path(name).suffix in (".yaml", ".yml")]
     runs = [Path(name) for name in options.files if Path(name) not in axes]
     if len(axes) > 1:
@@ -53,13 +53,14 @@ def execute(options: argparse.Namespace) -> int:
     bench = Workbench(served_directory(options.out), axis, facts, tuple(path.resolve() for path in runs))
     server = WorkbenchServer(bench, options.port)
     server.start()
-    for role in reversed(ROLES):
-        print(f"{role:>5}: {server.url(role)}", flush=True)
-    print("Ctrl-C ends it", flush=True)
-    if not options.no_browser:
-        webbrowser.open(server.url(ROLES[-1]))
     try:
+        for role in reversed(ROLES):
+            print(f"{role:>5}: {server.url(role)}", flush=True)
+        print("Ctrl-C ends it", flush=True)
+        if not options.no_browser:
+            webbrowser.open(server.url(ROLES[-1]))
         server.wait()
+    except KeyboardInterrupt:
+        return 0
     finally:
         server.close()
-    return 0

@@ -11,7 +11,7 @@ import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
@@ -45,9 +45,10 @@ class WorkbenchServer:
         """The address that gives a role."""
         return f"http://{HOST}:{self._server.server_address[1]}/{self.bench.keys[role]}/"
 
-    def wait(self) -> None:
-        """Until it is interrupted."""
-        self._thread.join()
+    def wait(self) -> NoReturn:
+        """Until it is interrupted: raises KeyboardInterrupt."""
+        while True:
+            self._thread.join()
 
     def close(self) -> None:
         """Cancel what runs, stop serving."""

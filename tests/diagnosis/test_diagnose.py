@@ -121,7 +121,7 @@ def test_the_report_is_json_with_all_its_keys():
     assert set(content["effects"][0]) == {
         "name", "alternatives", "axis", "parameters", "explained_fraction", "false_alarm_probability", "accepted",
         "reason", "regime", "experiment", "compensable", "strength_percent", "sd", "units", "gain", "held_out_gain",
-        "rivals", "before", "after", "symbols",
+        "rivals", "before", "after", "symbols", "torque_rms_nm", "plain_name", "cause", "remedy", "place", "confidence",
     }  # fmt: skip
     assert set(content["before"]["held_out"]) == {
         "torque_rms_nm", "torque_relative_percent", "velocity_rms_rps", "interval_95", "seconds",

@@ -110,9 +110,10 @@ INIT = Typed("init bench", "cd bench", "bench/configs/axis_bench.yaml")
 LIBRARY = f"import fffo_drive as fd; print(fd.__file__); print(fd.replay('{RUN.makes}').exact)"
 SIM = "sim patient_drive.yaml --bus {bus}"
 SERVE = "serve patient.yaml --bus {bus} --sockets s --uncommissioned --scope 0"
+WORKBENCH = "workbench configs/axis_undeclared.yaml --out work --no-browser"
 JOG, SUBSCRIBE = "ctl --sockets s jog 1", "ctl --sockets s subscribe --status-hz 10"
 ALL = (INIT, RUN, *IN_PROCESS, *FROM_A_BUS, *ON_A_BUS, *BEFORE_TORQUE, *WITH_TORQUE, *WHILE_IT_TURNS, *THE_END)
-LINES = [SIM, SERVE, JOG, SUBSCRIBE, *(typed.line for typed in ALL)]
+LINES = [SIM, SERVE, WORKBENCH, JOG, SUBSCRIBE, *(typed.line for typed in ALL)]
 
 
 def subcommands(command: str) -> tuple[str, list[str]]:
@@ -277,6 +278,8 @@ def test_every_command_works_from_an_installed_wheel(environment, tmp_path):
     recording = (user.place / RUN.makes).read_bytes()
     (user.place / "torn.mcap.part").write_bytes(recording[: len(recording) // 2])
     user.type(*IN_PROCESS)
+    with user.beside(WORKBENCH, "Ctrl-C ends it", signal.SIGINT):
+        assert (user.place / "work" / "runs").is_dir()
     with user.beside(SIM, "ready", signal.SIGTERM):
         user.type(*FROM_A_BUS)
         edit(user.place / "axis.yaml", be_patient)
