@@ -71,6 +71,16 @@ def changed(axis, **effects_section):
     return AxisFile.model_validate(data)
 
 
+def test_what_the_data_do_not_decide_is_not_put_in_service():
+    sure, undecided = effect(), effect().model_copy(update={"alternatives": ["torque_ripple"]})
+    assert [term.name for term in compensated_terms(AXIS, with_effects(sure))] == ["cogging"]
+    assert compensated_terms(AXIS, with_effects(undecided)) == []
+    (service,) = services(AXIS, with_effects(undecided))
+    assert service.reason is not None
+    assert "cogging or torque_ripple" in service.reason
+    assert "--decide cogging" in service.reason
+
+
 def test_the_held_out_error_has_to_fall_for_sure():
     assert held_out_gate(report_of()).passed
     assert not held_out_gate(report_of(after=0.0101)).passed

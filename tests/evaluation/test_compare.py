@@ -22,6 +22,15 @@ def test_the_interval_of_a_mean_covers_it_as_often_as_it_says():
     assert inside / 2000 == pytest.approx(0.95, abs=0.015)
 
 
+def test_what_cannot_be_negative_has_no_interval_below_zero():
+    few = np.array([0.001, 0.03, 0.002])
+    value, low, high = mean_interval(few)
+    assert 0.0 < low < value < high
+    near = mean_interval(few + 10.0)  # where the scatter is small it is Student's
+    assert near.value - near.low == pytest.approx(near.high - near.value, rel=0.01)
+    assert mean_interval(few - 0.01).low < 0.0
+
+
 def test_a_common_factor_of_paired_runs_leaves_the_ratio_alone():
     """Seeds scale both controllers: the means scatter, the ratio does not."""
     scale = np.random.default_rng(5).uniform(0.2, 5.0, 10)

@@ -52,6 +52,18 @@ def test_a_loop_that_came_too_late_and_a_run_that_stopped_early_are_drawn_and_sa
     assert "came too late" in render_page(report)
 
 
+def test_runs_of_one_controller_with_two_models_are_two(monkeypatch):
+    def recorded(names):
+        monkeypatch.setattr(evaluate_live, "recorded_files", lambda run: (None, SimpleNamespace(name=run.model)))
+        monkeypatch.setattr(evaluate_live, "controller_name", lambda run: run.controller)
+        return evaluate_live.controller_names(
+            [SimpleNamespace(controller=name, model=model, metadata={}) for name, model in names]
+        )
+
+    assert recorded([("pi", "old"), ("pi+", "old"), ("pi+", "new")]) == ["pi", "pi+, old", "pi+, new"]
+    assert recorded([("pi", "old"), ("pi", "old")]) == ["pi", "pi"]
+
+
 def test_runs_that_are_whole_have_no_such_caution():
     report = report_of(run("pi", list(range(SAMPLES)), 0.02), run("pi+fffo", list(range(SAMPLES)), 0.01))
     assert not any("too late" in text for text in report.verdict.cautions)
