@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
+import sys
 import time
 from pathlib import Path
 
@@ -61,7 +62,7 @@ class Shown:
         else:
             self.page.click(button)
         self.until(f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'")
-        assert self.job["state"] == "done", self.job
+        assert self.job["state"] == "done", "\n".join(self.job["output"])
         return self.job
 
     def record(self, motion, **how):
@@ -77,6 +78,12 @@ class Shown:
         assert self.troubles == []
         own = self.server.url("look").rsplit("/", 2)[0]
         assert all(url.startswith((own, "data:")) for url in self.asked), self.asked
+
+
+@pytest.fixture(autouse=True)
+def cache_of_a_user(monkeypatch):
+    """Jobs have no tests on their path: they cannot read a cache in which tests left types of their own."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-manual"))
 
 
 @pytest.fixture

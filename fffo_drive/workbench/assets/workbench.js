@@ -3,8 +3,10 @@
   const $ = (id) => document.getElementById(id);
   const BUSY_MS = 400, IDLE_MS = 2000;
   const STEP_OF = { commission: "h-axis", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
-  const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", wanted: "" };
-  let state = null, timer = 0, lastJob = 0;
+  const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
+  const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
+  const SAYS = ["adopt", "roll_back", "commission"]; // what they print is the result
+  let state = null, timer = 0;
   window.fffoWorkbench = { get state() { return state; } }; // for tests
 
   async function ask(what, body, raw) {
@@ -135,13 +137,11 @@
     $("job-line").textContent = now.line;
     $("job-output").textContent = now.output.join("\n");
     $("cancel").hidden = !works || !state.may_cancel;
-    if (works) { lastJob = now.number; chosen.wanted = now.action; return; }
-    if (lastJob !== now.number && chosen.wanted === "") return;
-    if (chosen.wanted) { // it has just ended
-      chosen.wanted = "";
-      $("job-output-fold").open = now.state !== "done" || ["adopt", "roll_back", "commission"].includes(now.action);
-      if (now.state === "done" && ["identify", "tune", "diagnose", "compare", "circle"].includes(now.action) && state.pages.length) open(state.pages.find((page) => now.action !== "circle" || page.kind === "close-the-loop") || state.pages[0]);
-    }
+    if (works || now.number !== chosen.job) return;
+    chosen.job = 0; // it was asked for here, and has just ended
+    $("job-output-fold").open = now.state !== "done" || SAYS.includes(now.action);
+    const kind = KIND_OF[now.action], page = state.pages.find((one) => one.kind === kind);
+    if (now.state === "done" && page) open(page);
   }
 
   function wish(button) {
@@ -174,7 +174,7 @@
   }
 
   for (const button of document.querySelectorAll("[data-act]")) button.onclick = () => tell(async () => {
-    if (await confirmed(button.dataset.act)) await ask(button.dataset.act, wish(button));
+    if (await confirmed(button.dataset.act)) chosen.job = (await ask(button.dataset.act, wish(button))).number;
   });
   $("cancel").onclick = () => tell(() => ask("cancel", {}));
   $("axis-file").onchange = () => tell(() => ask("use_axis", { path: $("axis-file").value }));
