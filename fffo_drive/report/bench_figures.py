@@ -26,9 +26,9 @@ from .figures import (
 )
 from .intervals import ShownInterval
 
-COLOURS = {"PI": "orange", "PI+FBFO": "green", "PI+FFFO": "blue"}
+COLOURS = {"PI": "orange", "PI+FBFO": "green", "PI+FFFO": "blue", "before": "orange", "after": "blue"}
 DASHES: dict[str, Dash] = {"PI+FBFO": "dashdot"}
-WEIGHTS = {"PI": 1.3, "PI+FFFO": 2.1}
+WEIGHTS = {"PI": 1.3, "PI+FFFO": 2.1, "before": 1.3, "after": 2.1}
 SPARE_COLOURS = ("purple", "grey")
 SHOWN = ("PI", "PI+FFFO")  # Fig. 8 compares these
 METRIC_NAMES = ("ISE", "MAE", "MAX", "STD")
@@ -97,7 +97,7 @@ def bench_data(rows: Mapping[str, Rows], period_s: float, samples: int) -> Bench
 
 
 def colour_of(name: str, names: list[str]) -> str:
-    """The paper's three controllers have their colours; others take what is left."""
+    """The paper's three controllers, before and after have their colours; others take what is left."""
     others = [other for other in names if other not in COLOURS]
     return COLOURS.get(name) or SPARE_COLOURS[others.index(name) % len(SPARE_COLOURS)]
 

@@ -15,13 +15,14 @@ from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
-from .actions import Role
+from .actions import Role, may
 from .bench import ForbiddenError, Workbench
 from .jobs import BusyError
 from .page import headers, page
 
 HOST = "127.0.0.1"
 LARGEST_BYTES = 1 << 30  # of a file that is taken in
+LARGEST_WISH_BYTES = 1 << 16
 SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".yaml": "text/plain; charset=utf-8",
          ".svg": "image/svg+xml", ".png": "image/png"}  # fmt: skip
 
@@ -94,8 +95,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._json(HTTPStatus.FORBIDDEN, {"error": "not from this page"})
             return
         size = int(self.headers.get("Content-Length") or 0)
-        if not 0 <= size <= LARGEST_BYTES:
-            self._json(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": "a file of at most 1 GiB can be taken in"})
+        largest = LARGEST_BYTES if rest == "take" and may(role, "move") else LARGEST_WISH_BYTES
+        if not 0 <= size <= largest:
+            self.close_connection = True  # the body is not read
+            self._json(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": f"at most {largest:,} bytes can be taken in"})
             return
         body = self.rfile.read(size)
         try:

@@ -178,7 +178,8 @@ def asked(served, method, path, body=None, **more):
         if value:
             connection.putheader(name, value)
     content = json.dumps(body).encode() if body is not None else b""
-    connection.putheader("Content-Length", str(len(content)))
+    if "Content-Length" not in more:
+        connection.putheader("Content-Length", str(len(content)))
     connection.endheaders(content)
     answer = connection.getresponse()
     text = answer.read()
@@ -214,6 +215,13 @@ def test_files_are_those_pages_of_the_directory_and_no_others(served, name):
     key = served.bench.keys["tune"]
     assert asked(served, "GET", f"/{key}/files/diagnose_1/report.html")[0] == 200
     assert asked(served, "GET", f"/{key}/files/{name}")[0] == 404
+
+
+def test_what_is_too_large_is_refused_before_it_is_read(served):
+    for role, what in (("tune", "record"), ("look", "take?name=run.csv")):
+        path = f"/{served.bench.keys[role]}/{what}"
+        assert asked(served, "POST", path, **{"Content-Length": str(1 << 20)})[0] == 413
+    assert not (served.bench.directory / "runs" / "run.csv").exists()
 
 
 @pytest.mark.parametrize("body", [[], "x", {"fit": 3}, {"fit": ["a"]}])
