@@ -18,6 +18,7 @@ from pathlib import Path
 
 from ..config.axis import read_axis
 from ..documents import DocumentError
+from ..identification.facts import read_facts
 from ..workbench import shelf
 from ..workbench.actions import ROLES
 from ..workbench.bench import Workbench
@@ -49,9 +50,14 @@ def execute(options: argparse.Namespace) -> int:
     for path in axes:
         read_axis(path)
     facts = None if options.drive is None else Path(options.drive).resolve()
+    if facts is not None:
+        read_facts(facts)
     axis = axes[0].resolve() if axes else None
     bench = Workbench(served_directory(options.out), axis, facts, tuple(path.resolve() for path in runs))
-    server = WorkbenchServer(bench, options.port)
+    try:
+        server = WorkbenchServer(bench, options.port)
+    except (OSError, OverflowError) as error:
+        raise DocumentError(f"--port {options.port}: {error}; give another one, or leave it out") from None
     server.start()
     try:
         for role in reversed(ROLES):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.workbench import shelf
 from fffo_drive.workbench.actions import ACTIONS, ROLES, Bench, may
@@ -230,3 +231,19 @@ def test_what_is_not_understood_is_refused_and_the_server_lives(served, body):
     assert asked(served, "POST", f"/{key}/identify", body)[0] == 400
     assert asked(served, "POST", f"/{key}/nothing", {})[0] == 400
     assert asked(served, "GET", f"/{key}/state")[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--port", "99999"), "--port 99999"),
+        (("theirs.exe",), "neither an axis file"),
+        (("theirs.csv",), "no such file"),
+        (("nowhere.yaml",), "nowhere.yaml"),
+        (("--drive", "nowhere.yaml"), "nowhere.yaml"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_named(words, text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["workbench", "--no-browser", *words]) == 78
+    assert text in capsys.readouterr().err
