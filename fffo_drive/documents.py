@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -34,6 +34,9 @@ _FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*
 
 class DocumentError(Exception):
     """A file that cannot be used: one line for each error, FILE:LINE: KEY: what is wrong, what is allowed."""
+
+
+Confidence = Literal["certain", "probable", "cannot tell"]  # of what a page or a report says
 
 
 class StrictRecord(BaseModel):

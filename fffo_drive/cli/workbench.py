@@ -1,11 +1,11 @@
 """Open the workbench: record, identify, tune, diagnose and adopt in a browser, on this machine.
 
 AXIS is an axis file; recordings of any program may be given with it or instead (with --drive, the facts of their
-drive). Every step that you click is a line of the command line, which the page shows, in a process of its own with
+drive). Every step that you click is a command, which the page shows, in a process of its own with
 progress and cancel; what comes of it is written to --out. The page asks before a drive on a bus moves.
 
-Addresses with fewer rights can be handed on: `look` shows, `stop` also cancels what runs, `move` also records and takes
-files in, `tune` also changes gains and models. Who did what stands in workbench.log.
+You can give others an address with fewer rights: `look` shows, `stop` also cancels a job, `move` also records, adds
+files, identifies, diagnoses and compares, `tune` also changes gains and models. workbench.log says who did what.
 
 Ctrl-C ends it; a run in progress brakes to standstill first. Not a safety function: keep the emergency stop at hand.
 """
@@ -22,7 +22,7 @@ from ..identification.facts import read_facts
 from ..workbench import shelf
 from ..workbench.actions import ROLES
 from ..workbench.bench import Workbench
-from ..workbench.server import WorkbenchServer, served_directory
+from ..workbench.server import WorkbenchServer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="*", metavar="AXIS|RUN", help="axis file (YAML), recordings")
     parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive of foreign recordings (YAML)")
     parser.add_argument(
-        "--out", metavar="DIR", help="directory of everything that is written (default: runs/workbench)"
+        "--out", metavar="DIR", default="runs/workbench", help="directory of everything that is written (%(default)s)"
     )
     parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the addresses, open no browser")
@@ -53,7 +53,7 @@ def execute(options: argparse.Namespace) -> int:
     if facts is not None:
         read_facts(facts)
     axis = axes[0].resolve() if axes else None
-    bench = Workbench(served_directory(options.out), axis, facts, tuple(path.resolve() for path in runs))
+    bench = Workbench(Path(options.out).resolve(), axis, facts, tuple(path.resolve() for path in runs))
     try:
         server = WorkbenchServer(bench, options.port)
     except (OSError, OverflowError) as error:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__, formats
+from ..documents import Confidence
 from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.effects.registry import law_of
@@ -22,7 +23,6 @@ from ..units import name_on, text_on, unit_on
 
 Floats = npt.NDArray[np.float64]
 
-Confidence = Literal["certain", "probable", "cannot tell"]
 NORMAL_95 = 1.96
 VerdictWord = Literal["effects_found", "no_effect_found", "unexplained", "nothing_carries_over"]
 

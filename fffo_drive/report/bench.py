@@ -109,6 +109,7 @@ def bench_report(records: Mapping[str, BenchRecord]) -> Report:
     result = evaluate(records)
     cutouts = draw.choose_cutouts(result.data.reference_rps, result.data.period_s)
     head = next(iter(records.values())).metadata
+    sections = _sections(result, cutouts)
     return Report(
         kind="bench",
         title=f"Bench of {', '.join(records)}",
@@ -119,10 +120,10 @@ def bench_report(records: Mapping[str, BenchRecord]) -> Report:
         ),
         verdict=_verdict(result),
         tables=(_metrics_table(result), _ticks_table(result)),
-        sections=_sections(result, cutouts),
+        sections=sections,
         provenance=_provenance(records),
         results=_results(result),
-        opening=draw.cutout_figures(result.data, cutouts)[0].name if cutouts else "",
+        opening=next((figure.name for figure in sections[0].figures if figure.name.startswith("cutout-")), ""),
     )
 
 
@@ -167,12 +168,13 @@ def _verdict(result: BenchResult) -> Verdict:
     cautions = _cautions(result)
     names = list(result.metrics)
     timing = Line(label="Timing", text=_timing(result))
-    step = "run longer" if result.data.duration_s < COMPARABLE_S else "try your own axis"
-    if step == "run longer":
+    if result.data.duration_s < COMPARABLE_S:
+        step, command = "run longer", ""
         text = f"{result.data.duration_s:g} s are too short to compare with the paper: run {COMPARABLE_S:g} s."
     else:
-        text = "Lay down the example files for an axis of your own."
-    last = Line(label="Next", text=text, command="" if step == "run longer" else "fffo-drive init DIR")
+        step, command = "try your own axis", "fffo-drive init DIR"
+        text = "Write the example files, and start an axis of your own from one of them."
+    last = Line(label="Next", text=text, command=command)
     if "PI" not in names or len(names) < 2:
         best = min(names, key=lambda name: result.metrics[name].mae)
         return Verdict(
@@ -224,7 +226,7 @@ def _surety(result: BenchResult, best: str) -> Line:
     if ends is None:
         return Line(label="How sure", text="The run is too short for an interval.")
     text = f"The squared error of PI is {100.0 * ends.low:.0f} to {100.0 * ends.high:.0f} % of that of the best"
-    return Line(label="How sure", text=f"{text}, by which parts of the profile count (95 %).")
+    return Line(label="How sure", text=f"{text}, over parts of the profile (95 %).")
 
 
 def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:

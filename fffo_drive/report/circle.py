@@ -211,8 +211,11 @@ def _verdict(source: CircleSource) -> Verdict:
         headline = f"Found and adopted: {names}. There is no run with it."
     else:
         change = 100.0 * (pair.after.ise / pair.before.ise - 1.0)
-        finding, step = ("adopted, better", "run with it") if change < 0.0 else ("adopted, worse", "roll back")
         confidence = _confidence(source.tracking)
+        if confidence == "cannot tell":
+            finding, step = "adopted, no clear change", "run longer"
+        else:
+            finding, step = ("adopted, better", "run with it") if change < 0.0 else ("adopted, worse", "roll back")
         word = "falls" if change < 0.0 else "rises"
         headline = f"Found and adopted: {names}. The squared tracking error {word} by {abs(change):.0f} %."
     lines = [Line(label="How big", text=_size(source.tracking))] if pair.after is not None else []
@@ -264,10 +267,11 @@ def _next(source: CircleSource, step: str) -> Line:
         return Line(label="Next", text="The axis is worse with it: take it out of service.", command=command)
     if step == "run with it":
         command = "fffo-drive adopt diagnosis/model.yaml --axis AXIS.yaml"
-        return Line(label="Next", text="It is in the circle's own axis file. Into yours, past the same gates:",
+        return Line(label="Next", text="It is in the circle's own axis file. For yours, through the same gates:",
                     command=command)  # fmt: skip
     texts = {
         "see the gates": "Read why in the table of gates; the diagnosis has a page of its own.",
+        "run longer": "A longer profile shows whether it helps.",
         "run again": "Run the circle's own axis file again, on a quieter machine.",
         "keep the model": "The model in service stays.",
         "nothing to do": "Nothing to do: the model in service stays.",

@@ -109,7 +109,7 @@ def _short_rest(rest: Rest | None, words: DiagnosisWords) -> str:
     if rest is None:
         return ""
     left, floor = (significant(words.torque_scale * value, 2) for value in (rest.rms_nm, rest.floor_nm))
-    return f" Not explained: {left} {words.small_torque} rms are left, and {floor} could be."
+    return f" Still unexplained: {left} {words.small_torque} rms remain; the floor is {floor} {words.small_torque} rms."
 
 
 def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
@@ -136,7 +136,7 @@ def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
         return "adopt it", Line(
             label="Next", text=remedy, command=f"fffo-drive adopt {as_typed(model_path)} --axis AXIS.yaml"
         )
-    return "mend it at the machine" if not lead.compensable else "look at it", Line(label="Next", text=remedy)
+    return "fix it on the machine" if not lead.compensable else "look at it", Line(label="Next", text=remedy)
 
 
 def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:

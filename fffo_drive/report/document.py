@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.metadata import version
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from .. import __version__, formats
+from ..documents import Confidence as Confidence
 from ..documents import StrictRecord
 from ..units import text_on
 from .figures import Figure
 
-Confidence = Literal["certain", "probable", "cannot tell"]
 VERSIONED = ("numpy", "numba", "scipy")
 
 MOST_LINES = 4  # below the headline: a page opens with at most five

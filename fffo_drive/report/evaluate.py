@@ -109,7 +109,7 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     if len(ranking) > 1:
         lines.append(_surety(summary, kind, best, ranking[1]))
     one_seed = len(summary.seeds) < 2
-    text = "Run several seeds, or record several runs of each: one says nothing of chance." if one_seed else (
+    text = "Run several seeds, or record several runs of each: one says nothing about chance." if one_seed else (
         f"Put `toggle` and gains of {best} into the axis file, and try it there with `fffo-drive run`."
     )  # fmt: skip
     return Verdict(

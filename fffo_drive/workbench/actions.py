@@ -47,7 +47,7 @@ class Bench(NamedTuple):
         """Paths of recordings of this bench. Raises DocumentError for none, and for one that is not on it."""
         if not isinstance(names, list) or not names:
             raise DocumentError("tick at least one run")
-        known = {run["path"] for run in shelf.recordings(self.directory, self.given)}
+        known = [run["path"] for run in shelf.recordings(self.directory, self.given)]
         strangers = [name for name in names if name not in known]
         if strangers:
             raise DocumentError(f"{strangers[0]}: is no recording of this workbench")
@@ -70,7 +70,7 @@ class PageAction(NamedTuple):
 
 
 def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
-    axis, motion, toggle = bench.required_axis(), wish.get("motion", "profile"), wish.get("toggle")
+    axis, motion, toggle = bench.required_axis(), str(wish.get("motion", "profile")), wish.get("toggle")
     out = bench.directory / shelf.RUNS / f"{motion.replace(':', '_')}_{time.strftime('%H%M%S')}.mcap"
     words = ["run", str(axis), "--out", str(out)]
     if motion in ("identify", "recipe"):
@@ -79,8 +79,8 @@ def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
         path = bench.directory / f"{motion}.yaml"
         path.write_text(yaml.safe_dump({"profile": profile}, sort_keys=False), encoding="utf-8")
         words += ["--profile", str(path)]
-    elif str(motion).startswith("decide:"):
-        words += ["--decide", str(motion).removeprefix("decide:")]
+    elif motion.startswith("decide:"):
+        words += ["--decide", motion.removeprefix("decide:")]
     elif motion != "profile":
         raise DocumentError(f"no motion is called {motion!r}; known: {', '.join(MOTIONS)}, decide:EFFECT")
     if toggle in ("off", "ff", "fb"):
@@ -107,9 +107,6 @@ def _tune(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     words = ["tune", _model(bench, wish), "--out", str(out)]
     if bench.axis is not None:
         words += ["--axis", str(bench.axis)]
-    for option, key in (("--bandwidth-hz", "bandwidth_hz"), ("--phase-margin-deg", "phase_margin_deg")):
-        if wish.get(key):
-            words += [option, f"{float(wish[key]):g}"]
     return CommandLine("tune", tuple(words), out)
 
 
@@ -135,7 +132,7 @@ def _circle(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
 
 
 def _roll_back(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
-    return CommandLine("take the last model out", ("adopt", "--rollback", "--axis", str(bench.required_axis())))
+    return CommandLine("undo the last adoption", ("adopt", "--rollback", "--axis", str(bench.required_axis())))
 
 
 def _compare(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -155,9 +152,9 @@ ACTIONS: dict[str, PageAction] = {
     "commission": PageAction("move", _commission, moves=True),
     "record": PageAction("move", _record, moves=True),
     "circle": PageAction("tune", _circle, moves=True),
-    "identify": PageAction("look", _identify),
-    "diagnose": PageAction("look", _diagnose),
-    "compare": PageAction("look", _compare),
+    "identify": PageAction("move", _identify),
+    "diagnose": PageAction("move", _diagnose),
+    "compare": PageAction("move", _compare),
     "tune": PageAction("tune", _tune),
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),

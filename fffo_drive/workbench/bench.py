@@ -93,7 +93,7 @@ class Workbench:
             return {"path": str(path), "shown": as_typed(str(path)), "name": path.name, "error": str(error)}
 
     def act(self, role: Role, name: str, wish: Mapping[str, Any]) -> dict[str, Any]:
-        """Start an action. Raises ForbiddenError, DocumentError, jobs.BusyError, KeyError for no action."""
+        """Start one of ACTIONS. Raises ForbiddenError, DocumentError, jobs.BusyError."""
         action = ACTIONS[name]
         self._require(role, action.role)
         order = action.make(Bench(self.directory, self._axis, self._facts, self._given), wish)
@@ -128,9 +128,9 @@ class Workbench:
             target = self.directory / shelf.RUNS / name
         else:
             kinds = ", ".join(shelf.RECORDINGS)
-            raise DocumentError(f"{name}: recordings ({kinds}) and the facts of their drive (.yaml) can be taken in")
+            raise DocumentError(f"{name}: recordings ({kinds}) and the facts of their drive (.yaml) can be added")
         if target.exists():
-            raise DocumentError(f"{name}: is there already")
+            raise DocumentError(f"{name}: already exists")
         target.write_bytes(content)
         if path.suffix in (".yaml", ".yml"):
             self._facts = target

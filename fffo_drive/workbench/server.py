@@ -10,12 +10,11 @@ import json
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
-from .actions import Role, may
+from .actions import ACTIONS, Role, may
 from .bench import ForbiddenError, Workbench
 from .jobs import BusyError
 from .page import headers, page
@@ -109,23 +108,26 @@ class _Handler(BaseHTTPRequestHandler):
             self._json(HTTPStatus.CONFLICT, {"error": str(error)})
         except (DocumentError, OSError) as error:
             self._json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
-        except (KeyError, ValueError):
-            self._json(HTTPStatus.BAD_REQUEST, {"error": "not understood"})
 
     def _do(self, role: Role, what: str, body: bytes) -> dict[str, Any]:
         if what == "take":
             name = parse_qs(urlsplit(self.path).query).get("name", [""])[0]
             self.workbench.take(role, name, body)
             return {}
-        wish = json.loads(body or b"{}")
+        try:
+            wish = json.loads(body or b"{}")
+        except ValueError:
+            wish = None
         if not isinstance(wish, dict):
-            raise ValueError(wish)
+            raise DocumentError("not understood: a JSON object is needed")
         if what == "cancel":
             self.workbench.cancel(role)
             return {}
         if what == "use_axis":
             self.workbench.use_axis(role, wish.get("path"))
             return {}
+        if what not in ACTIONS:
+            raise DocumentError(f"no action is called {what!r}; known: {', '.join(ACTIONS)}")
         return self.workbench.act(role, what, wish)
 
     def _judged(self) -> tuple[Role, str] | None:
@@ -162,8 +164,3 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
-
-
-def served_directory(wanted: str | None) -> Path:
-    """The directory of a workbench, absolute."""
-    return Path(wanted or "runs/workbench").resolve()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,13 @@ def recordings(directory: Path, given: tuple[Path, ...]) -> list[dict[str, Any]]
 
 def pages(directory: Path) -> list[dict[str, Any]]:
     """Every report under the directory, the newest first: what it found, how sure, what to do, and where it is."""
-    found = sorted(directory.glob(f"**/{JSON_NAME}"), key=lambda path: path.stat().st_mtime, reverse=True)
-    return [one for path in found if (one := _page(directory, path)) is not None]
+    found = sorted(((path.stat().st_mtime_ns, path) for path in directory.glob(f"**/{JSON_NAME}")), reverse=True)
+    return [one for time_ns, path in found if (one := _page(directory, path, time_ns)) is not None]
 
 
-def _page(directory: Path, path: Path) -> dict[str, Any] | None:
+@lru_cache(maxsize=1000)
+def _page(directory: Path, path: Path, time_ns: int) -> dict[str, Any] | None:
+    """Read once for each time at which it was written."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -51,7 +54,7 @@ def _page(directory: Path, path: Path) -> dict[str, Any] | None:
         "page": path.with_name(PAGE_NAME).relative_to(directory).as_posix(),
         "model": str(model) if model.exists() else "",
         **{key: verdict[key] for key in ("headline", "finding", "confidence", "next_step", "alarm")},
-        "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime)),
+        "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(time_ns / 1e9)),
     }  # fmt: skip
 
 

@@ -119,7 +119,7 @@ def test_a_certain_finding_is_told_with_cause_place_size_and_the_command_that_ad
     assert (verdict.finding, verdict.confidence, verdict.next_step) == ("2 effects", "certain", "adopt it")
     assert verdict.lines[-1].command == "fffo-drive adopt model_after.yaml --axis AXIS.yaml"
     mended = diagnosis_report(SOURCE, diagnosis(findings=(replace(sure, name="backlash", compensable=False),))).verdict
-    assert (mended.next_step, mended.lines[-1].command) == ("mend it at the machine", "")
+    assert (mended.next_step, mended.lines[-1].command) == ("fix it on the machine", "")
     assert "coupling" in mended.lines[-1].text
 
 
@@ -256,7 +256,8 @@ def test_a_rest_is_never_silent():
         assert report.verdict.alarm == (verdict == "nothing_carries_over")
         if verdict != "nothing_carries_over":
             assert any(
-                "Not explained: 4.0 mNm rms are left, and 2.0 could be" in line.text for line in report.verdict.lines
+                "Still unexplained: 4.0 mNm rms remain; the floor is 2.0 mNm rms." in line.text
+                for line in report.verdict.lines
             )
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
         assert "2 are what a black box" in said

@@ -99,7 +99,7 @@ def shown(tmp_path, chromium):
 
 
 def test_a_run_is_recorded_identified_and_tuned_with_keys_alone(shown):
-    assert shown.page.text_content("#next") == "Next: record a run, or take a file in"
+    assert shown.page.text_content("#next") == "Next: record a run, or add a file"
     for motion in ("identify", "recipe"):
         shown.record(motion, by_key=True)
     assert shown.do("#identify", by_key=True)["share"] == 1.0
@@ -128,9 +128,9 @@ def test_what_a_key_does_not_allow_cannot_be_pressed(tmp_path, chromium):
     shutil.copytree(CONFIGS, tmp_path / "configs")
     bench = Workbench(tmp_path / "out", tmp_path / "configs" / "axis_undeclared.yaml", None, ())
     shown = Shown(chromium, bench, role="look")
-    for button in ("#record", "#circle", "#tune", "#adopt", "#roll_back"):
+    for button in ("#record", "#circle", "#identify", "#tune", "#adopt", "#roll_back"):
         assert shown.page.is_disabled(button)
-    assert "this page may look" in shown.page.text_content("#where")
+    assert "role: look" in shown.page.text_content("#where")
     shown.close()
 
 

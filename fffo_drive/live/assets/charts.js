@@ -26,6 +26,10 @@ const PICTURES = [
 function cssColour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
 function shown(value) { return value == null ? "–" : (Math.abs(value) >= 1000 ? value.toFixed(0) : value.toPrecision(3)).replace("-", "−"); }
 
+// three rows of pictures fit a laptop's screen
+function sizeIn(place) { return { width: Math.max(240, place.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
+function axisOf(size, values) { return { stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size, values: (u, ticks) => ticks.map((t) => values(t).replace("-", "−")) }; }
+
 class Picture {
   constructor(spec, parent, onSelect, onReset) {
     this.spec = spec;
@@ -64,13 +68,11 @@ class Picture {
     return button;
   }
 
-  // three rows of pictures fit a laptop's screen
-  size() { return { width: Math.max(240, this.plotAt.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
+  size() { return sizeIn(this.plotAt); }
 
   build() {
     const data = this.plot ? this.plot.data : null, scale = this.plot ? this.plot.scales.x : null;
     if (this.plot) this.plot.destroy();
-    const axis = (size) => ({ stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size });
     const series = [{}], bands = [];
     this.spec.series.forEach((s, i) => {
       const stroke = cssColour(`--series-${s.colour}`), show = !this.off.has(i);
@@ -85,7 +87,7 @@ class Picture {
     this.plot = new uPlot({
       ...this.size(), series, bands, legend: { show: false }, pxAlign: 0, padding: [8, 14, 0, 0],
       scales: { x: { time: false } },
-      axes: [{ ...axis(26), values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...axis(58), values: (u, ticks) => ticks.map((t) => String(+t.toPrecision(6)).replace("-", "−")) }],
+      axes: [axisOf(26, (t) => `${+t.toFixed(3)} s`), axisOf(58, (t) => String(+t.toPrecision(6)))],
       cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { own.onReset(); return null; } } },
       hooks: { setSelect: [(u) => {
         if (u.select.width > 4) own.onSelect(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
@@ -131,7 +133,7 @@ class Picture {
   }
 }
 
-// friction over velocity, while it turns: what the current leaves beside inertia, and what the observer makes of it
+// friction over velocity, while it turns: what the current leaves beside the inertia feed-forward, and what the observer makes of it
 class FrictionMap {
   constructor(parent) {
     this.figure = document.createElement("figure");
@@ -139,7 +141,7 @@ class FrictionMap {
     const head = document.createElement("figcaption"), title = document.createElement("b");
     title.textContent = "Friction over velocity, Nm";
     const key = document.createElement("span");
-    key.textContent = "○ motor minus inertia   ● estimate";
+    key.textContent = "○ motor torque minus the inertia feed-forward   ● estimate";
     head.append(title, key);
     this.plotAt = document.createElement("div");
     this.plotAt.className = "plot";
@@ -148,16 +150,15 @@ class FrictionMap {
     this.build();
   }
 
-  size() { return { width: Math.max(240, this.plotAt.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
+  size() { return sizeIn(this.plotAt); }
 
   build() {
     const data = this.points || [[], [], []];
     if (this.plot) this.plot.destroy();
-    const axis = (size, text) => ({ stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size, values: (u, ticks) => ticks.map((t) => `${+t.toPrecision(4)}${text}`.replace("-", "−")) });
     const dots = (colour, filled) => ({ paths: () => null, points: { show: true, size: 4, width: 1, stroke: cssColour(colour), fill: filled ? cssColour(colour) : "transparent" } });
     this.plot = new uPlot({
       ...this.size(), mode: 1, legend: { show: false }, padding: [8, 14, 0, 0],
-      scales: { x: { time: false } }, axes: [axis(26, " rps"), axis(58, "")],
+      scales: { x: { time: false } }, axes: [axisOf(26, (t) => `${+t.toPrecision(4)} rps`), axisOf(58, (t) => String(+t.toPrecision(6)))],
       series: [{ sorted: 0 }, dots("--series-grey", false), dots("--series-green", true)],
       cursor: { points: { show: false } },
     }, data, this.plotAt);

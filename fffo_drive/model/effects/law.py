@@ -110,14 +110,6 @@ def folded_over_order(values: Mapping[str, float]) -> Folded:
     return "motor_angle", 1.0 / values["order"]
 
 
-def place_of_order(values: Mapping[str, float]) -> str:
-    """Where a wave of the motor turn is."""
-    order = values["order"]
-    if order < 1.0:
-        return f"one wave in {1.0 / order:.4g} rev"
-    return f"{order:.4g} wave{'s' if order > 1.0 else ''} in a motor turn"
-
-
 @dataclass(frozen=True)
 class Law:
     """An effect that a model may have."""
@@ -149,7 +141,7 @@ class Law:
     rotary: bool = False  # it is of a shaft that turns: no linear axis has it
     in_base: bool = False  # the base model has it already: a note, and never a finding
     rung: Literal[0, 1, 2, 3, 4] = 3  # of the ladder: 0 constants; 1 weight; 2 cogging; 3 other laws; 4 free curves
-    place: Callable[[Mapping[str, float]], str] | None = None  # where with these shapes; None: `regime` says it
+    place: Callable[[Mapping[str, float]], str] | None = None  # where with these shapes; None: `fold` or `regime` says
     fold: Callable[[Mapping[str, float]], Folded | None] = not_folded  # of a picture; None: it is over `picture`
     wave: Literal["", "plain", "torque", "friction"] = ""  # cos and sin of the motor angle, times what: 1, the motor's
     # torque, the level of the friction (felt late, over a travel of level / attraction); such a column needs no kernel,
@@ -157,7 +149,15 @@ class Law:
 
     def place_of(self, values: Mapping[str, float]) -> str:
         """Where on the machine, or in its motion, the effect with these parameters is."""
-        return self.regime if self.place is None else self.place(values)
+        if self.place is not None:
+            return self.place(values)
+        folded = self.fold(values)
+        if folded is None:
+            return self.regime
+        over, period = folded
+        if over == "time":
+            return f"at {1.0 / period:.4g} Hz, whatever the axis does"
+        return f"one wave in {period:.4g} rev" if period >= 1.0 else f"{1.0 / period:.4g} waves in a motor turn"
 
     @property
     def follows_model(self) -> bool:

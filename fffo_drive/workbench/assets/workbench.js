@@ -1,7 +1,7 @@
 "use strict";
 (() => {
   const $ = (id) => document.getElementById(id);
-  const BUSY_MS = 400, IDLE_MS = 2000;
+  const BUSY_MS = 1000, IDLE_MS = 2000;
   const STEP_OF = { commission: "h-axis", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
   const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
   const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
@@ -55,7 +55,7 @@
     if (running()) return null;
     const kinds = state.pages.map((page) => page.kind);
     if (state.axis && state.axis.commissioning) return { act: "commission", text: "Next: commission the axis" };
-    if (!state.runs.length) return { act: "record", text: "Next: record a run, or take a file in" };
+    if (!state.runs.length) return { act: "record", text: "Next: record a run, or add a file" };
     if (kinds[0] === "diagnose") {
       const page = state.pages[0];
       return page.next_step === "adopt it" && state.axis ? { act: "adopt", text: "Next: show the gates, and adopt what was found" } : { act: "", text: `Next: ${page.next_step}` };
@@ -69,12 +69,12 @@
 
   function axis() {
     const found = state.axis;
-    $("where").textContent = `${state.directory}; this page may ${state.role}`;
+    $("where").textContent = `${state.directory}; role: ${state.role}`;
     $("title").textContent = found ? found.name : "Recordings";
     document.title = `${$("title").textContent}: workbench`;
     $("axis-error").hidden = !found || !found.error;
     if (found && found.error) $("axis-error").textContent = found.error;
-    const rows = !found ? [["axis", "none: opened on recordings"]] : found.error ? [["file", found.shown]] : [
+    const rows = !found ? [["axis", "none: recordings only"]] : found.error ? [["file", found.shown]] : [
       ["file", found.shown], ["drive", `${found.drive}, ${found.rate_hz} Hz`], ["model", found.model], ["gains", found.gains], ["profile", found.profile],
       ["effects", found.effects.map((e) => e.name + (e.reason ? ` (not compensated: ${e.reason})` : "")).join(", ") || "none"],
       ...(found.commissioning ? [["commissioning", found.commissioning]] : [])];
@@ -157,7 +157,7 @@
 
   function confirmed(act) {
     if (!state.moves.includes(act) || !state.axis.on_bus) return Promise.resolve(true);
-    $("ask-text").textContent = `The axis ${state.axis.name} moves. Nobody is in its reach, and the emergency stop is at hand?`;
+    $("ask-text").textContent = `The axis ${state.axis.name} will move. Is everybody out of its reach, and the emergency stop at hand?`;
     return new Promise((done) => {
       $("ask-yes").onclick = () => { $("ask").close(); done(true); };
       $("ask-no").onclick = () => { $("ask").close(); done(false); };

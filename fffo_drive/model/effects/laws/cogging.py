@@ -5,18 +5,7 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
-from ..law import (
-    SHAPE,
-    STRENGTH,
-    Law,
-    Parameter,
-    SearchContext,
-    Shape,
-    folded_over_order,
-    motor_orders,
-    over,
-    place_of_order,
-)
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
 from ..slots import Floats
 
 
@@ -44,7 +33,6 @@ LAW = Law(
     plain_name="cogging",
     cause="the motor's magnets against the teeth of its stator",
     remedy="a motor with skewed slots has less of it; the controller compensates it",
-    place=place_of_order,
     compensable=True,
     regime="everywhere, at rest too",
     lookalikes=("torque_ripple", "friction_ripple", "resolver_error", "unbalance"),

@@ -5,18 +5,7 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import level_response, over_step, wave
-from ..law import (
-    SHAPE,
-    STRENGTH,
-    Law,
-    Parameter,
-    SearchContext,
-    Shape,
-    folded_over_order,
-    motor_orders,
-    over,
-    place_of_order,
-)
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
 from ..slots import Floats
 
 
@@ -47,7 +36,6 @@ LAW = Law(
     plain_name="friction that varies within a motor turn",
     cause="a bearing, seal or gear that is out of round or out of line",
     remedy="check bearing, seal and coupling for run-out; the controller compensates it",
-    place=place_of_order,
     compensable=True,
     regime="sliding",
     lookalikes=("cogging", "torque_ripple", "position_dependent_friction"),

@@ -36,7 +36,6 @@ LAW = Law(
     plain_name="a disturbance with a fixed frequency",
     cause="something outside the axis: a fan, a pump, the mains, a neighbouring axis",
     remedy="switch machines nearby off one after the other until it goes",
-    place=lambda values: f"at {values['frequency_hz']:.4g} Hz, whatever the axis does",
     compensable=False,
     regime="everywhere, at rest too",
     lookalikes=("cogging", "unbalance"),

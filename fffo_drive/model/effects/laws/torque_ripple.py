@@ -5,18 +5,7 @@ from __future__ import annotations
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
-from ..law import (
-    SHAPE,
-    STRENGTH,
-    Law,
-    Parameter,
-    SearchContext,
-    Shape,
-    folded_over_order,
-    motor_orders,
-    over,
-    place_of_order,
-)
+from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, folded_over_order, motor_orders, over
 from ..slots import Floats
 
 
@@ -53,7 +42,6 @@ LAW = Law(
     plain_name="torque ripple",
     cause="a torque constant that varies with the motor angle: winding, or commutation that is off",
     remedy="check the commutation offset in the drive; the controller compensates it",
-    place=place_of_order,
     compensable=True,
     regime="high torque",
     lookalikes=("cogging", "friction_ripple", "resolver_error"),

@@ -44,7 +44,6 @@ LAW = Law(
     plain_name="weight of an unbalanced load",
     cause="the load's centre of mass is not on the axis of rotation",
     remedy="add a counterweight; the controller compensates it",
-    place=lambda values: f"everywhere, one wave in {values['ratio']:.4g} motor turns",
     compensable=True,
     regime="everywhere, at rest too",
     lookalikes=("torque_offset", "position_dependent_friction", "cogging"),
