@@ -12,7 +12,8 @@ from websockets.asyncio.server import ServerConnection
 from . import frames
 from .control_link import REFUSED, ControlLink, ControlLinkError
 from .feed import CAPTURE_S
-from .peer import DroppedError, Peer, is_key
+from .keys import is_key
+from .peer import DroppedError, Peer
 
 if TYPE_CHECKING:
     from .hub import Hub

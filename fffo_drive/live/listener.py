@@ -24,7 +24,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from ..config.address import Address
-from .peer import is_key
+from .keys import is_key
 
 AT_THE_DOOR = 64  # connections without a request; one more, and the oldest goes
 OPEN_S = 5.0  # for the request

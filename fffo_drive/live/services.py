@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..documents import wrong_parameters
 from .foxglove_protocol import AdvertisedService
-from .peer import is_key
+from .keys import is_key
 
 PREFIX = "/fffo_drive/"
 ENDING = ("stop", "disable", "quick_stop")

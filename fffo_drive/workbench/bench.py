@@ -16,7 +16,7 @@ from ..config.drive_section import CanopenDriveSection
 from ..config.effects import services
 from ..directories import as_typed
 from ..documents import DocumentError
-from ..live.peer import is_key
+from ..live.keys import is_key
 from . import shelf
 from .actions import ACTIONS, ROLES, Bench, Role, known_axis, may
 from .jobs import Job, Jobs

@@ -5,6 +5,8 @@ from __future__ import annotations
 import http.client
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -255,3 +257,9 @@ def test_a_mistake_on_the_command_line_is_named(words, text, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     assert main(["workbench", "--no-browser", *words]) == 78
     assert text in capsys.readouterr().err
+
+
+def test_it_needs_nothing_but_what_every_installation_has():
+    """`live` is an extra: its library is not in the environment of who only runs."""
+    program = "import sys; sys.modules['websockets'] = None; import fffo_drive.cli.workbench"
+    subprocess.run([sys.executable, "-c", program], check=True)
