@@ -3,7 +3,7 @@
 Kernels hold no GIL, allocate nothing (one that makes an array or a list does not compile), keep IEEE arithmetic (no
 fastmath: compiled and interpreted code agree bit for bit, so a replay is exact) and are cached in a directory that is
 named after the content of every file with a kernel in it. numba's own cache key knows only the file of the caller: an
-edited callee in another file would go unnoticed.
+edited callee in another file would go unnoticed. A port of a user's own is keyed by the content of its file.
 
 With NUMBA_DISABLE_JIT=1 the same functions run as plain Python.
 """
@@ -13,12 +13,14 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
 from numba import types
+from numba.core.caching import FunctionCache
 from numba.extending import overload as numba_overload
 
 from ..directories import ForeignDirectoryError, own_directory, shared_place
@@ -90,6 +92,36 @@ CACHE_DIRECTORY = _use_cache_directory()
 INTERPRETED = bool(numba.config.DISABLE_JIT)
 
 
+def _named_tuples(kind: Any) -> Iterator[type]:
+    """Classes of the named tuples in a numba type, or in a tuple of types."""
+    if isinstance(kind, types.BaseNamedTuple):
+        yield kind.instance_class
+    if isinstance(kind, tuple | types.BaseTuple):
+        for part in kind:
+            yield from _named_tuples(part)
+
+
+def _origin(named_tuple: type) -> str:
+    """Where a class is from; one from outside this package also by the content of its file, which holds its kernels."""
+    name = f"{named_tuple.__module__}.{named_tuple.__qualname__}"
+    if named_tuple.__module__.startswith(f"{PACKAGE_DIRECTORY.name}."):
+        return name
+    path = getattr(sys.modules.get(named_tuple.__module__), "__file__", None)
+    return f"{name} {hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else os.getpid()}"
+
+
+class _KernelCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache with text for a signature, since a pickled class can be read only where it can be imported.
+
+    Without it, one script with a port of its own made every other program fail at the loop's cache.
+    """
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        arguments = tuple(sig) if isinstance(sig, tuple) else sig.args
+        origins = sorted({_origin(named_tuple) for named_tuple in _named_tuples(arguments)})
+        return (repr((arguments, origins)), *super()._index_key(sig, codegen)[1:])
+
+
 @overload
 def njit(function: F) -> F: ...
 @overload
@@ -98,7 +130,10 @@ def njit(function: Any = None, *, inline: str = "never") -> Any:
     """Compile a kernel: no GIL, no allocation, no fastmath, division by zero gives inf or nan, cached on disk."""
 
     def wrap(f: Any) -> Any:
-        return numba.njit(f, fastmath=False, inline=inline, **_OPTIONS)
+        kernel = numba.njit(f, fastmath=False, inline=inline, **_OPTIONS)
+        if not INTERPRETED:
+            kernel._cache = _KernelCache(f)
+        return kernel
 
     return wrap if function is None else wrap(function)
 
@@ -144,5 +179,6 @@ def generic(declaration: F) -> F:
 
             return implementation
 
-        numba_overload(call, strict=False, jit_options=_OPTIONS)(choose)
+        uncached = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # its callers are cached whole
+        numba_overload(call, strict=False, jit_options=uncached)(choose)
     return call  # type: ignore[return-value]
