@@ -12,8 +12,8 @@ import math
 import os
 import re
 import shutil
-import time
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -258,8 +258,9 @@ def put_in_service(axis_path: Path, model_path: Path, passed: list[Gate]) -> Ado
     require_other_model(axis_path, axis, model_path)
     name = os.path.relpath(model_path.resolve(), axis_path.resolve().parent)
     entry = Adoption(
-        date=time.strftime("%Y-%m-%d %H:%M:%S"), model=name, model_hash=content_hash(read_model(model_path)),
-        former=axis.model, gates=[f"{gate.name}: {gate.text}" for gate in passed],
+        date=datetime.now(UTC).isoformat(timespec="seconds"), model=name,
+        model_hash=content_hash(read_model(model_path)), former=axis.model,
+        gates=[f"{gate.name}: {gate.text}" for gate in passed],
     )  # fmt: skip
     history = read_history(axis_path)
     text = _renamed(axis_path, name)  # refused before anything is written
