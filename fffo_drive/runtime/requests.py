@@ -56,7 +56,7 @@ class Supervision(NamedTuple):
     enabled_ticks: int  # since the drive is in Operation Enabled
 
 
-@njit
+@njit(inline="always")
 def law_at_start(blocks: Blocks, scratch: Any) -> tuple[LawInUse, LawMemory]:
     """The parameters and effects that are published before the first tick, and memory at rest."""
     parameters_number = take_parameters(blocks, -1, scratch[0], scratch[1])
@@ -68,7 +68,7 @@ def law_at_start(blocks: Blocks, scratch: Any) -> tuple[LawInUse, LawMemory]:
     return LawInUse(parameters_number, effects_number, unpack_controller(scratch[1])), memory
 
 
-@njit
+@njit(inline="always")
 def take_blocks(blocks: Blocks, scratch: Any, law: LawInUse, memory: LawMemory) -> tuple[LawInUse, LawMemory]:
     """Newly published parameters and effects. What the torque loses by them the integrator gains."""
     parameters_number, config = law.parameters_number, law.config
@@ -93,7 +93,7 @@ def take_blocks(blocks: Blocks, scratch: Any, law: LawInUse, memory: LawMemory) 
     )
 
 
-@njit
+@njit(inline="always")
 def take_reset(blocks: Blocks, feedback: Any, guard: Guard) -> Guard:
     """A reset clears the latched trip, and what the drive reports counts from here on."""
     number = load_acquire(blocks.control, b.RESET_NUMBER)
@@ -108,7 +108,7 @@ def supervision_at_start(blocks: Blocks) -> Supervision:
     return Supervision(load_acquire(blocks.control, b.SUPERVISOR_BEAT), 0, False, 0, 0)
 
 
-@njit
+@njit(inline="always")
 def supervise(
     blocks: Blocks, config: LoopConfig, before: Supervision, statusword: int, tick: int, elapsed_ticks: int
 ) -> Supervision:
@@ -124,7 +124,7 @@ def supervise(
     return Supervision(beat, beat_tick, abandoned, stopping_ticks, enabled_ticks)
 
 
-@njit
+@njit(inline="always")
 def read_requests(
     blocks: Blocks, config: LoopConfig, supervision: Supervision, guard: Guard, statusword: int, number: int
 ) -> Requests:
@@ -141,19 +141,19 @@ def read_requests(
     return Requests(number, toggle, goal, effects, is_operation_enabled(statusword), wanted, active)
 
 
-@njit
+@njit(inline="always")
 def without_torque(asked: Requests) -> Requests:
     """The same, in a loop that has begun to end."""
     return Requests(asked.number, asked.toggle, GOAL_DISABLED, asked.effects, asked.enabled, False, False)
 
 
-@njit
+@njit(inline="always")
 def begin_stopping(before: Supervision) -> Supervision:
     """The end begins: the drive is disabled first."""
     return Supervision(before.beat, before.beat_tick, before.abandoned, 1, before.enabled_ticks)
 
 
-@njit
+@njit(inline="always")
 def stops_here(
     blocks: Blocks, config: LoopConfig, before: Supervision, statusword: int, ticks_run: int
 ) -> tuple[bool, Supervision]:

@@ -24,7 +24,7 @@ class Target(NamedTuple):
     set_point_rps: float
 
 
-@njit
+@njit(inline="always")
 def write_row(
     ring: Ring, head: int, timing: Timing, config: LoopConfig, law_in_use: LawInUse, asked: Requests, target: Target,
     law: LawOutput, memory: LawMemory, guard: Guard, seen: EnvelopeInputs, feedback: Any, command_a: float,

@@ -174,14 +174,14 @@ class Sent(NamedTuple):
     busy_ns: int  # from waking to here
 
 
-@njit
+@njit(inline="always")
 def guard_at_start(blocks: Blocks, feedback: Any) -> Guard:
     """Before the first tick."""
     reset_number = load_acquire(blocks.control, b.RESET_NUMBER)
     return Guard(envelope_at_rest(), baseline_of(feedback), TRIP_NONE, reset_number, 0)
 
 
-@njit
+@njit(inline="always")
 def timing_before(config: LoopConfig, first_deadline_ns: int) -> Timing:
     """Of the tick before the first, as if it had been on time."""
     deadline_ns = first_deadline_ns - config.period_ns
@@ -337,7 +337,7 @@ def learn(
     return adaptation_step(config.adaptation, state, adapted.contact, law.reference.ahead, lacking_nm)
 
 
-@njit
+@njit(inline="always")
 def law_step(
     blocks: Blocks, config: ControllerConfig, memory: LawMemory, mode: int, timing: Timing, feedback: Any,
     toggle: int, effects: int, active: bool, reference: Reference,
@@ -437,7 +437,7 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool, adapts: bo
     return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
 
 
-@njit
+@njit(inline="always")
 def guard_step(
     config: EnvelopeConfig, status: Words, tick: int, guard: Guard, memory: LawMemory, law: LawOutput,
     seen: EnvelopeInputs,
@@ -459,7 +459,7 @@ def guard_step(
     return command_a, limits, Guard(envelope, guard.baseline, trip, guard.reset_number, guard.reset_ticks), memory
 
 
-@njit
+@njit(inline="always")
 def count_reset(guard: Guard) -> Guard:
     """One tick less for which the drive is asked to reset its fault."""
     return Guard(guard.envelope, guard.baseline, guard.trip, guard.reset_number, max(0, guard.reset_ticks - 1))
@@ -476,7 +476,7 @@ def goal_in_force(config: EnvelopeConfig, trip: int, goal: int, seen: EnvelopeIn
     return GOAL_DISABLED
 
 
-@njit
+@njit(inline="always")
 def send(
     port: Any, config: EnvelopeConfig, timing: Timing, guard: Guard, goal: int, seen: EnvelopeInputs,
     last_controlword: int, command_a: float,
@@ -488,7 +488,7 @@ def send(
     return Sent(controlword, current_a, port_now_ns(port) - timing.woke_ns)
 
 
-@njit
+@njit(inline="always")
 def with_learned(memory: LawMemory, learned: AdaptationState) -> LawMemory:
     """The same memory after a tick that learned."""
     return LawMemory(memory.controller, memory.estimator, learned, memory.adapted)
