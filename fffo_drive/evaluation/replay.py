@@ -58,7 +58,6 @@ from ..control.velocity_estimator import (
 )
 from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
-from ..runtime.loop import goal_in_force
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
@@ -70,6 +69,7 @@ from ..runtime.tick import (
     FLAG_REBOOT,
     LawOutput,
     give_adapted,
+    goal_in_force,
     learn,
     terms_of_current,
 )
@@ -278,7 +278,8 @@ def replay_into(
                 controller = with_limited(controller, True)
             adapted_nm = adapted.torque_nm
             if moves:
-                _, learned = learn(config, learned, adapted, LawOutput(MODE_VELOCITY, reference, terms), controller)
+                law = LawOutput(MODE_VELOCITY, reference, terms, effects_nm, estimate)
+                _, learned = learn(config, learned, adapted, law, controller)
             if limited:
                 limits |= LIMIT_CONTROLLER
             if found != TRIP_NONE and trip == TRIP_NONE and resetting == 0:

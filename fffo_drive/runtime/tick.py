@@ -1,4 +1,4 @@
-"""The pieces of one tick, each a kernel: wake, exchange, follow the profile, apply the law, look, write the row."""
+"""The pieces of one tick, each a kernel: wake, exchange, follow the target, the law, the envelope, the command."""
 
 from __future__ import annotations
 
@@ -13,9 +13,19 @@ from ..control.controller import (
     ControllerTerms,
     controller_at_rest,
     controller_step,
+    with_limited,
     with_torque_lost,
 )
-from ..control.envelope import EnvelopeInputs
+from ..control.envelope import (
+    LIMIT_CONTROLLER,
+    REACTION_QUICK_STOP,
+    TRIP_NONE,
+    EnvelopeConfig,
+    EnvelopeInputs,
+    EnvelopeState,
+    envelope_at_rest,
+    envelope_step,
+)
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, stands_still, steady_reference
 from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, observer_start
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
@@ -37,19 +47,22 @@ from ..control.velocity_estimator import (
     velocity_estimator_step,
 )
 from ..drive.cia402 import (
+    GOAL_DISABLED,
+    GOAL_ENABLED,
+    GOAL_QUICK_STOP,
     NOT_READY_MASK,
     STATUS_FAULT,
     STATUS_FOLLOWS_COMMAND,
     STATUS_INTERNAL_LIMIT,
     STATUS_REMOTE,
+    controlword_towards,
 )
-from ..drive.port import NMT_OPERATIONAL, port_now_ns, port_receive, port_sleep_until, port_sync
+from ..drive.port import NMT_OPERATIONAL, port_command, port_now_ns, port_receive, port_sleep_until, port_sync
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Blocks, Words, take_set_point
-from .ring import HEAD, Ring
 
 # bits of the row's flags: what else the envelope saw, and where memory began
 FLAG_LOOP_BEGAN = 1  # the first tick of a loop: all memory at rest
@@ -102,12 +115,23 @@ class ProfileCursor(NamedTuple):
     mode: int  # reference.MODE_*; MODE_IDLE holds zero velocity
 
 
+class LawMemory(NamedTuple):
+    """What the law remembers between two ticks."""
+
+    controller: ControllerState
+    estimator: VelocityEstimatorState
+    learned: AdaptationState
+    adapted: Adapted  # what was given in the last tick
+
+
 class LawOutput(NamedTuple):
     """What the law asked for in this tick."""
 
     mode: int
     reference: Reference  # all zero without a velocity law
     terms: ControllerTerms
+    effects_nm: float
+    estimate: VelocityEstimatorTerms
 
 
 class Baseline(NamedTuple):
@@ -132,17 +156,50 @@ def baseline_of(feedback: Any) -> Baseline:
     )
 
 
+class Guard(NamedTuple):
+    """What stands between law and drive, and what it remembers."""
+
+    envelope: EnvelopeState
+    baseline: Baseline
+    trip: int  # latched until a reset
+    reset_number: int  # of the last reset that was taken
+    reset_ticks: int  # for which the drive is still asked to reset its fault
+
+
+class Sent(NamedTuple):
+    """What went to the drive."""
+
+    controlword: int
+    current_a: float  # what the wire's resolution made of the command
+    busy_ns: int  # from waking to here
+
+
+@njit(inline="always")
+def guard_at_start(blocks: Blocks, feedback: Any) -> Guard:
+    """Before the first tick."""
+    reset_number = load_acquire(blocks.control, b.RESET_NUMBER)
+    return Guard(envelope_at_rest(), baseline_of(feedback), TRIP_NONE, reset_number, 0)
+
+
+@njit(inline="always")
+def timing_before(config: LoopConfig, first_deadline_ns: int) -> Timing:
+    """Of the tick before the first, as if it had been on time."""
+    deadline_ns = first_deadline_ns - config.period_ns
+    return Timing(-1, deadline_ns, deadline_ns, -1)
+
+
 @njit
-def wake(port: Any, config: LoopConfig, status: Words, tick: int, deadline_ns: int, last_sync_ns: int) -> Timing:
-    """Sleep until the deadline. Missed deadlines are skipped, never caught up.
+def wake(port: Any, config: LoopConfig, status: Words, last: Timing) -> Timing:
+    """Sleep until the next deadline. Missed deadlines are skipped, never caught up.
 
     After a late SYNC the next one waits until the smallest distance is kept: later than its deadline, but not lost.
     """
-    port_sleep_until(port, max(deadline_ns, last_sync_ns + config.minimum_gap_ns))
+    deadline_ns = last.deadline_ns + config.period_ns
+    port_sleep_until(port, max(deadline_ns, last.woke_ns + config.minimum_gap_ns))
     woke_ns = port_now_ns(port)
     missed = max(0, (woke_ns - deadline_ns) // config.period_ns)
     status[b.SKIPPED_TICKS] += missed
-    return Timing(tick + missed, deadline_ns + missed * config.period_ns, woke_ns, -1)
+    return Timing(last.tick + 1 + missed, deadline_ns + missed * config.period_ns, woke_ns, -1)
 
 
 @njit
@@ -280,18 +337,31 @@ def learn(
     return adaptation_step(config.adaptation, state, adapted.contact, law.reference.ahead, lacking_nm)
 
 
-@njit
-def apply_law(
-    config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
-    toggle: int, active: bool, added_nm: float, followed_rps: float,
-) -> tuple[LawOutput, ControllerState]:  # fmt: skip
+@njit(inline="always")
+def law_step(
+    blocks: Blocks, config: ControllerConfig, memory: LawMemory, mode: int, timing: Timing, feedback: Any,
+    toggle: int, effects: int, active: bool, reference: Reference,
+) -> tuple[LawOutput, LawMemory]:  # fmt: skip
     """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
+    effects_nm = compensate(blocks, mode, reference, feedback["position_rev"], active, effects)
+    estimate, estimator = estimate_velocity(config, memory.estimator, blocks, mode, timing, feedback, active)
+    adapted, controller = give_adapted(
+        config, memory.learned, memory.controller, mode, reference, toggle, active, memory.adapted.torque_nm
+    )
     if not active:
-        return LawOutput(MODE_IDLE, steady_reference(0.0), terms_of_current(0.0)), controller_at_rest()
-    if mode == MODE_CURRENT:
-        return LawOutput(MODE_CURRENT, steady_reference(0.0), terms_of_current(reference.value)), controller_at_rest()
-    terms, state = controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps)
-    return LawOutput(MODE_VELOCITY, reference, terms), state
+        mode, reference = MODE_IDLE, steady_reference(0.0)
+        terms, controller = terms_of_current(0.0), controller_at_rest()
+    elif mode == MODE_CURRENT:
+        terms, controller = terms_of_current(reference.value), controller_at_rest()
+        reference = steady_reference(0.0)
+    else:
+        mode = MODE_VELOCITY
+        terms, controller = controller_step(
+            config, controller, toggle, reference, feedback["velocity_rps"], effects_nm + adapted.torque_nm,
+            estimate.followed_rps,
+        )  # fmt: skip
+    output = LawOutput(mode, reference, terms, effects_nm, estimate)
+    return output, LawMemory(controller, estimator, memory.learned, adapted)
 
 
 @njit
@@ -367,60 +437,58 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool, adapts: bo
     return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
 
 
-@njit
-def write_row(
-    ring: Ring, head: int, timing: Timing, config: LoopConfig, law: LawOutput, effects_nm: float, adapted: Adapted,
-    learned: AdaptationState, estimate: VelocityEstimatorTerms, seen: EnvelopeInputs, feedback: Any,
-) -> Any:  # fmt: skip
-    """Fill a row with what is known before the command is sent; the loop adds the rest and publishes it."""
-    row = ring.rows[head & (ring.rows.size - 1)]
-    lateness_ns = timing.woke_ns - timing.deadline_ns
-    row["tick"] = timing.tick
-    row["row_number"] = head & 0xFFFFFFFF
-    row["deadline_ns"] = timing.deadline_ns
-    row["lateness_ns"] = lateness_ns
-    row["turnaround_ns"] = timing.turnaround_ns
-    row["late"] = 1 if lateness_ns > config.late_ns else 0
-    row["reference_rps"] = law.reference.value
-    row["reference_rps2"] = law.reference.derivative
-    row["reference_ahead_rps"] = law.reference.ahead
-    row["reference_ahead_rps2"] = law.reference.ahead_derivative
-    row["expected_rps"] = law.reference.expected
-    row["mode"] = law.mode
-    row["error_rps"] = law.terms.error_rps
-    row["filtered_error_rps"] = law.terms.filtered_error_rps
-    row["proportional_a"] = law.terms.proportional_a
-    row["integral_a"] = law.terms.integral_a
-    row["friction_nm"] = law.terms.friction_nm
-    row["inertia_nm"] = law.terms.inertia_nm
-    row["effects_nm"] = effects_nm
-    row["adapted_nm"] = adapted.torque_nm
-    row["adapted_offset_nm"] = learned.offset_nm
-    row["adapted_coulomb_nm"] = learned.coulomb_nm
-    row["adapted_viscous_nm_per_rps"] = learned.viscous_nm_per_rps
-    row["observation_nm_per_s"] = law.terms.observation_nm_per_s
-    row["requested_a"] = law.terms.requested_a
-    row["velocity_rps"] = seen.velocity_rps
-    row["position_rev"] = seen.position_rev
-    row["velocity_age"] = seen.feedback_age
-    row["status_age"] = seen.status_age
-    row["heartbeat_age_ns"] = seen.heartbeat_age_ns
-    row["statusword"] = seen.statusword
-    row["current_a"] = feedback["current_a"]
-    row["true_velocity_rps"] = feedback["true_velocity_rps"]
-    row["estimated_rps"] = estimate.estimated_rps
-    row["disturbance_nm"] = estimate.disturbance_nm
-    row["true_friction_nm"] = feedback["true_friction_nm"]
-    return row
+@njit(inline="always")
+def guard_step(
+    config: EnvelopeConfig, status: Words, tick: int, guard: Guard, memory: LawMemory, law: LawOutput,
+    seen: EnvelopeInputs,
+) -> tuple[float, int, Guard, LawMemory]:  # fmt: skip
+    """The envelope. Returns (command in A, limits that were met, guard, memory that knows of them)."""
+    command_a, limits, found, envelope = envelope_step(config, guard.envelope, seen)
+    if limits != 0:
+        controller = with_limited(memory.controller, True)
+        memory = LawMemory(controller, memory.estimator, memory.learned, memory.adapted)
+    if law.terms.limited:
+        limits |= LIMIT_CONTROLLER
+    trip = guard.trip
+    if found != TRIP_NONE and trip == TRIP_NONE and guard.reset_ticks == 0:
+        trip = found
+        status[b.TRIP_TICK] = tick
+        status[b.TRIP_STATUSWORD] = seen.statusword
+    if trip != TRIP_NONE:
+        command_a = 0.0
+    return command_a, limits, Guard(envelope, guard.baseline, trip, guard.reset_number, guard.reset_ticks), memory
+
+
+@njit(inline="always")
+def count_reset(guard: Guard) -> Guard:
+    """One tick less for which the drive is asked to reset its fault."""
+    return Guard(guard.envelope, guard.baseline, guard.trip, guard.reset_number, max(0, guard.reset_ticks - 1))
 
 
 @njit
-def publish_tick(ring: Ring, head: int, status: Words, timing: Timing, row: Any) -> None:
-    """The row and the status words become visible to other threads."""
-    store_release(ring.words, HEAD, head)
-    status[b.DEADLINE_NS] = timing.deadline_ns
-    status[b.MODE] = row["mode"]
-    status[b.TRIP] = row["trip"]
-    status[b.STATUSWORD] = row["statusword"]
-    status[b.PROFILE_SAMPLE] = row["profile_sample"]
-    store_release(status, b.TICK, timing.tick)
+def goal_in_force(config: EnvelopeConfig, trip: int, goal: int, seen: EnvelopeInputs) -> int:
+    """A latched trip replaces what was asked for by its reaction; a drive in local control is not enabled."""
+    if trip == TRIP_NONE:
+        refused = goal == GOAL_ENABLED and seen.local_control and not seen.enabled
+        return GOAL_DISABLED if refused else goal
+    if config.reactions[trip] == REACTION_QUICK_STOP:
+        return GOAL_QUICK_STOP
+    return GOAL_DISABLED
+
+
+@njit(inline="always")
+def send(
+    port: Any, config: EnvelopeConfig, timing: Timing, guard: Guard, goal: int, seen: EnvelopeInputs,
+    last_controlword: int, command_a: float,
+) -> Sent:  # fmt: skip
+    """The controlword towards the goal, and the current."""
+    goal_now = goal_in_force(config, guard.trip, goal, seen)
+    controlword = controlword_towards(seen.statusword, goal_now, guard.reset_ticks > 0, last_controlword)
+    current_a = port_command(port, timing.tick, controlword, command_a)
+    return Sent(controlword, current_a, port_now_ns(port) - timing.woke_ns)
+
+
+@njit(inline="always")
+def with_learned(memory: LawMemory, learned: AdaptationState) -> LawMemory:
+    """The same memory after a tick that learned."""
+    return LawMemory(memory.controller, memory.estimator, learned, memory.adapted)

@@ -35,6 +35,7 @@ from fffo_drive.control.friction_observer import (
 )
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_VELOCITY
+from fffo_drive.control.velocity_estimator import VelocityEstimatorTerms
 from fffo_drive.model.friction import FrictionConfig, settled_friction
 from fffo_drive.runtime.adaptation_watch import BoundWatch
 from fffo_drive.runtime.tick import LawOutput, give_adapted, learn, terms_of_current
@@ -171,13 +172,16 @@ def test_the_command_does_not_jump_where_the_toggle_changes(before, after):
     assert np.abs(np.diff(commands[3990:])).max() < 1e-4
 
 
+NO_ESTIMATE = VelocityEstimatorTerms(0.0, 0.0, 0.0, False)
+
+
 def test_nothing_is_learned_at_rest_where_limited_with_another_toggle_or_from_what_is_no_number():
     controller = controller_at_rest()._replace(toggle=TOGGLE_FEEDFORWARD)
     terms = terms_of_current(0.0)._replace(integral_a=0.1)
     given = Adapted(1.0, 0.0)
 
     def learns(law_terms=terms, value=5.0, config=LAW, memory=controller):
-        law = LawOutput(MODE_VELOCITY, steady_reference(value), law_terms)
+        law = LawOutput(MODE_VELOCITY, steady_reference(value), law_terms, 0.0, NO_ESTIMATE)
         return learn(config, STATE, given, law, memory)[1] != STATE
 
     assert learns()

@@ -382,16 +382,19 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         if (trip != TRIP_NONE)
             command_a = 0.0;
 
+        int64_t goal_now = goal_in_force(envelope_config, trip, goal, &seen);
+        controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
+        double current_a = bus_command(port, controlword, command_a);
+        int64_t busy_ns = loop_now_ns(cycle) - timing.woke_ns;
+        blocks->commands[timing.tick & (COMMANDS - 1)] = current_a;
+
         struct row *row = &ring->rows[head & (ring->rows_n - 1)];
         write_row(row, head, &timing, config, &law, &given, &learned, &estimate, &seen, feedback);
         bool adapts = learn(&controller_config, &learned, &given, &law, &controller);
         status[ADAPTED_TO_BOUND] = bounds_reached(&controller_config.adaptation, &learned);
-        int64_t goal_now = goal_in_force(envelope_config, trip, goal, &seen);
-        controlword = controlword_towards(seen.statusword, goal_now, reset_ticks > 0, controlword);
         row->limited_a = command_a;
-        row->current_command_a = bus_command(port, controlword, command_a);
-        blocks->commands[timing.tick & (COMMANDS - 1)] = row->current_command_a;
-        row->busy_ns = loop_now_ns(cycle) - timing.woke_ns;
+        row->current_command_a = current_a;
+        row->busy_ns = busy_ns;
         row->controlword = controlword;
         row->limits = limits;
         row->trip = trip;
