@@ -152,6 +152,8 @@ def _print(found: Diagnosis) -> None:
         )
         if unproven(finding):
             print("    on the held-out runs it does not lower the error")
+        if finding.doubt:
+            print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:
             print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
     places = (("held out", found.before, found.after), ("fitted", found.fit_before, found.fit_after))

@@ -147,7 +147,7 @@ def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words:
                 _gain(finding.held_out_gain),
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
-                Cell(text=", ".join(finding.alternatives) or "–"),
+                Cell(text=", ".join(finding.alternatives) or ("its name is in doubt" if finding.doubt else "–")),
                 Cell(text=words.axis(_axes(finding))),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],

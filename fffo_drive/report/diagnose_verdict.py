@@ -17,7 +17,7 @@ SHOWN_NAMES = 3  # of further effects in the headline
 def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
     """The opening of the page. `model_path`: of the updated model file; empty where none was written."""
     accepted = [finding for finding in diagnosis.findings if finding.accepted]
-    effects = [finding for finding in accepted if not finding.is_form]
+    effects = [finding for finding in accepted if not (finding.is_form or finding.doubt)]
     words = words_of(diagnosis)
     cautions = [*doubts(diagnosis), *diagnosis.cautions]
     if diagnosis.before is None:
@@ -242,6 +242,7 @@ def _reason(finding: Finding, words: DiagnosisWords) -> str:
         f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
         + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
+        + (f" Its name is in doubt: {words.text(finding.doubt)}." if finding.doubt else "")
     )
 
 
