@@ -425,7 +425,7 @@ class Selector:
 
     def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
         """Of one effect, given all the others that stand; as it was where they leave hardly anything of its columns."""
-        own = columns_of(data, standing.fitted, standing.matrix, number)
+        own = columns_of(data, standing, number)
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
         others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
@@ -476,7 +476,7 @@ def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool)
         return stand(data, fit(data, fitted.physical, effects))
     gone = [fitted.effects[k] for k in numbers]
     load = torque_of(data, consistent_scenes(data, fitted.physical, fitted.effects), gone)
-    own = np.concatenate([np.r_[columns_of(data, fitted, standing.matrix, k)] for k in numbers])
+    own = np.concatenate([np.r_[columns_of(data, standing, k)] for k in numbers])
     others = np.delete(standing.matrix, own, axis=1)
     target = fitted.white + data.white(load)
     left = robust_residual(target, others)
@@ -496,11 +496,11 @@ def numbers_of(fitted: Fitted) -> int:
     return len(slots_of(fitted.effects, 1.0))
 
 
-def columns_of(data: Data, fitted: Fitted, matrix: Floats, number: int) -> slice:
+def columns_of(data: Data, standing: Standing, number: int) -> slice:
     """The columns of one effect in the matrix of what is fitted."""
-    slots = slots_of(fitted.effects, data.rows.turns)
+    slots = slots_of(standing.fitted.effects, data.rows.turns)
     own = [k for k, slot in enumerate(slots) if slot.effect == number]
-    first = matrix.shape[1] - len(slots)
+    first = standing.matrix.shape[1] - len(slots)
     return slice(first + own[0], first + own[-1] + 1)
 
 

@@ -7,6 +7,7 @@ does not change that, however much it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,64 +19,57 @@ from .propose import orthonormal
 from .scenes import load_rows
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
-STEADY = 0.4  # rms change of an effect's strength over parts of the data, as a share of it, at most
-LEAST_ENERGY = 0.02  # of an effect's square beside all else, in a part that is asked how strong it is there
+STEADY = 0.4  # rms change of an effect's strength over two parts of the data, as a share of it, at most
+DETERMINED = 0.1  # of the square of such a change, that all else that is fitted must leave: or it could say it itself
 
 
 class Split(NamedTuple):
-    """How an effect's strength changes over the parts of the data."""
+    """How an effect's strength changes from one part of the data to the rest."""
 
     parts: str  # in words
     spread: float  # rms change, as a share of the strength
     is_uneven: bool  # by more than STEADY, and rows that were not used in the fit show it
 
 
-def parts_of(data: Data) -> dict[str, Integers]:
-    """Ways to cut the rows that count into parts, (q,) each, with the words for them."""
+def parts_of(data: Data) -> Iterator[tuple[str, Mask]]:
+    """Parts of the rows that count, (q,) each, with words for what differs from them to the others."""
     rows, used = data.rows, data.used
     run, time_s = rows.run[used], rows.time_s[used]
     speed, acceleration = (np.abs(of[used]) for of in (rows.velocity_rps, rows.acceleration_rps2))
     middle = np.array([np.median(time_s[run == k]) if (run == k).any() else 0.0 for k in range(data.runs)])
-    return {
-        "from run to run": np.unique(run, return_inverse=True)[1],
-        "from one direction to the other": (rows.velocity_rps[used] > 0.0).astype(np.int64),
-        "from slow to fast motion": (speed > np.median(speed)).astype(np.int64),
-        "from steady to accelerated motion": (acceleration > np.median(acceleration)).astype(np.int64),
-        "from the first to the second half of the runs": (time_s > middle[run]).astype(np.int64),
-    }
+    for k in range(data.runs):
+        yield "from run to run", run == k
+    yield "from one direction to the other", rows.velocity_rps[used] > 0.0
+    yield "from slow to fast motion", speed > np.median(speed)
+    yield "from steady to accelerated motion", acceleration > np.median(acceleration)
+    yield "from the first to the second half of the runs", time_s > middle[run]
 
 
-def least_steady(data: Data, fitted: Fitted, matrix: Floats, number: int, own: slice) -> Split:
+def least_steady(data: Data, fitted: Fitted, matrix: Floats, number: int) -> Split:
     """Over which parts of the data the strength of an effect changes most.
 
-    `matrix` (q, p): white sensitivities of everything that is fitted; `own`: the effect's columns of it. All else is
-    fitted beside the strengths of the parts.
+    `matrix` (q, p): white sensitivities of everything that is fitted. Its torque in the part alone is fitted beside
+    them: how much more of it there is there than elsewhere.
     """
     weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(fitted.white), HUBER)))
+    known = orthonormal(weight[:, None] * matrix)
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     load = data.white(load_rows(data.rows, scenes, fitted.effects[number]))
-    others = orthonormal(weight[:, None] * np.delete(matrix, np.arange(own.start, own.stop), axis=1))
-    splits = []
-    for words, part in parts_of(data).items():
-        columns = load[:, None] * (part[:, None] == np.arange(part.max(initial=0) + 1))
-        left = weight[:, None] * columns
-        left = left - others @ (others.T @ left)
-        energy = np.einsum("ij,ij->j", left, left)
-        shown = energy > LEAST_ENERGY * energy.sum()
-        if shown.sum() < 2:
-            continue
-        columns, left, energy = columns[:, shown], left[:, shown], energy[shown] / energy.sum()
-        target = weight * (fitted.white + load)
-        strengths = np.linalg.lstsq(left, target - others @ (others.T @ target), rcond=None)[0]
-        change = strengths - energy @ strengths / energy.sum()
-        splits.append((words, float(np.sqrt(energy @ change**2)), columns))
-    words, spread, columns = max(splits, key=lambda one: one[1], default=("", 0.0, load[:, None]))
-    if spread <= STEADY:
-        return Split(words, spread, False)
+    found, most = Split("", 0.0, False), load
+    for words, part in parts_of(data):
+        own = weight * load
+        inside = float(np.sum(own[part] ** 2) / max(float(own @ own), 1e-300))
+        own = np.where(part, own, 0.0)
+        own = own - known @ (known.T @ own)
+        square, whole = float(own @ own), float(load @ load) * inside * (1.0 - inside)
+        if square > DETERMINED * whole > 0.0:
+            spread = abs(float(own @ (weight * fitted.white))) / square * float(np.sqrt(inside * (1.0 - inside)))
+            if spread > found.spread:
+                found, most = Split(words, spread, spread > STEADY), np.where(part, load, 0.0)
+    if not found.is_uneven:
+        return found
     folds = Folds(*(part[data.used] for part in data.rows.folds))
-    beside, split = (
-        unseen_loss(fitted.white, known, folds) for known in (matrix, np.concatenate([matrix, columns], axis=1))
-    )
-    return Split(words, spread, gain(beside, split, folds).holds)
+    beside, split = (unseen_loss(fitted.white, one, folds) for one in (matrix, np.column_stack([matrix, most])))
+    return found._replace(is_uneven=gain(beside, split, folds).holds)
