@@ -36,12 +36,14 @@ from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector, base_of, settled
 from .startup import starting_data
+from .steady import least_steady
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 # that can be ablated
-MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque", "rest")
+MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
+CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve takes away whose axis is believed
 KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
 ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
@@ -123,9 +125,6 @@ def diagnose(
         selected = selector.run(data)
         tell(0.75, "what is left")
         repeats, rest = left_of(selected)
-        while rest is not None and (fewer := selector.without_doubtful(selected, rest.share)) is not None:
-            selected = fewer
-            repeats, rest = left_of(selected)
         tell(0.85, "proof")
         found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
     tell(1.0, "done")
@@ -160,6 +159,7 @@ def assemble(
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
+    own = [replace(one, doubt=doubt(selected, number, one, rest)) for number, one in enumerate(own)]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     # what the first rungs of the ladder found stands first, then what takes away most, then the friction's own form
     findings = ranked(
@@ -220,18 +220,36 @@ def verdict_of(
         return "nothing_carries_over", f"Nothing that carries over was found: on the held-out runs {worse}.{left}"
     if remarks:
         return "unexplained", f"{remarks[0]}{left}"
-    effects = [f for f in accepted if not f.is_form]
+    effects = [f for f in accepted if not (f.is_form or f.doubt)]
+    doubtful = ", ".join(dict.fromkeys(f.name for f in accepted if f.doubt))
+    beside = f" In the model, but in doubt as a cause: {doubtful}." if doubtful else ""
     if effects:
-        shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
-            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in shown)
+            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in effects)
         )
-        return "effects_found", f"The model lacks: {names}.{form}{left}"
+        return "effects_found", f"The model lacks: {names}.{beside}{form}{left}"
     if rest is not None:
-        return "unexplained", f"Something is left that no effect of the library explains: {rest.sentence}.{form}"
+        text = f"Something is left that no effect of the library explains: {rest.sentence}."
+        return "unexplained", f"{text}{beside}{form}"
+    if doubtful:
+        return "unexplained", f"Something is there that no effect of the library describes.{beside}{form}"
     if form:
         return "no_effect_found", f"No effect found.{form}"
     return "no_effect_found", "No effect found: nothing is left that these data could show."
+
+
+def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None) -> str:
+    """Why a finding may not be what its name says; empty where nothing speaks against it, and of a form."""
+    if finding.is_form:
+        return ""
+    split = least_steady(selected.data, selected.fitted, selected.matrix, number)
+    if split.is_uneven:
+        return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
+    if finding.regime_before is not None and finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0:
+        return "on the held-out runs it does not lower the error"
+    if rest is not None and finding.curve is not None and finding.explained_fraction < CURVE_OF_REST * rest.share:
+        return "it takes away little beside what nothing here explains, and may be a part of that"
+    return ""
 
 
 def contradictions(selected: Selection, fit: Sequence[Record]) -> list[str]:
@@ -285,9 +303,7 @@ def _finding(
     if across:
         both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
         reason += f"; a table over {' and '.join(both)}"
-    if unseen is not None and not unseen[0] > 0.0:
-        reason += "; on the held-out runs it does not lower the error"
-    elif proof is not None and before is None:
+    if proof is not None and before is None:
         reason += "; the held-out runs hardly excite it: it rests on the fit runs"
     return Finding(
         name=effect.name,

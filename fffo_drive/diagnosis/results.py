@@ -114,6 +114,7 @@ class Finding:
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
     regime_after: ErrorFigures | None = None
+    doubt: str = ""  # why it may not be what its name says; empty: nothing speaks against it
 
     @property
     def place(self) -> str:
@@ -127,9 +128,9 @@ class Finding:
     def confidence(self) -> Confidence:
         """Certain where held-out runs show it beyond their intervals: by its gain, or by the error where it acts.
 
-        A member of a family that the data do not separate cannot be told.
+        A member of a family that the data do not separate cannot be told, nor what is in doubt.
         """
-        if self.alternatives:
+        if self.alternatives or self.doubt:
             return "cannot tell"
         shown = False
         if self.held_out_gain is not None:
@@ -257,7 +258,7 @@ def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
         findings=tuple(
             replace(
                 one, reason=said(_named_on_linear(one.name, one.reason)), regime=said(one.regime),
-                experiment=said(one.experiment),
+                experiment=said(one.experiment), doubt=said(one.doubt),
             )
             for one in diagnosis.findings
         ),
@@ -353,6 +354,7 @@ def _effect(finding: Finding, linear: bool) -> dict[str, Any]:
         "remedy": text_on(law_of(finding.name).remedy, linear),
         "place": text_on(finding.place, linear),
         "confidence": finding.confidence,
+        "doubt": finding.doubt,
         "sd": {n.name: n.sd for n in finding.parameters if n.per_run is None and curve is None},
         "units": {n.name: unit_on(n.unit, linear) for n in finding.parameters if curve is None},
         "symbols": {n.name: name_on(n.name, n.unit, linear) for n in finding.parameters if curve is None},

@@ -57,7 +57,6 @@ CURVES_REFITTED = 2  # ... and curves
 KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
 LAW_OF_CURVE = 0.75  # of a curve's gain: a law that gains more comes before it
 LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
-CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve without a name has to take away
 
 
 class Standing(NamedTuple):
@@ -168,25 +167,6 @@ class Selector:
         return Selection(
             data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios, self._negligible_nm,
-        )  # fmt: skip
-
-    def without_doubtful(self, found: Selection, rest_share: float) -> Selection | None:
-        """The selection without its weakest curve, where that takes away little beside what is left and could be
-        explained (`rest_share` of the squared residual): it may be a part of that. None where there is none."""
-        curves = [k for k, one in enumerate(found.accepted) if one.name.startswith(UNKNOWN)]
-        weakest = min(curves, key=lambda k: found.accepted[k].share, default=None)
-        if weakest is None or found.accepted[weakest].share >= CURVE_OF_REST * rest_share or "rest" in self.ablate:
-            return None
-        one = found.accepted[weakest]
-        reason = f"it takes away {100.0 * one.share:.0f} %, little beside what nothing here explains"
-        self.refused[one.name] = Refused(one.name, reason, one.share, one.p)
-        effects = [e for k, e in enumerate(found.fitted.effects) if k != weakest]
-        accepted = [note for note in found.accepted if note is not one]
-        begin = fit(found.data, found.fitted.physical, effects, LADDER_ITERATIONS)
-        data, standing, accepted = self._pruned(*settled(found.data, begin), accepted, refit=True)
-        return found._replace(
-            data=data, base=base_of(data), fitted=standing.fitted, matrix=standing.matrix, accepted=tuple(accepted),
-            refused=tuple(self.refused.values()),
         )  # fmt: skip
 
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:

@@ -22,7 +22,7 @@ from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import inertia_kg_m2
 from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
-from .diagnose_verdict import diagnosis_verdict, names_of, unproven
+from .diagnose_verdict import diagnosis_verdict, names_of
 from .document import (
     Cell,
     Heading,
@@ -101,7 +101,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
         Section(
             "What convinces",
             "Each effect over the axis on which it lives.",
-            effect_figures(sorted(accepted, key=unproven), words),
+            effect_figures(sorted(accepted, key=lambda finding: bool(finding.doubt)), words),
         ),
         Section(
             "Before and after",
@@ -147,7 +147,7 @@ def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words:
                 _gain(finding.held_out_gain),
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
-                Cell(text=", ".join(finding.alternatives) or "–"),
+                Cell(text=", ".join(finding.alternatives) or ("its name is in doubt" if finding.doubt else "–")),
                 Cell(text=words.axis(_axes(finding))),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],

@@ -17,7 +17,7 @@ SHOWN_NAMES = 3  # of further effects in the headline
 def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
     """The opening of the page. `model_path`: of the updated model file; empty where none was written."""
     accepted = [finding for finding in diagnosis.findings if finding.accepted]
-    effects = [finding for finding in accepted if not finding.is_form]
+    effects = [finding for finding in accepted if not (finding.is_form or finding.doubt)]
     words = words_of(diagnosis)
     cautions = [*doubts(diagnosis), *diagnosis.cautions]
     if diagnosis.before is None:
@@ -50,10 +50,9 @@ def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
 
 
 def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path: str, words: DiagnosisWords) -> Verdict:
-    """The first effect that the held-out runs show in five lines; the others by name."""
-    shown = [finding for finding in effects if not unproven(finding)] or list(effects)
-    lead = shown[0]
-    others = list(dict.fromkeys(plain_name(finding) for finding in shown[1:]))
+    """The first effect in five lines; the others by name."""
+    lead = effects[0]
+    others = list(dict.fromkeys(plain_name(finding) for finding in effects[1:]))
     more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
     more += f" and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
     law = law_of(lead.name)
@@ -62,7 +61,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     step, next_line = _next(lead, model_path)
     return Verdict(
         headline=words.text(f"The model lacks {plain_name(lead)}{more}.{cause}"),
-        finding=f"{len(shown)} effects" if len(shown) > 1 else words.text(plain_name(lead)),
+        finding=f"{len(effects)} effects" if len(effects) > 1 else words.text(plain_name(lead)),
         confidence=_confidence(diagnosis, lead),
         next_step=step,
         lines=[
@@ -241,13 +240,8 @@ def _reason(finding: Finding, words: DiagnosisWords) -> str:
         f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
         f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
-        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
+        + (f" Its name is in doubt: {words.text(finding.doubt)}." if finding.doubt else "")
     )
-
-
-def unproven(finding: Finding) -> bool:
-    """The held-out runs were asked, and do not show it."""
-    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
 
 
 def names_of(names: Sequence[str]) -> str:

@@ -383,23 +383,7 @@ def test_what_gains_among_the_outliers_takes_away_what_the_loss_falls_by():
     assert share_gone(before, after) > 0.3
 
 
-# What is taken back
-
-
-@pytest.mark.parametrize(("share", "stands"), [(0.05, False), (0.2, True)])
-def test_a_curve_that_takes_little_beside_what_nothing_explains_is_refused(share, stands):
-    search = selector("torque_offset", ablate=frozenset())
-    selection = search.run(data_with("wave"))
-    assert names(selection)[0] == "unknown:motor_angle"
-    own = selection._replace(accepted=tuple(replace(one, share=share) for one in selection.accepted))
-    fewer = search.without_doubtful(own, 0.6)
-    assert (fewer is None) == stands
-    assert search.without_doubtful(own, 0.0) is None
-    if fewer is not None:
-        assert len(fewer.accepted) == len(selection.accepted) - 1
-        assert "little beside what nothing here explains" in next(
-            one.reason for one in fewer.refused if one.name.startswith("unknown:")
-        )
+# What comes back
 
 
 def test_the_friction_of_the_whole_base_comes_back_where_unseen_rows_ask_for_it():

@@ -131,6 +131,7 @@ def test_a_certain_finding_is_told_with_cause_place_size_and_the_command_that_ad
         ({"held_out_gain": (50.0, 40.0), "regime_after": errors(0.0095)}, "probable"),
         ({"held_out_gain": None, "regime_before": None, "regime_after": None}, "probable"),
         ({"alternatives": ("unbalance",)}, "cannot tell"),
+        ({"doubt": "its strength changes from run to run"}, "cannot tell"),
     ],
 )
 def test_a_finding_is_certain_where_held_out_runs_show_it_beyond_their_intervals(changes, confidence):
@@ -398,11 +399,20 @@ def test_a_linear_axis_is_told_in_its_own_units():
     assert (effect.x.unit, effect.y.label, effect.y.unit) == ("m", "residual force", "N")
 
 
-def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
-    shown, hidden = finding(), finding(name="unbalance", held_out_gain=(-3.0, 5.0))
-    reasons = diagnosis_report(SOURCE, diagnosis(findings=(shown, hidden))).verdict.reasons
-    said = "On the held-out runs it does not lower the error."
-    assert [said in reason for reason in reasons[:2]] == [False, True]
+DOUBT = "its strength changes by 60 % from slow to fast motion: it may be part of something else"
+
+
+def test_what_is_in_doubt_is_said_beside_the_effect_and_leads_no_page():
+    doubtful = finding(alternatives=(), doubt=DOUBT)
+    page = diagnosis_report(SOURCE, diagnosis(findings=(doubtful, finding(name="unbalance", alternatives=()))))
+    assert page.verdict.headline.startswith("The model lacks weight of an unbalanced load")
+    assert [DOUBT in reason for reason in page.verdict.reasons[:2]] == [True, False]
+    table = {table.name: table for table in page.tables}["found"]
+    assert ["its name is in doubt" in str(row) for row in table.rows] == [True, False]
+    alone = diagnosis_report(
+        SOURCE, diagnosis(findings=(doubtful,), verdict="unexplained", headline="Something is there.")
+    ).verdict
+    assert (alone.finding, alone.confidence) == ("not explained", "cannot tell")
 
 
 def test_the_json_is_the_stable_schema(tmp_path):

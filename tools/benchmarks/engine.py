@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -105,12 +105,18 @@ def accepted_of(said: dict[str, Any]) -> list[dict[str, Any]]:
     return [*(one for one in said["effects"] if one["accepted"]), *said.get("friction_form", [])]
 
 
+def claimed(said: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Accepted effects of a report whose names it does not put in doubt."""
+    return [one for one in said["effects"] if one["accepted"] and not one.get("doubt")]
+
+
 def first_names(said: dict[str, Any], most: int = 4) -> str:
-    """The first accepted findings of a report, with an order where they have one, for a table."""
+    """The first accepted findings of a report for a table, with an order where they have one; "?": in doubt."""
     named = []
     for finding in accepted_of(said)[:most]:
         order = finding["parameters"].get("order")
-        named.append(f"`{finding['name']}`" + (f" {order:.4g}" if isinstance(order, float) else ""))
+        doubt = "?" if finding.get("doubt") else ""
+        named.append(f"`{finding['name']}`" + (f" {order:.4g}" if isinstance(order, float) else "") + doubt)
     return ", ".join(named) or said["verdict"].replace("_", " ")
 
 

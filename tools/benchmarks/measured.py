@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from common import ROOT, Report, finish, main, parser, shown
-from engine import Call, diagnosed, first_names, in_parallel, rest_is_told, write_answer
+from engine import Call, claimed, diagnosed, first_names, in_parallel, rest_is_told, write_answer
 from measured_sets import write_all
 from rows import CUTOFF_HZ, Textbook, needed_nm, rms, rows_of
 
@@ -170,7 +170,7 @@ def _targets(report: Report, case: Case, answer: dict[str, Any], ours_nm: float,
     report.figure(f"{case.name}: held-out torque error, of the command", percent, "%", round(most, 2), 3)
     if case.machine in FIRST:
         name, order = FIRST[case.machine]
-        leads = next((f for f in answer["effects"] if f["accepted"]), None)
+        leads = next(iter(claimed(answer)), None)
         right = leads is not None and (name in (leads["name"], *leads["alternatives"]))
         if right and order is not None:
             right = round(leads["parameters"].get("order", order)) == order

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from common import Report
-from engine import first_names, rest_is_told
+from engine import claimed, first_names, rest_is_told
 
 from .score import wilson
 
@@ -46,11 +46,11 @@ class LeftOut(NamedTuple):
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
     """What became of the one effect of a drive whose kind was left out."""
     effect = truth["effects"][0]
-    accepted = [finding["name"] for finding in report["effects"] if finding["accepted"]]
+    names = [finding["name"] for finding in claimed(report)]
     allowed = {f"unknown:{axis}" for axis in effect["axes"]}
-    if any(name not in allowed for name in accepted):
+    if any(name not in allowed for name in names):
         outcome = "wrong"
-    elif accepted:
+    elif names:
         outcome = "right axis"
     else:
         outcome = "rest told" if rest_is_told(report) else "silent"
@@ -72,6 +72,7 @@ def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report
         for one in sorted(judged, key=lambda one: (one.kind, one.seed))
     ]
     report.table(["kind", "drive", "left out of the search", "said", "is"], rows)
+    report.notes.append("A name with ? is in doubt by the report itself: it is no claim.")
     if ignored:
         report.notes.append("**The search left nothing out:** this version of it cannot. The figures are of all of it.")
     return report

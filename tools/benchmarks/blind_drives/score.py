@@ -1,7 +1,8 @@
 """What a diagnosis said against what was true: names, families, axes, false findings, and the error that was removed.
 
-Only accepted effects count, and of these as many of the first as the drive has effects: a diagnosis cannot gain by
-listing more. A form of the friction itself is counted apart: it is true of a plant with several surfaces. A drive's
+Only accepted effects that the report does not put in doubt count, and of these as many of the first as the drive has
+effects: a diagnosis cannot gain by listing more. A form of the friction itself is counted apart: it is true of a plant
+with several surfaces. A drive's
 effect is *named* when one of these findings has its name, and *in the family* when its name stands among the finding's
 alternatives too. An effect of no library is right as `unknown:` on one of its axes.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from engine import accepted_of, claimed
 
 NORMAL_95 = 1.959964
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
@@ -79,6 +81,8 @@ class Scored:
     torque_percent: tuple[float, float]  # held-out, before and after
     silent: bool  # an effect is not among the findings, and nothing says that something is left
     peak_mb: float | None  # of the process; None in reports of earlier code
+    doubted: tuple[str, ...] = ()  # findings that the report itself puts in doubt
+    doubted_truths: int = 0  # of them, names that are right
 
     @property
     def has_effects(self) -> bool:
@@ -89,8 +93,9 @@ class Scored:
 def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_nm: float | None) -> Scored:
     """Score one report. `floor_rms_nm`: what the oracle leaves of the held-out torque error."""
     effects = truth["effects"]
-    accepted = [finding for finding in report["effects"] if finding["accepted"]]
+    accepted = claimed(report)
     counted = accepted[: len(effects)] if effects else accepted
+    doubted = [one for one in accepted_of(dict(report)) if one.get("doubt")]
     left = list(counted)
     guesses: list[Guess | None] = [None] * len(effects)
     for exact in (True, False):  # a right name first, so that a family does not take another effect's finding
@@ -123,6 +128,8 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
         torque_percent=(before["torque_relative_percent"], after["torque_relative_percent"]),
         silent=matched < len(effects) and not told,
         peak_mb=report.get("process", {}).get("peak_mb"),
+        doubted=tuple(one["name"] for one in doubted),
+        doubted_truths=sum(any(_matches(effect, one, True) for one in doubted) for effect in effects),
     )
 
 
@@ -194,6 +201,8 @@ class Summary:
     worse_drives: Share  # drives with effects whose held-out torque error is larger after than before
     waves: Share  # of strong waves of many periods: first or in the family
     silent: Share  # drives with effects that are not named, and nothing is said of a rest
+    doubted_truths: Share  # true effects whose name was found and put in doubt
+    doubted_free: Share  # effect-free drives with something in doubt
     slowest_s: float
     median_s: float
     peak_mb: float
@@ -217,6 +226,8 @@ def summarise(scored: Sequence[Scored]) -> Summary:
         worse_drives=wilson(sum(one.torque_percent[1] > one.torque_percent[0] for one in effected), len(effected)),
         waves=wilson(sum(g.in_family for g in known if g.is_target_wave), sum(g.is_target_wave for g in known)),
         silent=wilson(sum(one.silent for one in effected), len(effected)),
+        doubted_truths=wilson(sum(one.doubted_truths for one in effected), len(known) + len(odd)),
+        doubted_free=wilson(sum(bool(one.doubted) for one in free), len(free)),
         slowest_s=max((one.seconds for one in scored), default=0.0),
         median_s=float(np.median([one.seconds for one in scored])) if scored else 0.0,
         peak_mb=max((one.peak_mb or 0.0 for one in scored), default=0.0),

@@ -61,6 +61,8 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     count("effect-free drives called unexplained", summary.unexplained_free)
     count("drives with an effect that is not named, and no residual reported", summary.silent, 0)
     count("drives with effects where something stands beside the truth", summary.extra_drives)
+    count("effects whose right name the report puts in doubt", summary.doubted_truths)
+    count("effect-free drives with something that the report puts in doubt", summary.doubted_free)
     count("drives with effects whose held-out error is larger after", summary.worse_drives)
     report.figure(f"{label}: median processor time, over two cores", summary.median_s, "s", USUAL_S)
     report.figure(f"{label}: longest processor time, over two cores", summary.slowest_s, "s", SLOWEST_S)
@@ -71,7 +73,8 @@ def _drive(one: Scored) -> list[str]:
     truth = ", ".join(f"`{guess.name}`" for guess in one.guesses) or "nothing"
     said = ", ".join(f"{guess.said}{_mark(guess)}" for guess in one.guesses)
     matched = {guess.said for guess in one.guesses}
-    beside = ", ".join(name for name in one.false_findings if name not in matched or not one.has_effects) or "-"
+    false = [name for name in one.false_findings if name not in matched or not one.has_effects]
+    beside = ", ".join([*false, *(f"{name}?" for name in one.doubted)]) or "-"
     before, after = one.torque_percent
     removed = "-" if one.removed is None else f"{100 * one.removed:.0f} %"
     return [str(one.seed), truth, said or "-", beside, f"{before:.2f} to {after:.2f} %", removed, one.verdict]
