@@ -54,13 +54,13 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
-        kind_of = float if info.annotation is float else int
+        kind_of = {float: float, str | None: str}.get(info.annotation, int)
         command.add_argument(
             flag,
             dest=name,
             type=kind_of,
             default=None,
-            metavar="N",
+            metavar="NAME" if kind_of is str else "N",
             help=text if info.default is None else f"{text} ({info.default})",
         )
 

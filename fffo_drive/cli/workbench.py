@@ -19,8 +19,8 @@ from pathlib import Path
 from ..config.axis import read_axis
 from ..documents import DocumentError
 from ..identification.facts import read_facts
+from ..roles import ROLES
 from ..workbench import shelf
-from ..workbench.actions import ROLES
 from ..workbench.bench import Workbench
 from ..workbench.server import WorkbenchServer
 

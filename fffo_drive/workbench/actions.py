@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -14,10 +14,9 @@ from ..config.drive_section import CanopenDriveSection
 from ..documents import DocumentError
 from ..workflows.circle import identification_profile, recipe_profile
 from ..workflows.plan import make_plan
+from ..roles import Role
 from . import shelf
 
-Role = Literal["look", "stop", "move", "tune"]
-ROLES: tuple[Role, ...] = ("look", "stop", "move", "tune")  # each may do what those before it may
 MOTIONS = ("profile", "identify", "recipe")
 
 
@@ -159,11 +158,6 @@ ACTIONS: dict[str, PageAction] = {
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),
 }
-
-
-def may(role: Role, needed: Role) -> bool:
-    """Whether who has `role` may do what needs another."""
-    return ROLES.index(role) >= ROLES.index(needed)
 
 
 def known_axis(bench: Bench, path: Any, files: Sequence[Path]) -> Path:

@@ -14,7 +14,9 @@ from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
-from .actions import ACTIONS, Role, may
+from ..live.keys import Asker
+from ..roles import Role, may
+from .actions import ACTIONS
 from .bench import ForbiddenError, Workbench
 from .jobs import BusyError
 from .page import headers, page
