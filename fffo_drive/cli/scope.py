@@ -14,11 +14,11 @@ import webbrowser
 from pathlib import Path
 
 from ..daemon.client import ClientError
+from ..daemon.serving import find_socket
 from ..documents import DocumentError
 from ..live.keys import LONGEST_NAME, Keys
 from ..live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
 from ..roles import ROLES
-from .ctl import find_socket
 from .exits import EXIT_UNAVAILABLE
 
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     try:
-        directory = find_socket(options, watching=True).parent
+        directory = find_socket(options.axis, options.sockets, watching=True).parent
         url, key = _url(directory, options.viewers), "" if options.watch else key_of(directory, options)
     except ClientError as error:
         print(f"fffo-drive scope: {error}", file=sys.stderr)

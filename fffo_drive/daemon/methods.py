@@ -119,7 +119,9 @@ class Api:
         """JSON schemas of all parameters."""
         return {
             name: {
-                "summary": m.summary, "watching": m.watching, "role": m.role,
+                "summary": m.summary,
+                "watching": m.watching,
+                "role": m.role,
                 "parameters": m.parameters.model_json_schema(),
             }
             for name, m in p.METHODS.items()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,9 +13,9 @@ import yaml
 from ..config.axis import read_axis
 from ..config.drive_section import CanopenDriveSection
 from ..documents import DocumentError
+from ..roles import Role
 from ..workflows.circle import identification_profile, recipe_profile
 from ..workflows.plan import make_plan
-from ..roles import Role
 from . import shelf
 
 MOTIONS = ("profile", "identify", "recipe")
@@ -35,6 +36,8 @@ class Bench(NamedTuple):
     axis: Path | None  # the file in use
     facts: Path | None  # declared about the drive of foreign recordings
     given: tuple[Path, ...]  # recordings given at the start
+    served: Path | None = None  # sockets of the daemon that has the axis
+    who: str = ""  # on whose behalf, for the daemon's log
 
     def required_axis(self) -> Path:
         """Raises DocumentError without an axis file."""
@@ -65,7 +68,9 @@ class PageAction(NamedTuple):
 
     role: Role
     make: Make
-    moves: bool = False  # the page asks before it
+    moves: bool = False  # the page asks before it, and it opens the bus itself
+    by_daemon: bool = False  # where a daemon has the axis, it is asked instead
+    beside: bool = False  # runs beside the other jobs, until it is cancelled
 
 
 def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -84,7 +89,17 @@ def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
         raise DocumentError(f"no motion is called {motion!r}; known: {', '.join(MOTIONS)}, decide:EFFECT")
     if toggle in ("off", "ff", "fb"):
         words += ["--toggle", toggle]
+    if bench.served is not None:
+        words += ["--served", "--sockets", str(bench.served), "--who", bench.who]
     return CommandLine(f"record {motion}", tuple(words), out)
+
+
+def _serve(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    axis = bench.required_axis()
+    if not isinstance(read_axis(axis).drive, CanopenDriveSection):
+        raise DocumentError(f"{axis}: a simulated drive in process is not served: a daemon needs a drive on a bus")
+    live = ("--scope", "0") if find_spec("websockets") is not None else ()  # the scope is an extra
+    return CommandLine("serve", ("serve", str(axis), *live))
 
 
 def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -149,7 +164,8 @@ def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
 
 ACTIONS: dict[str, PageAction] = {
     "commission": PageAction("move", _commission, moves=True),
-    "record": PageAction("move", _record, moves=True),
+    "record": PageAction("move", _record, moves=True, by_daemon=True),
+    "serve": PageAction("move", _serve, beside=True),
     "circle": PageAction("tune", _circle, moves=True),
     "identify": PageAction("move", _identify),
     "diagnose": PageAction("move", _diagnose),
