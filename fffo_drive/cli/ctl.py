@@ -54,7 +54,7 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
-        kind_of = {float: float, str | None: str}.get(info.annotation, int)
+        kind_of = float if info.annotation is float else str if info.annotation == str | None else int
         command.add_argument(
             flag,
             dest=name,

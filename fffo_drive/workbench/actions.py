@@ -109,6 +109,10 @@ def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     return CommandLine("commission", ("commission", str(axis), "--yes"))
 
 
+def _accept(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return CommandLine("name the record in the axis file", ("commission", str(bench.required_axis()), "--accept"))
+
+
 def _identify(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     out = shelf.next_free(bench.directory, "identify")
     return CommandLine(
@@ -164,6 +168,7 @@ def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
 
 ACTIONS: dict[str, PageAction] = {
     "commission": PageAction("move", _commission, moves=True),
+    "accept": PageAction("move", _accept),
     "record": PageAction("move", _record, moves=True, by_daemon=True),
     "serve": PageAction("move", _serve, beside=True),
     "circle": PageAction("tune", _circle, moves=True),

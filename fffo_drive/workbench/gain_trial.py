@@ -21,11 +21,11 @@ from ..daemon.served_run import own_recording
 from ..documents import DocumentError
 from ..recording.errors import RecordingError
 from ..recording.reader import read_run
+from ..units import NS_PER_S
 
 LEAD_S, TAIL_S = 0.1, 0.5  # shown before the step and after its end
 POLL_S = 0.05
 PATIENCE_S = 20.0  # beyond the step's own time
-NS = 1e-9  # s
 POINTS = 1500  # of a curve on the page
 BEGINS = ("enabled", "following")
 
@@ -38,7 +38,6 @@ class StepResponse(NamedTuple):
     time_s: Floats  # shape (n,), as all
     reference_rps: Floats
     velocity_rps: Floats
-    current_a: Floats
 
     @property
     def figures(self) -> dict[str, float]:
@@ -51,12 +50,6 @@ class StepResponse(NamedTuple):
             "rms_rps": float(np.sqrt(np.mean(error_rps**2))), "peak_rps": float(np.max(np.abs(error_rps))),
             "overshoot_percent": 100.0 * max(0.0, beyond) / abs(height_rps) if height_rps else 0.0,
         }  # fmt: skip
-
-    def as_object(self) -> dict[str, Any]:
-        """For the page."""
-        stride = max(1, -(-self.time_s.size // POINTS))
-        columns = {name: [float(f"{v:.5g}") for v in column[::stride]] for name, column in self._asdict().items()}
-        return {**columns, **self.figures}
 
 
 class Trial:
@@ -77,9 +70,15 @@ class Trial:
             "number": self.number, "key": self.key, "value": self.value, "old_value": self.old_value,
             "by_rps": self.by_rps, "for_s": self.for_s, "state": self.state, "says": self.says,
         }  # fmt: skip
-        if curves:
-            for name, response in (("before", self.before), ("after", self.after)):
-                found[name] = None if response is None else response.as_object()
+        if curves and self.before is not None:
+            both = {"before": self.before} | ({"after": self.after} if self.after is not None else {})
+            time_s = self.before.time_s[:: max(1, -(-self.before.time_s.size // POINTS))]
+            found["time_s"] = _short(time_s)
+            found["reference_rps"] = _short(np.interp(time_s, self.before.time_s, self.before.reference_rps))
+            found["velocity_rps"] = {
+                name: _short(np.interp(time_s, one.time_s, one.velocity_rps)) for name, one in both.items()
+            }
+            found["figures"] = {name: one.figures for name, one in both.items()}
         return found
 
 
@@ -123,19 +122,23 @@ def step_response(
 
 
 def _response(files: list[Path], number: int, for_s: float) -> StepResponse:
-    columns = ("deadline_ns", "set_point_number", "reference_rps", "velocity_rps", "current_command_a")
+    columns = ("deadline_ns", "set_point_number", "reference_rps", "velocity_rps")
     runs = [read_run(file).columns for file in files]
-    deadline_ns, numbers, reference_rps, velocity_rps, current_a = (
+    deadline_ns, numbers, reference_rps, velocity_rps = (
         np.concatenate([np.asarray(run[name]) for run in runs] or [np.zeros(0)]) for name in columns
     )
     taken = np.flatnonzero(numbers == number)
     if not taken.size:
-        raise DocumentError(
-            f"the recording has no row of set point {number}: {', '.join(map(str, files)) or 'no file'}"
-        )
-    own_s = (deadline_ns - deadline_ns[taken[0]]) * NS
+        names = ", ".join(map(str, files)) or "no file"
+        raise DocumentError(f"the recording has no row of set point {number}: {names}")
+    own_s = (deadline_ns - deadline_ns[taken[0]]) / NS_PER_S
     shown = (own_s >= -LEAD_S) & (own_s <= for_s + TAIL_S)
-    return StepResponse(own_s[shown], reference_rps[shown], velocity_rps[shown], current_a[shown])
+    return StepResponse(own_s[shown], reference_rps[shown], velocity_rps[shown])
+
+
+def _short(values: Floats) -> list[float]:
+    """As a page shows them."""
+    return [float(f"{value:.5g}") for value in values]
 
 
 def _farthest(values: Floats, from_value: float) -> float:

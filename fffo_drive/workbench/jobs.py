@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from ..directories import as_typed
-from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+from ..documents import DocumentError
+from ..workflows.progress import CHECK_MARK, LINE_MARK, LINES_ENVIRONMENT
 
 State = Literal["running", "done", "failed", "cancelled"]
 KEPT_LINES = 200
@@ -43,6 +44,7 @@ class Job:
         self.share: float | None = None
         self.step = ""
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.checks: list[dict[str, Any]] = []  # of a commissioning, as they come, each with its picture's columns
         self.began_s = time.time()
         self.ended_s: float | None = None
         self.exit_code: int | None = None
@@ -71,11 +73,13 @@ class Job:
     def _read(self, stream: IO[str]) -> None:
         with stream:
             for line in stream:
-                if not line.startswith(LINE_MARK):
+                if line.startswith(CHECK_MARK):
+                    self.checks.append(json.loads(line[len(CHECK_MARK) :]))
+                elif line.startswith(LINE_MARK):
+                    told = json.loads(line[len(LINE_MARK) :])
+                    self.share, self.step = told["share"], told["text"]
+                else:
                     self.lines.append(line.rstrip("\n"))
-                    continue
-                told = json.loads(line[len(LINE_MARK) :])
-                self.share, self.step = told["share"], told["text"]
 
     def cancel(self) -> None:
         """Interrupt it as Ctrl-C does: a run brakes to standstill first. What does not end in GRACE_S is terminated."""
@@ -97,7 +101,7 @@ class Job:
             "number": self.number, "action": self.action, "title": self.title, "state": self.state,
             "line": shlex.join(["fffo-drive", *map(as_typed, self.words)]), "share": self.share, "step": self.step,
             "output": list(self.lines), "seconds": round((self.ended_s or time.time()) - self.began_s, 1),
-            "exit_code": self.exit_code,
+            "exit_code": self.exit_code, "checks": len(self.checks),
         }  # fmt: skip
 
 
@@ -129,6 +133,14 @@ class Jobs:
     def all(self) -> list[Job]:
         """The newest first."""
         return list(reversed(self._jobs))
+
+    def checks(self, wanted: str) -> list[dict[str, Any]]:
+        """Of JOB/FROM, the checks from that one on. Raises DocumentError for no such job."""
+        number, _, first = wanted.partition("/")
+        job = next((job for job in self._jobs if str(job.number) == number), None)
+        if job is None or not first.isdecimal():
+            raise DocumentError(f"no checks of job {wanted}")
+        return job.checks[int(first) :]
 
     def close(self) -> None:
         """Cancel what runs, and wait for it."""

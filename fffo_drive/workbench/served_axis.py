@@ -1,8 +1,8 @@
 """The axis as its daemon has it: what a page may ask of it, the pages that look, and step responses around a new gain.
 
-The methods are those of `fffo-drive ctl`, on the daemon's control socket. A request for torque or motion names the epoch
-of the status that the page showed. Each call has a connection of its own, so that none waits behind another; only a
-page that holds the axis keeps one, and the daemon does as daemon.client_loss says when that page goes away.
+The methods are those of `fffo-drive ctl`, on the daemon's control socket. A request for torque or motion names the
+epoch of the status that the page showed. Each call has a connection of its own, so that none waits behind another;
+only a page that holds the axis keeps one, and the daemon does as daemon.client_loss says when that page goes away.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +94,21 @@ class ServedAxis:
         except (CallError, ClientError) as error:
             raise DocumentError(str(error)) from None
 
+    def info(self, directory: Path) -> Any:
+        """What the daemon says of itself, with the gains in use. Raises DocumentError."""
+        try:
+            with DaemonClient(directory / WATCH, ANSWER_S) as client:
+                return client.call("info")
+        except (CallError, ClientError) as error:
+            raise DocumentError(str(error)) from None
+
     def heard(self, name: Any) -> None:
         """A page is there."""
         page = self._pages.get(str(name))
         if page is not None:
             page.heard_s = self._clock()
 
-    def messages(self, directory: Path) -> Iterator[dict[str, Any]]:
+    def messages(self, directory: Path) -> Generator[dict[str, Any], None, None]:
         """What a page is sent until the daemon ends or the page is gone. Raises DocumentError."""
         page = Page(directory, self._clock())
         with self._lock:
@@ -144,6 +152,13 @@ class ServedAxis:
 
         threading.Thread(target=work, name="fffo-trial", daemon=True).start()
         return trial.as_object(curves=False)
+
+    def trial(self, number: str) -> dict[str, Any]:
+        """A trial with its curves. Raises DocumentError for one that is not there."""
+        found = next((trial for trial in self.trials if str(trial.number) == number), None)
+        if found is None:
+            raise DocumentError(f"no trial {number}")
+        return found.as_object(curves=True)
 
 
 def scope_address(directory: Path, asker: Asker) -> str:

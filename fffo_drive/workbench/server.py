@@ -10,12 +10,14 @@ import contextlib
 import itertools
 import json
 import threading
+from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
+from ..live.keys import Asker
 from ..roles import Role, may
 from .actions import ACTIONS
 from .bench import ForbiddenError, Workbench
@@ -84,17 +86,22 @@ class _Handler(BaseHTTPRequestHandler):
             self._json(HTTPStatus.OK, self.workbench.state(asker))
         elif rest == "axis/live":
             self._live()
+        elif rest == "axis/info":
+            self._asked(lambda: self.workbench.served.info(self.workbench.sockets()))
+        elif rest.startswith("checks/"):
+            self._asked(lambda: self.workbench.jobs.checks(rest.removeprefix("checks/")))
         elif rest.startswith("axis/trial/"):
-            number = rest.removeprefix("axis/trial/")
-            found_trial = next((t for t in self.workbench.served.trials if str(t.number) == number), None)
-            if found_trial is None:
-                self._json(HTTPStatus.NOT_FOUND, {"error": f"no trial {number}"})
-            else:
-                self._json(HTTPStatus.OK, found_trial.as_object(curves=True))
+            self._asked(lambda: self.workbench.served.trial(rest.removeprefix("axis/trial/")))
         elif rest.startswith("files/"):
             self._file(rest.removeprefix("files/"))
         else:
             self._json(HTTPStatus.NOT_FOUND, {"error": "not here"})
+
+    def _asked(self, what: Callable[[], Any]) -> None:
+        try:
+            self._json(HTTPStatus.OK, what())
+        except DocumentError as error:
+            self._json(HTTPStatus.NOT_FOUND, {"error": str(error)})
 
     def do_POST(self) -> None:
         """What the page asks for."""
