@@ -82,9 +82,9 @@ def execute(options: argparse.Namespace) -> int:
     if not record.passed:
         failed = [check.name for check in record.checks if check.verdict == FAILED]
         raise DriveFaultError(f"not passed: {', '.join(failed) or 'not all checks were made'}; the record is in {out}")
-    if not options.json and not _named(plan, out) and sys.stdin.isatty():
-        if _agreed(f"write `commissioning: {os.path.relpath(out, plan.path.parent)}` into {plan.path}?"):
-            accept_record(plan, out)
+    asks = not options.json and not _named(plan, out) and sys.stdin.isatty()
+    if asks and _agreed(f"write `commissioning: {os.path.relpath(out, plan.path.parent)}` into {plan.path}?"):
+        accept_record(plan, out)
     return 0
 
 

@@ -101,8 +101,8 @@ def commission(
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
-    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError where the drive cannot be brought up, BoundsError where there is
-    no room, RealtimeRefusedError.
+    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError where the drive
+    cannot be brought up, BoundsError where there is no room, RealtimeRefusedError.
     """
     procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell, seen)
     reason = ""

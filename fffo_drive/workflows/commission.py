@@ -51,7 +51,8 @@ def commission_axis(
 ) -> CommissioningRecord:  # fmt: skip
     """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
 
-    `bus`: instead of the file's; `tell` gets a line for each step, `seen` each check as it comes. Raises DocumentError, DriveError, OSError.
+    `bus`: instead of the file's; `tell` gets a line for each step, `seen` each check as it comes. Raises
+    DocumentError, DriveError, OSError.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(out.parent, os.W_OK):  # before anything moves

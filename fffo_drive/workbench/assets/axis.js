@@ -171,8 +171,8 @@
   function number(id) { return Number($(id).value); }
 
   document.addEventListener("keydown", (e) => {
-    if (e.key !== "Escape" || $("ask").open || $("halt").hidden) return;
-    e.preventDefault();
+    if (e.key !== "Escape" || $("halt").hidden) return;
+    if (!$("ask").open) e.preventDefault(); // it closes the question as well
     if (!e.repeat) stop();
   });
 
@@ -243,31 +243,26 @@
 
   function draw(trial) {
     $("trial").replaceChildren();
-    const both = [["before", trial.before], ["after", trial.after]].filter(([, response]) => response);
-    if (!both.length) return;
-    const timeS = both[0][1].time_s, last = both[0][1].time_s.length - 1;
-    // the second response at the times of the first: both have the same rate, and begin at their own step
-    const at = (response, column) => timeS.map((t, i) => { const shift = response.time_s.findIndex((own) => own >= timeS[0]); return response[column][Math.min(i + Math.max(0, shift), response[column].length - 1)]; });
-    const first = both[0][1];
-    linePlot($("trial"), `Step response, ${trial.key}`, "rps", timeS, [
-      { label: "reference", colour: "ink", dash: [7, 5], width: 1.2, values: first.reference_rps },
-      { label: `before, ${trial.old_value}`, colour: "orange", dash: [9, 4], values: first.velocity_rps },
-      ...(trial.after ? [{ label: `after, ${trial.value}`, colour: "blue", width: 2, values: at(trial.after, "velocity_rps") }] : []),
+    if (!trial.time_s) return;
+    const { before, after } = trial.velocity_rps;
+    linePlot($("trial"), `Step response, ${trial.key}`, "rps", trial.time_s, [
+      { label: "reference", colour: "ink", dash: [7, 5], width: 1.2, values: trial.reference_rps },
+      { label: `before, ${trial.old_value}`, colour: "orange", dash: [9, 4], values: before },
+      ...(after ? [{ label: `after, ${trial.value}`, colour: "blue", width: 2, values: after }] : []),
     ]);
     const table = document.createElement("table"), head = table.createTHead().insertRow(), body = table.createTBody();
     for (const text of ["", "error rms, rps", "largest error, rps", "overshoot, %"]) { const cell = bench.element("th", text); cell.scope = "col"; head.append(cell); }
-    for (const [name, response] of both) {
+    for (const [name, response] of Object.entries(trial.figures)) {
       const row = body.insertRow();
       for (const text of [name, response.rms_rps.toPrecision(3), response.peak_rps.toPrecision(3), response.overshoot_percent.toFixed(1)]) row.insertCell().append(text);
     }
     $("trial").append(table);
-    if (trial.after && trial.old_value !== null && trial.old_value !== trial.value) {
+    if (after && trial.old_value !== null && trial.old_value !== trial.value) {
       const back = bench.element("button", `Take it back: ${trial.old_value}`);
       back.type = "button";
       back.disabled = !may("set");
       back.onclick = () => command(`${trial.key} = ${trial.old_value}`, "set", { key: trial.key, value: trial.old_value });
       $("trial").append(back);
     }
-    return last;
   }
 })();
