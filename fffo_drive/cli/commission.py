@@ -148,7 +148,7 @@ def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
     name = os.path.relpath(out, plan.path.parent)
     if _named(plan, out):
         return f"fffo-drive run {plan.path}"
-    return f"fffo-drive commission {plan.path} --accept  (writes commissioning: {name} into the file)"
+    return f"fffo-drive commission {plan.path} --accept, which adds the line commissioning: {name}"
 
 
 def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:

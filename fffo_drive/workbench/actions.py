@@ -70,6 +70,7 @@ class PageAction(NamedTuple):
     make: Make
     moves: bool = False  # the page asks before it, and it opens the bus itself
     by_daemon: bool = False  # where a daemon has the axis, it is asked instead
+    computes: bool = False  # only: it gives way to a loop on this machine
     beside: bool = False  # runs beside the other jobs, until it is cancelled
 
 
@@ -172,10 +173,10 @@ ACTIONS: dict[str, PageAction] = {
     "record": PageAction("move", _record, moves=True, by_daemon=True),
     "serve": PageAction("move", _serve, beside=True),
     "circle": PageAction("tune", _circle, moves=True),
-    "identify": PageAction("move", _identify),
-    "diagnose": PageAction("move", _diagnose),
-    "compare": PageAction("move", _compare),
-    "tune": PageAction("tune", _tune),
+    "identify": PageAction("move", _identify, computes=True),
+    "diagnose": PageAction("move", _diagnose, computes=True),
+    "compare": PageAction("move", _compare, computes=True),
+    "tune": PageAction("tune", _tune, computes=True),
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),
 }

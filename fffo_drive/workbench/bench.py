@@ -166,7 +166,7 @@ class Workbench:
         served = None if daemon is None else daemon[0]
         order = action.make(Bench(self.directory, self._axis, self._facts, self._given, served, asker.text), wish)
         jobs = self.services if action.beside else self.jobs
-        job = jobs.start(name, order.title, order.words, order.out, self._ended)
+        job = jobs.start(name, order.title, order.words, order.out, self._ended, action.computes)
         self._told(asker, name, {"line": job.as_object()["line"]})
         return job.as_object()
 

@@ -108,6 +108,7 @@ def step_response(
     if state not in BEGINS:
         raise DocumentError(f"a step begins from {' or '.join(BEGINS)}, the axis is in state {state}: enable it first")
     with own_recording(client, asker) as files:
+        sleep(LEAD_S)
         number = client.call("step", by_rps=by_rps, for_s=for_s, epoch=epoch, **asker)["set_point"]
         for _ in range(math.ceil((for_s + PATIENCE_S) / POLL_S)):
             status = client.call("status")

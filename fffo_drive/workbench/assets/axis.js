@@ -5,7 +5,7 @@
   const bench = window.fffoWorkbench, $ = bench.$;
   const AT_REST = ["offline", "connected", "ready", "fault"], TORQUE = ["enabled", "following"];
   const STALE_MS = 2500, STOP_ANSWER_MS = 3000, HERE_MS = 1000, RENEWED_SHARE = 0.25, SHOWN_EVENTS = 30;
-  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, jogging: null, trial: 0, gains: "" };
+  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, jogging: null, trial: 0, gains: "" };
   window.fffoAxis = axis; // for tests
 
   const fresh = () => axis.status !== null && performance.now() - axis.heardMs < STALE_MS;
@@ -70,9 +70,9 @@
   function status(s) {
     axis.status = s;
     axis.heardMs = performance.now();
-    if (axis.unconfirmed && AT_REST.includes(s.state)) {
-      axis.unconfirmed = false;
-      say(`Stop: the axis is at rest, no torque (confirmed late, by its state: ${s.state})`);
+    if (AT_REST.includes(s.state) && (axis.unconfirmed || axis.stopping)) {
+      say(`Stop: the axis is at rest, no torque${axis.unconfirmed ? ` (confirmed late, by its state: ${s.state})` : ""}`);
+      axis.unconfirmed = axis.stopping = false;
     }
     document.body.dataset.axis = s.state;
     const running = s.profile ? `: ${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} %` : s.set_point ? `: ${s.set_point.kind} to ${s.set_point.to_rps.toPrecision(3)} rps` : "";
@@ -143,7 +143,8 @@
     say(`${name} …`);
     try {
       const { result } = await Promise.race([send(method, { wait_s: 0 }), new Promise((_, late) => setTimeout(() => late(new Error("nothing confirmed the stop in 3 s")), STOP_ANSWER_MS))]);
-      say(AT_REST.includes(result.state) ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
+      axis.stopping = !AT_REST.includes(result.state);
+      say(!axis.stopping ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
     } catch (error) {
       axis.unconfirmed = true;
       say(`STOP NOT CONFIRMED: ${error.message}. Use the emergency stop of the machine.`, true);
@@ -236,6 +237,7 @@
     const last = all.at(-1), key = last ? `${last.number} ${last.state}` : "";
     $("trial-says").textContent = last ? `${last.key}: ${last.old_value ?? "…"} → ${last.value}, step by ${last.by_rps} rps for ${last.for_s} s: ${last.says}` : "";
     $("trial-says").className = last && last.state === "failed" ? "bad" : "";
+    if (last && last.state !== "running" && last.number === axis.trial) { axis.trial = 0; say(""); }
     if (!last || last.state === "running" || $("trial").dataset.key === key) return;
     $("trial").dataset.key = key;
     bench.ask(`axis/trial/${last.number}`).then(draw).catch((error) => say(error.message, true));
@@ -264,5 +266,6 @@
       back.onclick = () => command(`${trial.key} = ${trial.old_value}`, "set", { key: trial.key, value: trial.old_value });
       $("trial").append(back);
     }
+    $("trial").scrollIntoView({ block: "nearest" });
   }
 })();

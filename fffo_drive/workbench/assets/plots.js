@@ -13,6 +13,7 @@ function linePlot(parent, title, unit, timeS, series) {
   parent.append(figure);
   const lines = series.map((s) => ({ label: s.label, stroke: colour(`--series-${s.colour}`), width: s.width || 1.6, dash: s.dash, points: { show: false }, value: (u, v) => (v == null ? "–" : v.toPrecision(3)) }));
   const options = { width: Math.max(240, parent.clientWidth || 600), height: 200, scales: { x: { time: false } }, axes: [axis(28), axis(52)], series: [{ label: "s", value: (u, v) => (v == null ? "–" : v.toFixed(3)) }, ...lines] };
-  new uPlot(options, [timeS, ...series.map((s) => s.values)], at);
+  const plot = new uPlot(options, [timeS, ...series.map((s) => s.values)], at);
+  new ResizeObserver(() => plot.setSize({ width: Math.max(240, parent.clientWidth || 600), height: options.height })).observe(parent);
   return figure;
 }
