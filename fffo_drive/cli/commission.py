@@ -2,8 +2,8 @@
 
 The axis moves: small current pulses of both signs grow until it turns a little; it asks first (`--yes`: it does not).
 Current, speed, travel and time are bounded, and it stops at the first unexpected result. `fffo-drive run` enables a
-drive on a bus only with a record that has passed, for this drive and these declared facts: name it under
-`commissioning:` in the file.
+drive on a bus only with a record that has passed, for this drive and these declared facts, and that the file names
+under `commissioning:`. It asks before it writes that line; --accept writes it later, without moving anything.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ..commissioning.motion import PulseMotion
 from ..commissioning.record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, CommissioningRecord
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
-from ..workflows.commission import bounds_of, commission_axis, commissioning_plan, record_path
+from ..workflows.commission import accept_record, bounds_of, commission_axis, commissioning_plan, record_path
 from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan
+from ..workflows.progress import CHECK_MARK, LINES_ENVIRONMENT
 from .exits import UnconfirmedError
 
+PICTURE_POINTS = 300  # of a motion, for a page
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}
 
 
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="record to write (default: the file's commissioning, else NAME.commissioning.yaml)",
     )
     parser.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
+    parser.add_argument("--accept", action="store_true", help="name the record that has passed in AXIS, move nothing")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
     bounds = parser.add_argument_group("bounds", "defaults are made from the file's envelope, and stay inside it")
     bounds.add_argument("--current", type=float, metavar="A", help="largest current (default: half the continuous)")
@@ -51,6 +55,9 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     plan = commissioning_plan(Path(options.config))
     out = Path(options.out) if options.out else record_path(plan)
+    if options.accept:
+        print(f"{plan.path}: commissioning: {accept_record(plan, out)}")
+        return 0
     bounds = bounds_of(plan, options.current, options.speed, options.travel)
     console = Console(stderr=True, quiet=options.json)
     for line in resolution_lines(plan.axis, plan.model):
@@ -66,7 +73,7 @@ def execute(options: argparse.Namespace) -> int:
         console.print("nothing was moved")
         return 0
     record = commission_axis(
-        plan, bounds, out, options.bus, lambda text: console.print(f"  {text}", soft_wrap=True, highlight=False)
+        plan, bounds, out, options.bus, lambda text: console.print(f"  {text}", soft_wrap=True, highlight=False), _seen
     )
     if options.json:
         print(json.dumps(record.model_dump(mode="json"), indent=2))
@@ -75,7 +82,33 @@ def execute(options: argparse.Namespace) -> int:
     if not record.passed:
         failed = [check.name for check in record.checks if check.verdict == FAILED]
         raise DriveFaultError(f"not passed: {', '.join(failed) or 'not all checks were made'}; the record is in {out}")
+    asks = not options.json and not _named(plan, out) and sys.stdin.isatty()
+    if asks and _agreed(f"write `commissioning: {os.path.relpath(out, plan.path.parent)}` into {plan.path}?"):
+        accept_record(plan, out)
     return 0
+
+
+def _named(plan: Plan, out: Path) -> bool:
+    """The axis file names this record already, or needs none."""
+    name = os.path.relpath(out, plan.path.parent)
+    return plan.axis.commissioning == name or not isinstance(plan.axis.drive, CanopenDriveSection)
+
+
+def _agreed(question: str) -> bool:
+    return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _seen(check: CheckRecord, motion: PulseMotion | None) -> None:
+    """For a program that started this one: a check, and the motion before it."""
+    if not os.environ.get(LINES_ENVIRONMENT):
+        return
+    columns: dict[str, list[float]] = {}
+    if motion is not None and motion.size:
+        stride = max(1, -(-motion.size // PICTURE_POINTS))
+        for name in ("time_s", "command_a", "velocity_rps", "position_rev"):
+            columns[name] = [float(f"{value:.4g}") for value in getattr(motion, name)[::stride]]
+    content = {**check.model_dump(mode="json"), "motion": columns}
+    print(CHECK_MARK + json.dumps(content), file=sys.stderr, flush=True)
 
 
 def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
@@ -86,7 +119,7 @@ def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
         raise UnconfirmedError(
             "commission moves the axis, and here nobody can be asked: see that it may, and give --yes"
         )
-    return input("may it move? [y/N] ").strip().lower() in ("y", "yes")
+    return _agreed("may it move?")
 
 
 def verdict_line(record: CommissioningRecord) -> str:
@@ -113,9 +146,9 @@ def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
         remedy = next((check.remedy for check in record.checks if check.verdict == FAILED and check.remedy), "")
         return remedy or "see what ended it, and commission again"
     name = os.path.relpath(out, plan.path.parent)
-    if plan.axis.commissioning == name or not isinstance(plan.axis.drive, CanopenDriveSection):
+    if _named(plan, out):
         return f"fffo-drive run {plan.path}"
-    return f"add to {plan.path}:  commissioning: {name}"
+    return f"fffo-drive commission {plan.path} --accept, which adds the line commissioning: {name}"
 
 
 def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:

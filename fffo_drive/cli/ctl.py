@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 from ..daemon import rpc
 from ..daemon.client import CallError, ClientError, DaemonClient
 from ..daemon.parameters import METHODS, Method
-from ..daemon.places import CONTROL, SYSTEM_DIRECTORY, WATCH, user_directory
+from ..daemon.serving import find_socket
 from ..documents import DocumentError, parse, read_text
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
 
@@ -54,13 +54,13 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
-        kind_of = float if info.annotation is float else int
+        kind_of = float if info.annotation is float else str if info.annotation == str | None else int
         command.add_argument(
             flag,
             dest=name,
             type=kind_of,
             default=None,
-            metavar="N",
+            metavar="NAME" if kind_of is str else "N",
             help=text if info.default is None else f"{text} ({info.default})",
         )
 
@@ -75,7 +75,7 @@ def execute(options: argparse.Namespace) -> int:
     method = METHODS[name]
     try:
         params = _parameters(method, options)
-        path = find_socket(options, method.watching)
+        path = find_socket(options.axis, options.sockets, method.watching)
         with DaemonClient(path) as client:
             result = client.call(name, **params)
             _print(name, result, options.json)
@@ -94,24 +94,6 @@ def execute(options: argparse.Namespace) -> int:
             print(json.dumps({"error": {"code": error.code, "message": str(error), "data": error.data}}))
         print(f"fffo-drive ctl: {options.method}: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT if error.code in BAD_INPUT else EXIT_DRIVE_FAULT
-
-
-def find_socket(options: argparse.Namespace, watching: bool) -> Path:
-    """The socket of the one daemon that is meant. Raises ClientError."""
-    name = WATCH if watching else CONTROL
-    if options.sockets:
-        return Path(options.sockets) / name
-    homes = (SYSTEM_DIRECTORY, user_directory())
-    found = [path for home in homes for path in sorted(home.glob(f"*/{name}"))]
-    if options.axis:
-        found = [path for path in found if path.parent.name == options.axis]
-    if len(found) == 1:
-        return found[0]
-    if not found:
-        which = f" of '{options.axis}'" if options.axis else ""
-        places = ", ".join(str(home) for home in homes)
-        raise ClientError(f"no daemon{which} in {places}: start one with fffo-drive serve AXIS, or give --sockets")
-    raise ClientError(f"several daemons run, give --axis: {', '.join(path.parent.name for path in found)}")
 
 
 def _parameters(method: Method, options: argparse.Namespace) -> dict[str, Any]:

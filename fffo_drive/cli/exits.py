@@ -25,6 +25,7 @@ def exit_code_of(error: Exception) -> int | None:
     if isinstance(error, ForeignDirectoryError):  # of compiled code: what is imported below needs that
         return EXIT_IO
     from ..can.link import LinkError
+    from ..daemon.client import CallError, ClientError
     from ..drive.canopen.object_map import MappingError
     from ..drive.port import BusUnavailableError, DriveError
     from ..drive.simulated.parameters import PlantConfigError
@@ -39,6 +40,8 @@ def exit_code_of(error: Exception) -> int | None:
         (PlantConfigError, EXIT_BAD_INPUT),
         (BusUnavailableError, EXIT_UNAVAILABLE),
         (LinkError, EXIT_UNAVAILABLE),
+        (ClientError, EXIT_UNAVAILABLE),
+        (CallError, EXIT_DRIVE_FAULT),
         (DriveError, EXIT_DRIVE_FAULT),
         (DriveFaultError, EXIT_DRIVE_FAULT),
         (LoopHungError, EXIT_DRIVE_FAULT),

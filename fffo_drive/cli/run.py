@@ -1,7 +1,8 @@
 """Run one profile on a drive, in process or on a bus, and record it.
 
 CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, law, limits, profile.
-Everything is checked before anything moves. The run is written as one MCAP file.
+Everything is checked before anything moves. The run is written as one MCAP file. With --served the daemon that has the
+axis (fffo-drive serve) runs the profile and records; no bus is opened here.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from typing import Any
 
 from ..config.axis import TOGGLES
 from ..config.commissioning import permission
+from ..daemon.served_run import record_served
+from ..daemon.serving import find_socket
 from ..drive.port import ExchangeCounts
 from ..model.effects.registry import name_error
 from ..runtime.runs import timestamp_name
@@ -47,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="enable a drive on a bus without a commissioning record",
     )
+    parser.add_argument("--served", action="store_true", help="by the daemon that has the axis: it runs and records")
+    parser.add_argument("--sockets", metavar="DIR", help="directory of that daemon's sockets (default: looked for)")
+    parser.add_argument("--who", metavar="NAME", help="on whose behalf, for the daemon's log")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -54,6 +60,8 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     wanted = TOGGLES[options.toggle] if options.toggle else None
     plan = make_plan(options.config, None if wanted is None else (wanted,), options.decide, options.profile)
+    if options.served:
+        return _served(options, plan)
     toggle = plan.toggle if wanted is None else wanted
     given = permission(plan.path, plan.axis, plan.model, options.uncommissioned)
     out = Path(options.out) if options.out else _default_path(plan)
@@ -71,6 +79,21 @@ def execute(options: argparse.Namespace) -> int:
         raise DriveFaultError(f"the run ended with a fault: {outcome.fault_text}")
     if outcome.gap_text is not None:
         raise RecordingGapError(outcome.gap_text)
+    return 0
+
+
+def _served(options: argparse.Namespace, plan: Plan) -> int:
+    """The run of a drive that a daemon has."""
+    out = Path(options.out) if options.out else _default_path(plan)
+    claim(out)
+    sockets = find_socket(plan.axis.name, options.sockets, watching=False).parent
+    section = plan.axis.profile.model_dump(mode="json", exclude_none=True)
+    bar = functools.partial(progress_bar, quiet=options.json)
+    files = record_served(sockets, section, options.toggle, out, options.who, bar)
+    names = [str(file) for file in files]
+    print(json.dumps({"axis": plan.axis.name, "files": names}, indent=2) if options.json else "\n".join(names))
+    if not options.json:
+        print(f"next: {next_step(files)}")
     return 0
 
 

@@ -1,6 +1,7 @@
 """Say where the scope page of a daemon is (fffo-drive serve --scope PORT), with the key that lets it command.
 
 Whoever may use the daemon's control socket reads the key; others get the page to look at, and nothing else: no Stop.
+--role gives an address for somebody who may do less, --name one whose actions the daemon's log tells by this name.
 --viewers says what Foxglove, Lichtblick and PlotJuggler connect to (serve --foxglove PORT), and the key for services.
 Through ssh: ssh -L PORT:127.0.0.1:PORT HOST, with one and the same PORT.
 """
@@ -13,8 +14,11 @@ import webbrowser
 from pathlib import Path
 
 from ..daemon.client import ClientError
+from ..daemon.serving import find_socket
+from ..documents import DocumentError
+from ..live.keys import LONGEST_NAME, Keys
 from ..live.places import TOKEN_FILE, URL_FILE, VIEWERS_FILE
-from .ctl import find_socket
+from ..roles import ROLES
 from .exits import EXIT_UNAVAILABLE
 
 
@@ -24,14 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
     parser.add_argument("--open", action="store_true", help="open it in the browser of this machine")
     parser.add_argument("--watch", action="store_true", help="without the key: to look, and nothing else")
+    parser.add_argument("--role", choices=ROLES, default=ROLES[-1], help="what the key allows (%(default)s)")
+    parser.add_argument("--name", metavar="NAME", help="who gets the address, for the daemon's log")
     parser.add_argument("--viewers", action="store_true", help="the WebSocket for Foxglove and the like, and the key")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     try:
-        directory = find_socket(options, watching=True).parent
-        url, key = _url(directory, options.viewers), "" if options.watch else _key(directory)
+        directory = find_socket(options.axis, options.sockets, watching=True).parent
+        url, key = _url(directory, options.viewers), "" if options.watch else key_of(directory, options)
     except ClientError as error:
         print(f"fffo-drive scope: {error}", file=sys.stderr)
         return EXIT_UNAVAILABLE
@@ -58,10 +64,14 @@ def _url(directory: Path, viewers: bool) -> str:
         raise ClientError(text) from None
 
 
-def _key(directory: Path) -> str:
-    """The key; empty where it may not be read."""
+def key_of(directory: Path, options: argparse.Namespace) -> str:
+    """The key of a role, with a name before it where one is given; empty where it may not be read."""
     try:
-        return (directory / TOKEN_FILE).read_text(encoding="utf-8").strip()
+        keys = Keys((directory / TOKEN_FILE).read_text(encoding="utf-8").strip())
     except OSError as error:
         print(f"without the key, to look and nothing else: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
         return ""
+    key = f"{options.name}:{keys.of(options.role)}" if options.name else keys.of(options.role)
+    if keys.asker(key) is None:
+        raise DocumentError(f"--name {options.name}: letters, digits, blanks, '.' and '-', at most {LONGEST_NAME}")
+    return key

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..daemon.client import ClientError, DaemonClient
-from .ctl import find_socket
+from ..daemon.serving import find_socket
 from .exits import EXIT_UNAVAILABLE
 
 STATUS_HZ = 10.0
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     try:
-        with DaemonClient(find_socket(options, watching=True)) as client:
+        with DaemonClient(find_socket(options.axis, options.sockets, watching=True)) as client:
             view = View(client.call("info"))
             view.see(client.call("status"))
             for event in client.call("events", limit=KEPT_EVENTS)["events"]:

@@ -19,8 +19,8 @@ from pathlib import Path
 from ..config.axis import read_axis
 from ..documents import DocumentError
 from ..identification.facts import read_facts
+from ..roles import ROLES
 from ..workbench import shelf
-from ..workbench.actions import ROLES
 from ..workbench.bench import Workbench
 from ..workbench.server import WorkbenchServer
 
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", default="runs/workbench", help="directory of everything that is written (%(default)s)"
     )
+    parser.add_argument("--sockets", metavar="DIR", help="of the daemon that has the axis (default: looked for)")
     parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the addresses, open no browser")
 
@@ -53,7 +54,8 @@ def execute(options: argparse.Namespace) -> int:
     if facts is not None:
         read_facts(facts)
     axis = axes[0].resolve() if axes else None
-    bench = Workbench(Path(options.out).resolve(), axis, facts, tuple(path.resolve() for path in runs))
+    sockets = Path(options.sockets).resolve() if options.sockets else None
+    bench = Workbench(Path(options.out).resolve(), axis, facts, tuple(path.resolve() for path in runs), sockets)
     try:
         server = WorkbenchServer(bench, options.port)
     except (OSError, OverflowError) as error:

@@ -66,6 +66,9 @@ DEFAULT_RESOLUTION_A = 0.01
 SILENCE = (TRIP_FEEDBACK_MISSING, TRIP_STATUS_MISSING, TRIP_HEARTBEAT)
 
 
+Seen = Callable[[CheckRecord, PulseMotion | None], None]  # a check, and the last motion before it
+
+
 class CommissioningOutcome(NamedTuple):
     """What commissioning found, on which drive."""
 
@@ -94,14 +97,14 @@ def _unexplained_text(share: float) -> str:
 
 def commission(
     drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
-    tell: Callable[[str], None] = lambda text: None,
+    tell: Callable[[str], None] = lambda text: None, seen: Seen = lambda check, motion: None,
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
-    `tell` gets a line for each step. Raises DriveError where the drive cannot be brought up, BoundsError where there is
-    no room, RealtimeRefusedError.
+    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError where the drive
+    cannot be brought up, BoundsError where there is no room, RealtimeRefusedError.
     """
-    procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell)
+    procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell, seen)
     reason = ""
     try:
         procedure.listen(session.envelope)
@@ -117,6 +120,9 @@ def commission(
         raise DriveError("the drive was not connected")
     found = procedure.found
     checks = [found.get(name) or not_done(name, f"not done: {reason}") for name in CHECKS]
+    for check in checks:
+        if check.name not in found:
+            seen(check, None)
     return CommissioningOutcome(identity, checks)
 
 
@@ -124,10 +130,11 @@ class _Procedure:
     """State of one commissioning."""
 
     def __init__(
-        self, rig: Rig, beliefs: Beliefs, facts: DeclaredFacts, bounds: Bounds, tell: Callable[[str], None]
+        self, rig: Rig, beliefs: Beliefs, facts: DeclaredFacts, bounds: Bounds, tell: Callable[[str], None], seen: Seen
     ) -> None:
         self.rig, self.beliefs, self.facts, self.bounds, self.tell = rig, beliefs, facts, bounds, tell
         self.found: dict[str, CheckRecord] = {}
+        self.seen = seen
         self.plate = NamePlate()
         self.rest_rev = 0.0
         self.noise_rps = 0.0
@@ -135,6 +142,8 @@ class _Procedure:
     def add(self, *checks: CheckRecord) -> None:
         """Keep results, and stop at one that failed."""
         for check in checks:
+            if self.found.get(check.name) != check:
+                self.seen(check, self.rig.motion)
             self.found[check.name] = check
 
     def stop_if_failed(self, *names: str) -> None:

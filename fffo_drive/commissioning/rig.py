@@ -65,6 +65,7 @@ class Rig:
         self._told: set[str] = set()
         self.period_s = session.loop.period_ns * 1e-9
         self.identity: DriveIdentity | None = None
+        self.motion: PulseMotion | None = None  # the last that was made
         self._left_s = longest_s
         self._session = session._replace(
             controller=open_loop(session.controller),
@@ -150,7 +151,8 @@ class Runner:
         """All rows that come about while `act` runs."""
         self._reader.read()
         act()
-        return motion_of(self._reader.read().rows)
+        self._rig.motion = motion = motion_of(self._reader.read().rows)
+        return motion
 
     def _pass(self, duration_s: float) -> None:
         if self.realtime:

@@ -6,12 +6,8 @@ beyond their bounds, that the loop loses its proof, that the drive moves while i
 
 from __future__ import annotations
 
-import contextlib
-import json
 import math
 import os
-import re
-import shutil
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,13 +17,14 @@ import yaml
 from pydantic import Field
 
 from .. import __version__, formats
-from ..documents import DocumentError, StrictRecord, load, load_json, parse, read_text, up_to_date
+from ..documents import DocumentError, StrictRecord, load, load_json, up_to_date
 from ..formats import kind_of
 from ..model.effects.law import STRENGTH
 from ..model.effects.registry import law_of
 from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
 from ..units import TWO_PI, name_on, text_on, unit_in
 from .axis import AxisFile, beside, build_profile, read_axis
+from .axis_text import replace_file, with_line
 from .checks import law_problems
 from .effects import effect_limits, effect_problems, services, slope_margin
 
@@ -263,9 +260,9 @@ def put_in_service(axis_path: Path, model_path: Path, passed: list[Gate]) -> Ado
         gates=[f"{gate.name}: {gate.text}" for gate in passed],
     )  # fmt: skip
     history = read_history(axis_path)
-    text = _renamed(axis_path, name)  # refused before anything is written
+    text = with_line(axis_path, "model", name)  # refused before anything is written
     _write_history(axis_path, History(adoptions=[*history.adoptions, entry]))
-    _replace(axis_path, text)
+    replace_file(axis_path, text)
     return entry
 
 
@@ -294,43 +291,10 @@ def roll_back(axis_path: Path) -> Adoption:
 
 def rename_model(axis_path: Path, name: str) -> None:
     """Replace the `model:` line of an axis file and leave the rest, with its comments, as it is."""
-    _replace(axis_path, _renamed(axis_path, name))
-
-
-def _renamed(axis_path: Path, name: str) -> str:
-    """The text of an axis file that names another model. Raises DocumentError where its line cannot be replaced."""
-    text = read_text(axis_path)
-    _, lines = parse(text, str(axis_path))
-    rows = text.splitlines(keepends=True)
-    at = lines[("model",)] - 1
-    changed = re.sub(r"^(\s*model\s*:\s*)[^#\r\n]*?(\s*(?:#.*)?)(\r?\n?)$", lambda m: _line(m, name), rows[at])
-    rows[at] = changed
-    found, _ = parse("".join(rows), str(axis_path))
-    if found.get("model") != name:
-        raise DocumentError(f"{axis_path}:{at + 1}: model: write `model: {name}` on a line of its own yourself")
-    return "".join(rows)
-
-
-def _replace(path: Path, text: str) -> None:
-    """The whole file or none of it, with its rights; a link stays one. Raises OSError."""
-    path = path.resolve()
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        if path.exists():
-            shutil.copymode(path, fresh)
-        fresh.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            fresh.unlink()
-        raise
-
-
-def _line(match: re.Match[str], name: str) -> str:
-    return f"{match[1]}{json.dumps(name) if re.search(r'[^A-Za-z0-9_./-]', name) else name}{match[2]}{match[3]}"
+    replace_file(axis_path, with_line(axis_path, "model", name))
 
 
 def _write_history(axis_path: Path, history: History) -> None:
     written = history.model_copy(update={"tool": f"fffo-drive {__version__}"})
     text = yaml.safe_dump(written.model_dump(mode="json"), sort_keys=False, width=110)
-    _replace(history_path(axis_path), text)
+    replace_file(history_path(axis_path), text)

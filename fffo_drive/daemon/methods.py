@@ -118,7 +118,12 @@ class Api:
     def schema(self, _: p.Nothing, caller: Caller) -> Any:
         """JSON schemas of all parameters."""
         return {
-            name: {"summary": m.summary, "watching": m.watching, "parameters": m.parameters.model_json_schema()}
+            name: {
+                "summary": m.summary,
+                "watching": m.watching,
+                "role": m.role,
+                "parameters": m.parameters.model_json_schema(),
+            }
             for name, m in p.METHODS.items()
         }
 
@@ -137,7 +142,7 @@ class Api:
         if wanted.hold and self.holder is not caller:
             self.holder = caller
             supervisor.machine.epoch.advance()
-        self._command(caller, "enable")
+        self._command(caller, wanted, "enable")
         return await self._reached(
             lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled",
             lambda: supervisor.state not in WANTING_TORQUE,
@@ -159,7 +164,7 @@ class Api:
         """Leave a fault; torque needs another enable."""
         supervisor = self.supervisor
         supervisor.reset_fault()
-        self._command(caller, "reset_fault")
+        self._command(caller, wanted, "reset_fault")
         return await self._reached(lambda: supervisor.state is State.READY, wanted.wait_s, State.READY.value)
 
     async def start(self, wanted: p.Start, caller: Caller) -> Any:
@@ -172,7 +177,7 @@ class Api:
         except BaseException:
             supervisor.start_failed(epoch)
             raise
-        self._command(caller, f"start {profile.name}")
+        self._command(caller, wanted, f"start {profile.name}")
         if wanted.wait_s == 0:
             return self._now(True)
         return await self._reached(lambda: supervisor.state is not State.RUNNING, wanted.wait_s, "the profile's end")
@@ -184,30 +189,30 @@ class Api:
             text = f"jog {wanted.renews} is over: it lapsed, or another set point or a stop came; jog again"
             raise RefusedError(text, self.supervisor.state, ())
         asked = set_points.jog(self.supervisor.plan, wanted.to_rps)
-        return await self._follow(asked, wanted.epoch, caller, 0.0)
+        return await self._follow(asked, wanted, caller, 0.0)
 
     async def velocity(self, wanted: p.SetVelocity, caller: Caller) -> Any:
         """A velocity until another one comes."""
         asked = set_points.velocity(self.supervisor.plan, wanted.to_rps, wanted.for_s)
-        return await self._follow(asked, wanted.epoch, caller, wanted.wait_s)
+        return await self._follow(asked, wanted, caller, wanted.wait_s)
 
     async def step(self, wanted: p.Step, caller: Caller) -> Any:
         """A change of the set point in force."""
         motion = self.supervisor.motion
         from_rps = 0.0 if motion is None else motion.target_rps
         asked = set_points.step(self.supervisor.plan, from_rps, wanted.by_rps, wanted.for_s)
-        return await self._follow(asked, wanted.epoch, caller, wanted.wait_s)
+        return await self._follow(asked, wanted, caller, wanted.wait_s)
 
     async def _follow(
-        self, asked: set_points.AskedSetPoint, epoch: int | None, caller: Caller, wait_s: float
+        self, asked: set_points.AskedSetPoint, wanted: p.Bound, caller: Caller, wait_s: float
     ) -> dict[str, Any]:
         supervisor = self.supervisor
         before = None if supervisor.motion is None else supervisor.motion.asked
-        motion = supervisor.follow(asked, epoch)
+        motion = supervisor.follow(asked, wanted.epoch)
         number = motion.set_point_number
         to_rps, hold_ticks = asked.set_point.target_rps, asked.set_point.hold_ticks
         if asked != before:  # what renews a jog is no news
-            self._command(caller, f"{asked.kind} {to_rps:g} rps")
+            self._command(caller, wanted, f"{asked.kind} {to_rps:g} rps")
         if wait_s > 0:
             await self._reached(
                 lambda: motion.there(number, to_rps), wait_s, f"{to_rps:g} rps",
@@ -230,7 +235,7 @@ class Api:
             await self.work.run(settings.require_toggle, supervisor.plan, toggle)
             require_change(supervisor.state, Change.TOGGLE)
             supervisor.set_toggle(toggle)
-        self._parameters(caller, f"friction {wanted.to}")
+        self._parameters(caller, wanted, f"friction {wanted.to}")
         return {"toggle": toggle_name(supervisor.toggle)}
 
     async def set(self, wanted: p.Set, caller: Caller) -> Any:
@@ -243,7 +248,7 @@ class Api:
             plan = await self.work.run(settings.with_value, *args)
             require_change(supervisor.state, change)
             supervisor.set_plan(plan)
-        self._parameters(caller, f"{wanted.key} = {wanted.value:g}")
+        self._parameters(caller, wanted, f"{wanted.key} = {wanted.value:g}")
         return {"key": wanted.key, "value": settings.value_of(plan.axis, wanted.key)}
 
     async def model(self, wanted: p.Model, caller: Caller) -> Any:
@@ -256,7 +261,7 @@ class Api:
             supervisor.set_plan(plan)
             supervisor.sources.model = (wanted.name, YAML_TYPE, wanted.text.encode())
             supervisor.check_permission()
-        self._parameters(caller, f"model {plan.model.name}")
+        self._parameters(caller, wanted, f"model {plan.model.name}")
         return {"name": plan.model.name, "hash": supervisor.model_hash}
 
     def _with_model(self, wanted: p.Model) -> Plan:
@@ -271,9 +276,9 @@ class Api:
             raise RpcError(BAD_DOCUMENT, text)
         return settings.with_model(plan, toggle, model)
 
-    async def reload(self, _: p.Nothing, caller: Caller) -> Any:
+    async def reload(self, wanted: p.Commanded, caller: Caller) -> Any:
         """Read the axis file again; what needs a restart is named."""
-        return await self.reload_file(caller.name, caller.credentials)
+        return await self.reload_file(asker(caller.name, wanted.who), caller.credentials)
 
     async def reload_file(self, who: str, credentials: dict[str, int]) -> dict[str, Any]:
         """As `reload`, also for SIGHUP."""
@@ -299,7 +304,7 @@ class Api:
     async def record(self, wanted: p.RecordSwitch, caller: Caller) -> Any:
         """Begin or end a recording."""
         supervisor = self.supervisor
-        self._command(caller, f"record {wanted.to}")
+        self._command(caller, wanted, f"record {wanted.to}")
         if wanted.to == "off":
             supervisor.recorder.wanted = False
             return {"on": False, "file": None, "files": await supervisor.recorder.end()}
@@ -312,7 +317,7 @@ class Api:
         """In every state: where nothing moves it succeeds and says what is."""
         supervisor = self.supervisor
         supervisor.apply(event)
-        self._command(caller, event.value)
+        self._command(caller, wanted, event.value)
         if event is not StateEvent.STOP:
             self.holder = None
         return await self._reached(lambda: supervisor.state in there, wanted.wait_s, "standstill")
@@ -343,11 +348,16 @@ class Api:
         supervisor = self.supervisor
         return {"state": supervisor.state.value, "reached": reached, "epoch": supervisor.machine.epoch.value}
 
-    def _command(self, caller: Caller, text: str) -> None:
-        self.supervisor.log.add("command", f"{text} by {caller.name}", data=caller.credentials)
+    def _command(self, caller: Caller, wanted: p.Commanded, text: str) -> None:
+        self._told("command", caller, wanted, text)
 
-    def _parameters(self, caller: Caller, text: str) -> None:
-        self.supervisor.log.add("parameters", f"{text} by {caller.name}", data=caller.credentials)
+    def _parameters(self, caller: Caller, wanted: p.Commanded, text: str) -> None:
+        self._told("parameters", caller, wanted, text)
+
+    def _told(self, kind: str, caller: Caller, wanted: p.Commanded, text: str) -> None:
+        """Who did what, and on whose behalf."""
+        data = {**caller.credentials, "who": wanted.who} if wanted.who else caller.credentials
+        self.supervisor.log.add(kind, f"{text} by {asker(caller.name, wanted.who)}", data=data)
 
     def client_left(self, caller: Caller) -> None:
         """A connection closed. When the axis hung on it, do as daemon.client_loss says."""
@@ -362,3 +372,8 @@ class Api:
         text = f"{caller.name}, who held the axis, is gone: {reaction.replace('_', ' ')}"
         supervisor.log.add("client", text, Level.WARNING, caller.credentials)
         supervisor.apply(StateEvent.QUICK_STOP if reaction == "quick_stop" else StateEvent.DISABLE)
+
+
+def asker(caller: str, who: str | None) -> str:
+    """The connection, and on whose behalf it asked."""
+    return f"{who} through {caller}" if who else caller

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from ..config.sections import ProfileSection
 from ..documents import DocumentError, StrictRecord
+from ..roles import Role
 
 PROTOCOLS = (1,)  # versions of this API that are spoken, the newest at the end
 
@@ -32,7 +33,16 @@ class Info(StrictRecord):
     ] = None
 
 
-class Bound(StrictRecord):
+class Commanded(StrictRecord):
+    """Parameters of everything that does more than look."""
+
+    who: Annotated[
+        str | None,
+        Field(max_length=80, pattern=r"^[\w .:()@-]*$", description="on whose behalf: a name and a role, for the log"),
+    ] = None
+
+
+class Bound(Commanded):
     """Parameters of what asks for torque or motion."""
 
     epoch: Annotated[
@@ -49,7 +59,7 @@ class Enable(Bound):
     wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: not")] = 10.0
 
 
-class Ending(StrictRecord):
+class Ending(Commanded):
     """Parameters of what ends a motion or a fault."""
 
     wait_s: Annotated[Seconds, Field(description="how long to wait until it is done; 0: not")] = 10.0
@@ -97,13 +107,13 @@ class Step(Bound):
     wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
 
 
-class Toggle(StrictRecord):
+class Toggle(Commanded):
     """Parameters of `toggle`."""
 
     to: Annotated[Literal["ff", "fb", "off"], Field(description="friction from reference, feedback, or not")]
 
 
-class Model(StrictRecord):
+class Model(Commanded):
     """Parameters of `model`."""
 
     text: Annotated[
@@ -112,14 +122,14 @@ class Model(StrictRecord):
     name: Annotated[str, Field(max_length=255, description="its file name, for messages and recordings")] = "model.yaml"
 
 
-class Set(StrictRecord):
+class Set(Commanded):
     """Parameters of `set`."""
 
     key: Annotated[str, Field(description="dotted key of the axis file (see info: keys)")]
     value: Annotated[float | bool, Field(description="number, or true or false for a switch")]
 
 
-class RecordSwitch(StrictRecord):
+class RecordSwitch(Commanded):
     """Parameters of `record`."""
 
     to: Annotated[Literal["on", "off"], Field(description="begin or end a recording")]
@@ -158,28 +168,33 @@ class Method(NamedTuple):
     """One method; `methods.Api` has its handler under the same name."""
 
     parameters: type[BaseModel]
-    watching: bool  # only looks: allowed on the read-only socket
+    role: Role  # that a page or viewer needs for it
     summary: str
+
+    @property
+    def watching(self) -> bool:
+        """It only looks: allowed on the read-only socket."""
+        return self.role == "look"
 
 
 METHODS: dict[str, Method] = {
-    "info": Method(Info, True, "protocol version, axis, what may be asked for"),
-    "status": Method(Nothing, True, "the status of this moment"),
-    "enable": Method(Enable, False, "torque; the axis is held at standstill"),
-    "disable": Method(Ending, False, "brake to standstill, then no torque"),
-    "start": Method(Start, False, "run a profile"),
-    "jog": Method(Jog, False, "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
-    "velocity": Method(SetVelocity, False, "turn at a velocity, which may be changed at any time"),
-    "step": Method(Step, False, "change the velocity set point by so much"),
-    "toggle": Method(Toggle, False, "friction from the reference, the feedback, or not"),
-    "stop": Method(Ending, False, "brake to standstill and stay enabled"),
-    "quick_stop": Method(Ending, False, "the drive's quick stop, then no torque"),
-    "reset_fault": Method(Ending, False, "leave a latched fault"),
-    "model": Method(Model, False, "use another model file, while there is no torque"),
-    "set": Method(Set, False, "change one gain or switch until the next reload"),
-    "reload": Method(Nothing, False, "read the axis file again, as SIGHUP does"),
-    "record": Method(RecordSwitch, False, "begin or end a recording"),
-    "events": Method(Events, True, "what happened last"),
-    "subscribe": Method(Subscribe, True, "statuses at a rate, and events, on this connection"),
-    "schema": Method(Nothing, True, "JSON schemas of all parameters"),
+    "info": Method(Info, "look", "protocol version, axis, what may be asked for"),
+    "status": Method(Nothing, "look", "the status of this moment"),
+    "enable": Method(Enable, "move", "torque; the axis is held at standstill"),
+    "disable": Method(Ending, "stop", "brake to standstill, then no torque"),
+    "start": Method(Start, "move", "run a profile"),
+    "jog": Method(Jog, "move", "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
+    "velocity": Method(SetVelocity, "move", "turn at a velocity, which may be changed at any time"),
+    "step": Method(Step, "move", "change the velocity set point by so much"),
+    "toggle": Method(Toggle, "tune", "friction from the reference, the feedback, or not"),
+    "stop": Method(Ending, "stop", "brake to standstill and stay enabled"),
+    "quick_stop": Method(Ending, "stop", "the drive's quick stop, then no torque"),
+    "reset_fault": Method(Ending, "move", "leave a latched fault"),
+    "model": Method(Model, "tune", "use another model file, while there is no torque"),
+    "set": Method(Set, "tune", "change one gain or switch until the next reload"),
+    "reload": Method(Commanded, "tune", "read the axis file again, as SIGHUP does"),
+    "record": Method(RecordSwitch, "move", "begin or end a recording"),
+    "events": Method(Events, "look", "what happened last"),
+    "subscribe": Method(Subscribe, "look", "statuses at a rate, and events, on this connection"),
+    "schema": Method(Nothing, "look", "JSON schemas of all parameters"),
 }

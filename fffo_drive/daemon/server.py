@@ -22,7 +22,7 @@ from ..drive.port import DriveError
 from ..recording.events import Level
 from . import rpc
 from .clients import ENDING, Clients
-from .methods import Api
+from .methods import Api, asker
 from .one_client import Client, ReceivedLine
 from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
@@ -282,7 +282,8 @@ class Server:
         if connection is not None:
             values = asked.wanted.model_dump(mode="json")
             epoch = values.pop("epoch", None)
-            connection.session.note_request(asked.client.name, asked.call.method, values, epoch)
+            name = asker(asked.client.name, values.pop("who", None))
+            connection.session.note_request(name, asked.call.method, values, epoch)
 
     def _client_left(self, client: Client) -> None:
         """What it asked for is not carried on, but for its stops."""

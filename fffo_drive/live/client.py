@@ -1,4 +1,4 @@
-"""One page in a browser: what it asks for, and what it may. Without the key it looks, and nothing else."""
+"""One page in a browser: what it asks for, and what its key allows. Without a key it looks, and nothing else."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
 
+from ..roles import Role, may
 from . import frames
 from .control_link import REFUSED, ControlLink, ControlLinkError
 from .feed import CAPTURE_S
-from .keys import is_key
+from .keys import Asker
 from .peer import DroppedError, Peer
+from .services import WHO
 
 if TYPE_CHECKING:
     from .hub import Hub
@@ -33,7 +35,7 @@ class LiveClient(Peer):
         super().__init__(connection)
         self._hub = hub
         self._wrong = 0
-        self._may_command = False
+        self._asker = Asker("look")
         self._link = ControlLink(hub.control_path)
 
     async def live(self) -> None:
@@ -58,20 +60,25 @@ class LiveClient(Peer):
             self._begin_capture(wanted.get("seconds"), wanted.get("until_tick"))
         elif what not in ("stop", "call"):
             raise DroppedError("asks for what there is not")
-        elif not self._may_command:
+        elif self._asker.role == "look":
             self._refuse(wanted, NO_KEY)
         elif what == "stop":
-            self.answer_later(self._answer(wanted, self._hub.stop), to_the_end=True)
+            self.answer_later(self._answer(wanted, partial(self._hub.stop, self._asker.text)), to_the_end=True)
         else:
             self._call(wanted)
 
     def _check_key(self, given: object) -> None:
-        self._may_command = is_key(given, self._hub.key)
-        if not self._may_command:
+        asker = self._hub.keys.asker(given)
+        if asker is None:
             self._wrong += 1
             if self._wrong >= WRONG_KEYS:
                 raise DroppedError("wrong key, again and again")
-        self.offer(frames.text("rights", command=self._may_command))
+        self._asker = asker or Asker("look")
+        allowed = [method for method in COMMANDS if may(self._asker.role, self._needed(method))]
+        self.offer(frames.text("rights", role=self._asker.role, may=allowed))
+
+    def _needed(self, method: str) -> Role:
+        return self._hub.methods[method].role
 
     def _begin_capture(self, seconds: object, until_tick: object) -> None:
         if not isinstance(seconds, int | float) or not 0 < seconds <= CAPTURE_S:
@@ -85,11 +92,14 @@ class LiveClient(Peer):
         method, params = wanted.get("method"), wanted.get("params", {})
         if not isinstance(method, str) or method not in COMMANDS or not isinstance(params, dict):
             self._refuse(wanted, f"no command of the scope; known: {', '.join(COMMANDS)}")
+        elif not may(self._asker.role, needed := self._needed(method)):
+            self._refuse(wanted, f"{method} needs the role {needed}, the key of this page gives {self._asker.role}")
         elif self.busy:
             self._refuse(wanted, "too many commands wait already")
         else:
             wait_s = COMMANDS[method]
-            given = {**params, "wait_s": wait_s} if wait_s is not None else params
+            waits = {} if wait_s is None else {"wait_s": wait_s}
+            given = {**params, **waits, WHO: self._asker.text}
             self.answer_later(self._answer(wanted, partial(self._command, method, given)))
 
     async def _command(self, method: str, given: dict[str, Any]) -> Any:

@@ -17,6 +17,8 @@ from .client import LiveClient
 from .control_link import ControlLink, ControlLinkError
 from .decimation import LATENESS_EDGES_US
 from .feed import CAPTURE_S, Feed, Taken
+from .keys import Keys
+from .services import WHO, ServiceMethod
 
 FRAMES_HZ = 25.0
 STATUS_HZ = 10.0
@@ -52,8 +54,9 @@ class Audience(Protocol):
 class Hub:
     """The pages that look, and what they and the viewers are shown."""
 
-    def __init__(self, feed: Feed, control_path: Path, key: str) -> None:
-        self.feed, self.control_path, self.key = feed, control_path, key
+    def __init__(self, feed: Feed, control_path: Path, keys: Keys, methods: Mapping[str, ServiceMethod]) -> None:
+        """`methods`: those of the control API, by name."""
+        self.feed, self.control_path, self.keys, self.methods = feed, control_path, keys, methods
         self.clients: set[LiveClient] = set()
         self.audience: Audience | None = None
         self.link = ControlLink(control_path, self._hear)
@@ -167,10 +170,10 @@ class Hub:
         if self.audience is not None:
             getattr(self.audience, method)(params)
 
-    async def stop(self) -> Any:
+    async def stop(self, who: str) -> Any:
         """Brake to standstill, then no torque; asked for again while it stops: the drive's quick stop."""
         method = "quick_stop" if self._state == "stopping" else "disable"
-        result = await self.stops.call(method, {"wait_s": 0.0})
+        result = await self.stops.call(method, {"wait_s": 0.0, WHO: who})
         self._state = result["state"]
         return {"method": method, **result}
 

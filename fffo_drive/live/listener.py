@@ -24,7 +24,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from ..config.address import Address
-from .keys import is_key
+from .keys import Keys
 
 AT_THE_DOOR = 64  # connections without a request; one more, and the oldest goes
 OPEN_S = 5.0  # for the request
@@ -42,11 +42,11 @@ class Listener:
 
     def __init__(
         self, address: Address, handler: Callable[[ServerConnection], Awaitable[None]], judge: Judge, places: int,
-        key: str, message_bytes: int, subprotocol: str | None = None,
+        keys: Keys, message_bytes: int, subprotocol: str | None = None,
     ) -> None:  # fmt: skip
         """`judge` answers a request, or lets it in with None; at most `places` are in. `address`: port 0 is any."""
         self.address = address
-        self._places, self._key = places, key
+        self._places, self._keys = places, keys
         self._handler, self._judge = handler, judge
         self._options: dict[str, Any] = {"max_size": message_bytes}
         if subprotocol is not None:
@@ -73,7 +73,8 @@ class Listener:
 
     def _process(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._judge(request)
-        with_key = is_key(next(iter(parse_qs(urlsplit(request.path).query).get("key", ())), ""), self._key)
+        asker = self._keys.asker(next(iter(parse_qs(urlsplit(request.path).query).get("key", ())), ""))
+        with_key = asker is not None and asker.role != "look"
         if response is None and not self._has_place(with_key):
             response = answer(HTTPStatus.SERVICE_UNAVAILABLE, f"{self._places} are connected already\n")
         if response is None:

@@ -19,7 +19,7 @@ def page() -> str:
     """The page."""
     style, script = _style(), _script()
     text = (ASSETS / "scope.html").read_text(encoding="utf-8")
-    return text.replace("{{style}}", style).replace("{{script}}", script).replace("{{licence}}", _licence())
+    return text.replace("{{style}}", style).replace("{{script}}", script).replace("{{licence}}", uplot_licence())
 
 
 @cache
@@ -57,7 +57,8 @@ def _script() -> str:
     return "\n".join((uplot, *own))
 
 
-def _licence() -> str:
+def uplot_licence() -> str:
+    """As it stands in every page with charts."""
     return (REPORT_ASSETS / "uplot/LICENSE").read_text(encoding="utf-8").replace("--", "- -")
 
 

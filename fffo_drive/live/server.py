@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import secrets
 import stat
 import threading
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from typing import NamedTuple
 from ..config.address import Address, in_unit, sandbox_problem
 from .feed import Feed, FeedSource
 from .hub import Hub
+from .keys import Keys
 from .places import TOKEN_FILE, TOKEN_MODE, URL_FILE, URL_MODE, VIEWERS_FILE
 from .services import ServiceMethod
 from .viewers import Viewers
@@ -47,7 +47,7 @@ class LiveServer:
         `methods`: those of the control API, by name, of which the services of the viewers are made.
         """
         self.wanted = wanted  # with the ports that were given, once started
-        self.key = secrets.token_urlsafe(24)
+        self.keys = Keys()
         self._directory, self._control, self._source, self._name = directory, control, source, name
         self._methods = methods
         self._thread = threading.Thread(target=self._work, name=THREAD_NAME, daemon=True)
@@ -77,6 +77,11 @@ class LiveServer:
             (self._directory / name).unlink(missing_ok=True)
 
     @property
+    def key(self) -> str:
+        """Of the last role."""
+        return self.keys.last
+
+    @property
     def url(self) -> str:
         """Of the scope page, for a browser; empty without one."""
         return f"http://{self.wanted.scope.names[0]}/" if self.wanted.scope else ""
@@ -97,7 +102,7 @@ class LiveServer:
 
     def _files(self) -> list[tuple[str, str, int]]:
         urls = [(URL_FILE, self.url, URL_MODE), (VIEWERS_FILE, self.viewers_url, URL_MODE)]
-        return [*(file for file in urls if file[1]), (TOKEN_FILE, self.key, TOKEN_MODE)]
+        return [*(file for file in urls if file[1]), (TOKEN_FILE, self.keys.last, TOKEN_MODE)]
 
     def _work(self) -> None:
         with contextlib.suppress(OSError):
@@ -112,7 +117,7 @@ class LiveServer:
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self.hub = hub = Hub(Feed(self._source), self._directory / self._control, self.key)
+        self.hub = hub = Hub(Feed(self._source), self._directory / self._control, self.keys, self._methods)
         async with contextlib.AsyncExitStack() as served:
             served.callback(hub.close)
             if self.wanted.scope is not None:
@@ -121,7 +126,7 @@ class LiveServer:
                 served.callback(web.close)
             if self.wanted.viewers is not None:
                 path = self._directory / self._control
-                hub.audience = viewers = Viewers(self.wanted.viewers, self._name, self.key, path, self._methods)
+                hub.audience = viewers = Viewers(self.wanted.viewers, self._name, self.keys, path, self._methods)
                 self.wanted = self.wanted._replace(viewers=await viewers.start())
                 served.callback(viewers.close)
             working = asyncio.create_task(hub.run())

@@ -1,7 +1,7 @@
 """The services of the viewers: the methods of the control API, each request checked before anything is asked.
 
-What only looks needs no key. Everything else does, a stop, too: the protocol knows no origin and no user, so that any
-page in a browser of this machine could ask.
+What only looks needs no key. Everything else needs one that gives its role, a stop, too: the protocol knows no origin
+and no user, so that any page in a browser of this machine could ask. The daemon's log says which role asked.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Any, NamedTuple, Protocol
 from pydantic import BaseModel, ValidationError
 
 from ..documents import wrong_parameters
+from ..roles import Role, may
 from .foxglove_protocol import AdvertisedService
-from .keys import is_key
+from .keys import Keys
 
 PREFIX = "/fffo_drive/"
 ENDING = ("stop", "disable", "quick_stop")
 UNSERVED = ("subscribe", "schema")  # of the connection, or served as the services' own schemas
+WHO = "who"  # parameter of every method that does more than look: on whose behalf
 KEY = {"type": "string", "description": "what `fffo-drive scope --viewers` says"}
 
 
@@ -32,8 +34,8 @@ class ServiceMethod(Protocol):
         ...
 
     @property
-    def watching(self) -> bool:
-        """It only looks."""
+    def role(self) -> Role:
+        """That is needed for it."""
         ...
 
     @property
@@ -47,7 +49,7 @@ class RefusedCallError(Exception):
 
 
 class MethodKind(Enum):
-    """What a method is for. All but looking needs the key."""
+    """What a method is for. All but looking needs a key."""
 
     LOOKS = 0
     ENDS = 1  # motion or torque
@@ -65,10 +67,10 @@ class Request(NamedTuple):
 class Services:
     """What may be asked for, and with what."""
 
-    def __init__(self, methods: Mapping[str, ServiceMethod], key: str) -> None:
-        self._key = key
+    def __init__(self, methods: Mapping[str, ServiceMethod], keys: Keys) -> None:
+        self._keys = keys
         self._methods = {name: method for name, method in methods.items() if name not in UNSERVED}
-        self._schemas = {name: method.parameters.model_json_schema() for name, method in self._methods.items()}
+        self._schemas = {name: _schema(method) for name, method in self._methods.items()}
         self._names = dict(enumerate(self._methods, start=1))
 
     def offered(self) -> list[AdvertisedService]:
@@ -89,10 +91,16 @@ class Services:
         name = self._names.get(number)
         if name is None:
             raise RefusedCallError("no such service")
-        given = _given(payload)
-        if not is_key(given.pop(self._key_name(name), ""), self._key) and self.kind(name) is not MethodKind.LOOKS:
+        given, needed = _given(payload), self._methods[name].role
+        asker = self._keys.asker(given.pop(self._key_name(name), ""))
+        commands = self.kind(name) is not MethodKind.LOOKS
+        if asker is None and commands:
             text = f"{name} needs the key: give what `fffo-drive scope --viewers` says as `{self._key_name(name)}`"
             raise RefusedCallError(text)
+        if asker is not None and not may(asker.role, needed):
+            raise RefusedCallError(f"{name} needs the role {needed}, this key gives {asker.role}")
+        if asker is not None and commands:
+            given[WHO] = asker.text
         try:
             self._methods[name].parameters.model_validate_json(json.dumps(given), strict=True)
         except ValidationError as error:
@@ -109,7 +117,14 @@ class Services:
         """What it is for."""
         if name in ENDING:
             return MethodKind.ENDS
-        return MethodKind.LOOKS if self._methods[name].watching else MethodKind.COMMANDS
+        return MethodKind.LOOKS if self._methods[name].role == "look" else MethodKind.COMMANDS
+
+
+def _schema(method: ServiceMethod) -> dict[str, Any]:
+    """Of its parameters, without that which the key decides."""
+    schema = method.parameters.model_json_schema()
+    schema.get("properties", {}).pop(WHO, None)
+    return schema
 
 
 def _given(payload: bytes) -> dict[str, Any]:

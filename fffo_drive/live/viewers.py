@@ -27,6 +27,7 @@ from . import messages as m
 from .control_link import ControlLink, ControlLinkError
 from .decimation import LAST, LATENESS_EDGES_US
 from .feed import Taken
+from .keys import Keys
 from .listener import Listener
 from .peer import DroppedError, Peer
 from .services import MethodKind, RefusedCallError, Request, ServiceMethod, Services
@@ -86,13 +87,13 @@ class Viewers:
     """The server, its topics and services. Everything runs on the live server's thread."""
 
     def __init__(
-        self, address: Address, name: str, key: str, control_path: Path, methods: Mapping[str, ServiceMethod]
+        self, address: Address, name: str, keys: Keys, control_path: Path, methods: Mapping[str, ServiceMethod]
     ) -> None:
         """`methods`: those of the control API, by name."""
         self._listener = Listener(
-            address, self._serve, lambda _: None, VIEWERS, key, REQUEST_BYTES, protocol.SUBPROTOCOL
+            address, self._serve, lambda _: None, VIEWERS, keys, REQUEST_BYTES, protocol.SUBPROTOCOL
         )
-        self.services = Services(methods, key)
+        self.services = Services(methods, keys)
         self.channels = [
             protocol.Channel(number, topic, MESSAGE_ENCODING, kind, text, SCHEMA_ENCODING)
             for number, (topic, (kind, text)) in enumerate(m.SCHEMAS.items(), start=1)

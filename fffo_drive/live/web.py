@@ -25,7 +25,7 @@ class Web:
     """Listens from `start` to `close`, on the live server's thread."""
 
     def __init__(self, address: Address, hub: Hub) -> None:
-        self._listener = Listener(address, hub.serve, self._judge, PAGES, hub.key, MESSAGE_BYTES)
+        self._listener = Listener(address, hub.serve, self._judge, PAGES, hub.keys, MESSAGE_BYTES)
 
     async def start(self) -> Address:
         """Listen. Returns where. Raises OSError when the address cannot be had."""

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
 from ..config.axis import read_axis
 from ..config.drive_section import CanopenDriveSection
 from ..documents import DocumentError
+from ..roles import Role
 from ..workflows.circle import identification_profile, recipe_profile
 from ..workflows.plan import make_plan
 from . import shelf
 
-Role = Literal["look", "stop", "move", "tune"]
-ROLES: tuple[Role, ...] = ("look", "stop", "move", "tune")  # each may do what those before it may
 MOTIONS = ("profile", "identify", "recipe")
 
 
@@ -36,6 +36,8 @@ class Bench(NamedTuple):
     axis: Path | None  # the file in use
     facts: Path | None  # declared about the drive of foreign recordings
     given: tuple[Path, ...]  # recordings given at the start
+    served: Path | None = None  # sockets of the daemon that has the axis
+    who: str = ""  # on whose behalf, for the daemon's log
 
     def required_axis(self) -> Path:
         """Raises DocumentError without an axis file."""
@@ -66,7 +68,10 @@ class PageAction(NamedTuple):
 
     role: Role
     make: Make
-    moves: bool = False  # the page asks before it
+    moves: bool = False  # the page asks before it, and it opens the bus itself
+    by_daemon: bool = False  # where a daemon has the axis, it is asked instead
+    computes: bool = False  # only: it gives way to a loop on this machine
+    beside: bool = False  # runs beside the other jobs, until it is cancelled
 
 
 def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -85,7 +90,17 @@ def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
         raise DocumentError(f"no motion is called {motion!r}; known: {', '.join(MOTIONS)}, decide:EFFECT")
     if toggle in ("off", "ff", "fb"):
         words += ["--toggle", toggle]
+    if bench.served is not None:
+        words += ["--served", "--sockets", str(bench.served), "--who", bench.who]
     return CommandLine(f"record {motion}", tuple(words), out)
+
+
+def _serve(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    axis = bench.required_axis()
+    if not isinstance(read_axis(axis).drive, CanopenDriveSection):
+        raise DocumentError(f"{axis}: a simulated drive in process is not served: a daemon needs a drive on a bus")
+    live = ("--scope", "0") if find_spec("websockets") is not None else ()  # the scope is an extra
+    return CommandLine("serve", ("serve", str(axis), *live))
 
 
 def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -93,6 +108,10 @@ def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     if not isinstance(read_axis(axis).drive, CanopenDriveSection):
         raise DocumentError(f"{axis}: a simulated drive in process needs no commissioning record: record a run")
     return CommandLine("commission", ("commission", str(axis), "--yes"))
+
+
+def _accept(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return CommandLine("name the record in the axis file", ("commission", str(bench.required_axis()), "--accept"))
 
 
 def _identify(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -150,20 +169,17 @@ def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
 
 ACTIONS: dict[str, PageAction] = {
     "commission": PageAction("move", _commission, moves=True),
-    "record": PageAction("move", _record, moves=True),
+    "accept": PageAction("move", _accept),
+    "record": PageAction("move", _record, moves=True, by_daemon=True),
+    "serve": PageAction("move", _serve, beside=True),
     "circle": PageAction("tune", _circle, moves=True),
-    "identify": PageAction("move", _identify),
-    "diagnose": PageAction("move", _diagnose),
-    "compare": PageAction("move", _compare),
-    "tune": PageAction("tune", _tune),
+    "identify": PageAction("move", _identify, computes=True),
+    "diagnose": PageAction("move", _diagnose, computes=True),
+    "compare": PageAction("move", _compare, computes=True),
+    "tune": PageAction("tune", _tune, computes=True),
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),
 }
-
-
-def may(role: Role, needed: Role) -> bool:
-    """Whether who has `role` may do what needs another."""
-    return ROLES.index(role) >= ROLES.index(needed)
 
 
 def known_axis(bench: Bench, path: Any, files: Sequence[Path]) -> Path:

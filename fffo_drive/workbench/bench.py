@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import secrets
 import threading
 import time
 from collections.abc import Mapping
@@ -14,12 +13,16 @@ from ..config.axis import model_of, read_axis
 from ..config.commissioning import permission
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import services
+from ..daemon.parameters import METHODS
+from ..daemon.serving import serving
 from ..directories import as_typed
 from ..documents import DocumentError
-from ..live.keys import is_key
+from ..live.keys import Asker, Keys
+from ..roles import Role, may
 from . import shelf
-from .actions import ACTIONS, ROLES, Bench, Role, known_axis, may
+from .actions import ACTIONS, Bench, known_axis
 from .jobs import Job, Jobs
+from .served_axis import CALLS, ServedAxis, scope_address
 
 AUDIT_NAME = "workbench.log"
 REFUSED = "your key does not allow it: {needed} is needed, this page has {role}"
@@ -32,24 +35,41 @@ class ForbiddenError(Exception):
 class Workbench:
     """State and actions of one workbench; called from the server's threads."""
 
-    def __init__(self, directory: Path, axis: Path | None, facts: Path | None, given: tuple[Path, ...]) -> None:
-        self.directory = directory
+    def __init__(
+        self, directory: Path, axis: Path | None, facts: Path | None, given: tuple[Path, ...],
+        sockets: Path | None = None,
+    ) -> None:  # fmt: skip
+        """`sockets`: directory of the daemon's sockets; None: looked for by the name of the axis."""
+        self.directory, self._sockets = directory, sockets
+        self.served = ServedAxis()
+        self.services = Jobs()  # a daemon that was started here
         self._first = axis
         self._axis = axis
         self._facts, self._given = facts, given
         self.jobs = Jobs()
-        self.keys: dict[Role, str] = {role: secrets.token_urlsafe(18) for role in ROLES}
+        self.keys = Keys()
         self._audit = threading.Lock()
+        self._named: tuple[tuple[Path, int] | None, str] = (None, "")
         (directory / shelf.RUNS).mkdir(parents=True, exist_ok=True)
 
-    def role_of(self, key: str) -> Role | None:
-        """The role that a key gives; None for a key that is none."""
-        return next((role for role, own in self.keys.items() if is_key(key, own)), None)
-
-    def state(self, role: Role) -> dict[str, Any]:
+    def state(self, asker: Asker) -> dict[str, Any]:
         """Everything that a page shows."""
+        role, daemon = asker.role, self.daemon()
         return {
             "role": role,
+            "name": asker.name,
+            "daemon": None
+            if daemon is None
+            else {
+                "state": daemon[1],
+                "sockets": as_typed(str(daemon[0])),
+                "scope": scope_address(daemon[0], asker),
+            },
+            "services": [job.as_object() for job in self.services.all()[:1]],
+            "asks": self.served.methods_of(role),
+            "may_try": may(role, "tune"),
+            "may_serve": may(role, "move"),
+            "trials": [trial.as_object(curves=False) for trial in self.served.trials],
             "may": [name for name, action in ACTIONS.items() if may(role, action.role)],
             "moves": [name for name, action in ACTIONS.items() if action.moves],
             "may_cancel": may(role, "stop"),
@@ -92,33 +112,87 @@ class Workbench:
         except (DocumentError, OSError) as error:
             return {"path": str(path), "shown": as_typed(str(path)), "name": path.name, "error": str(error)}
 
-    def act(self, role: Role, name: str, wish: Mapping[str, Any]) -> dict[str, Any]:
+    def daemon(self) -> tuple[Path, str] | None:
+        """(directory of its sockets, state) of the daemon that has the axis; None where none answers."""
+        name = self._axis_name()
+        return None if name is None else serving(name, self._sockets)
+
+    def _axis_name(self) -> str | None:
+        """Of the axis file in use; read again when the file changes."""
+        if self._axis is None:
+            return None
+        try:
+            stamp = (self._axis, self._axis.stat().st_mtime_ns)
+            if stamp != self._named[0]:
+                self._named = (stamp, read_axis(self._axis).name)
+        except (DocumentError, OSError):
+            return None  # the page shows what is wrong with it
+        return self._named[1]
+
+    def sockets(self) -> Path:
+        """Where the daemon of this axis listens. Raises DocumentError without one."""
+        found = self.daemon()
+        if found is None:
+            raise DocumentError("no daemon has this axis: start one")
+        return found[0]
+
+    def ask(self, asker: Asker, method: str, wish: Mapping[str, Any]) -> Any:
+        """A method of the daemon that has the axis. Raises ForbiddenError, DocumentError."""
+        if method not in CALLS:
+            raise DocumentError(f"no method of the axis is called {method!r}; known: {', '.join(CALLS)}")
+        self._require(asker, METHODS[method].role)
+        result = self.served.call(self.sockets(), asker, method, wish)
+        if not wish.get("renews"):  # what renews a jog is no news
+            told = {name: value for name, value in wish.items() if name not in ("page", "epoch")}
+            self._told(asker, method, {"axis": told})
+        return result
+
+    def try_gain(self, asker: Asker, wish: Mapping[str, Any]) -> dict[str, Any]:
+        """A step, a new gain, the same step. Raises ForbiddenError, DocumentError."""
+        self._require(asker, "tune")
+        trial = self.served.try_gain(self.sockets(), asker, wish)
+        self._told(asker, "try_gain", {"key": trial["key"], "value": trial["value"], "by_rps": trial["by_rps"]})
+        return trial
+
+    def act(self, asker: Asker, name: str, wish: Mapping[str, Any]) -> dict[str, Any]:
         """Start one of ACTIONS. Raises ForbiddenError, DocumentError, jobs.BusyError."""
         action = ACTIONS[name]
-        self._require(role, action.role)
-        order = action.make(Bench(self.directory, self._axis, self._facts, self._given), wish)
-        job = self.jobs.start(name, order.title, order.words, order.out, self._ended)
-        self._told(role, name, {"line": job.as_object()["line"]})
+        self._require(asker, action.role)
+        daemon = self.daemon()
+        if daemon is not None and action.moves and not action.by_daemon:
+            raise DocumentError(f"{name} opens the bus itself, and the daemon has the drive: stop the daemon first")
+        if daemon is not None and action.beside:
+            raise DocumentError(f"a daemon has this axis already ({daemon[0]})")
+        served = None if daemon is None else daemon[0]
+        order = action.make(Bench(self.directory, self._axis, self._facts, self._given, served, asker.text), wish)
+        jobs = self.services if action.beside else self.jobs
+        job = jobs.start(name, order.title, order.words, order.out, self._ended, action.computes)
+        self._told(asker, name, {"line": job.as_object()["line"]})
         return job.as_object()
 
-    def cancel(self, role: Role) -> None:
-        """Interrupt what runs. Raises ForbiddenError."""
-        self._require(role, "stop")
-        job = self.jobs.running
+    def cancel(self, asker: Asker, service: bool = False) -> None:
+        """Interrupt what runs, or the daemon that was started here: it stops the axis first. Raises ForbiddenError."""
+        self._require(asker, "stop")
+        job = (self.services if service else self.jobs).running
         if job is not None:
             job.cancel()
-            self._told(role, "cancel", {"job": job.title})
+            self._told(asker, "cancel", {"job": job.title})
 
-    def use_axis(self, role: Role, path: Any) -> None:
+    def close(self) -> None:
+        """Cancel what runs, and wait for it."""
+        self.jobs.close()
+        self.services.close()
+
+    def use_axis(self, asker: Asker, path: Any) -> None:
         """Work on another axis file of this bench. Raises ForbiddenError, DocumentError."""
-        self._require(role, "tune")
+        self._require(asker, "tune")
         bench = Bench(self.directory, self._axis, self._facts, self._given)
         self._axis = known_axis(bench, path, list(shelf.axis_files(self.directory, self._first)))
-        self._told(role, "use_axis", {"path": path})
+        self._told(asker, "use_axis", {"path": path})
 
-    def take(self, role: Role, name: str, content: bytes) -> None:
+    def take(self, asker: Asker, name: str, content: bytes) -> None:
         """A file that a page sends: a recording, or the facts of its drive. Raises ForbiddenError, DocumentError."""
-        self._require(role, "move")
+        self._require(asker, "move")
         path = Path(name)
         if path.name != name or name.startswith("."):
             raise DocumentError(f"{name}: a plain file name is needed")
@@ -134,17 +208,18 @@ class Workbench:
         target.write_bytes(content)
         if path.suffix in (".yaml", ".yml"):
             self._facts = target
-        self._told(role, "take", {"file": name, "bytes": len(content)})
+        self._told(asker, "take", {"file": name, "bytes": len(content)})
 
-    def _require(self, role: Role, needed: Role) -> None:
-        if not may(role, needed):
-            raise ForbiddenError(REFUSED.format(needed=needed, role=role))
+    def _require(self, asker: Asker, needed: Role) -> None:
+        if not may(asker.role, needed):
+            raise ForbiddenError(REFUSED.format(needed=needed, role=asker.role))
 
     def _ended(self, job: Job) -> None:
-        self._told("look", "ended", {"job": job.title, "state": job.state, "exit_code": job.exit_code})
+        self._told(None, "ended", {"job": job.title, "state": job.state, "exit_code": job.exit_code})
 
-    def _told(self, role: str, what: str, more: Mapping[str, Any]) -> None:
+    def _told(self, asker: Asker | None, what: str, more: Mapping[str, Any]) -> None:
         """Who did what, and when: a line of DIR/workbench.log."""
-        entry = {"time": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "role": role, "action": what, **more}
+        who = {} if asker is None else {"role": asker.role} | ({"name": asker.name} if asker.name else {})
+        entry = {"time": time.strftime("%Y-%m-%dT%H:%M:%S%z"), **who, "action": what, **more}
         with self._audit, (self.directory / AUDIT_NAME).open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, ensure_ascii=False) + "\n")

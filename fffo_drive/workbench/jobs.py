@@ -6,6 +6,7 @@ it ended; one job runs at a time, because all of them want both the drive and th
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shlex
@@ -20,11 +21,13 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from ..directories import as_typed
-from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+from ..documents import DocumentError
+from ..workflows.progress import CHECK_MARK, LINE_MARK, LINES_ENVIRONMENT
 
 State = Literal["running", "done", "failed", "cancelled"]
 KEPT_LINES = 200
 COLUMNS = 110  # of the output, as the page shows it
+NICE = 19  # the lowest: a loop without real-time priority still has 68 times the weight (1024 to 15)
 GRACE_S = 20.0  # from the interrupt, on which a run brakes to standstill, to the end of the process
 
 
@@ -35,14 +38,20 @@ class BusyError(Exception):
 class Job:
     """One command, from its start to its end."""
 
-    def __init__(self, number: int, action: str, title: str, words: Sequence[str], out: Path | None) -> None:
-        """`words`: what is typed after `fffo-drive`. `out`: where its page is written, or the file that it writes."""
+    def __init__(
+        self, number: int, action: str, title: str, words: Sequence[str], out: Path | None, gives_way: bool = False
+    ) -> None:
+        """`words`: what is typed after `fffo-drive`. `out`: where its page is written, or the file that it writes.
+
+        `gives_way`: it only computes, and is to disturb no loop on this machine.
+        """
         self.number, self.action, self.title = number, action, title
         self.words, self.out = tuple(words), out
         self.state: State = "running"
         self.share: float | None = None
         self.step = ""
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.checks: list[dict[str, Any]] = []  # of a commissioning, as they come, each with its picture's columns
         self.began_s = time.time()
         self.ended_s: float | None = None
         self.exit_code: int | None = None
@@ -52,6 +61,8 @@ class Job:
             stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
             env=os.environ | {LINES_ENVIRONMENT: "1", "COLUMNS": str(COLUMNS)},
         )  # fmt: skip
+        if gives_way:
+            give_way(self.process.pid)
 
     def follow(self, ended: Callable[[Job], None]) -> None:
         """Read until the process ends; on a thread of its own."""
@@ -71,11 +82,13 @@ class Job:
     def _read(self, stream: IO[str]) -> None:
         with stream:
             for line in stream:
-                if not line.startswith(LINE_MARK):
+                if line.startswith(CHECK_MARK):
+                    self.checks.append(json.loads(line[len(CHECK_MARK) :]))
+                elif line.startswith(LINE_MARK):
+                    told = json.loads(line[len(LINE_MARK) :])
+                    self.share, self.step = told["share"], told["text"]
+                else:
                     self.lines.append(line.rstrip("\n"))
-                    continue
-                told = json.loads(line[len(LINE_MARK) :])
-                self.share, self.step = told["share"], told["text"]
 
     def cancel(self) -> None:
         """Interrupt it as Ctrl-C does: a run brakes to standstill first. What does not end in GRACE_S is terminated."""
@@ -97,7 +110,7 @@ class Job:
             "number": self.number, "action": self.action, "title": self.title, "state": self.state,
             "line": shlex.join(["fffo-drive", *map(as_typed, self.words)]), "share": self.share, "step": self.step,
             "output": list(self.lines), "seconds": round((self.ended_s or time.time()) - self.began_s, 1),
-            "exit_code": self.exit_code,
+            "exit_code": self.exit_code, "checks": len(self.checks),
         }  # fmt: skip
 
 
@@ -109,14 +122,15 @@ class Jobs:
         self._lock = threading.Lock()
 
     def start(
-        self, action: str, title: str, words: Sequence[str], out: Path | None, ended: Callable[[Job], None]
-    ) -> Job:
+        self, action: str, title: str, words: Sequence[str], out: Path | None, ended: Callable[[Job], None],
+        gives_way: bool = False,
+    ) -> Job:  # fmt: skip
         """Start a command. `ended` is called on the job's thread. Raises BusyError while another one runs."""
         with self._lock:
             running = self.running
             if running is not None:
                 raise BusyError(f"{running.title} is running: wait for it, or cancel it")
-            job = Job(len(self._jobs) + 1, action, title, words, out)
+            job = Job(len(self._jobs) + 1, action, title, words, out, gives_way)
             self._jobs.append(job)
         threading.Thread(target=job.follow, args=(ended,), daemon=True).start()
         return job
@@ -130,9 +144,27 @@ class Jobs:
         """The newest first."""
         return list(reversed(self._jobs))
 
+    def checks(self, wanted: str) -> list[dict[str, Any]]:
+        """Of JOB/FROM, the checks from that one on. Raises DocumentError for no such job."""
+        number, _, first = wanted.partition("/")
+        job = next((job for job in self._jobs if str(job.number) == number), None)
+        if job is None or not first.isdecimal():
+            raise DocumentError(f"no checks of job {wanted}")
+        return job.checks[int(first) :]
+
     def close(self) -> None:
         """Cancel what runs, and wait for it."""
         job = self.running
         if job is not None:
             job.cancel()
             job.process.wait(GRACE_S + 5.0)
+
+
+def give_way(pid: int) -> None:
+    """Least share of the processors, no preemption of others; the disk's scheduler follows the nice value.
+
+    For a process that has just begun: the threads that it starts from now on have it from it.
+    """
+    with contextlib.suppress(ProcessLookupError):  # it has ended already
+        os.setpriority(os.PRIO_PROCESS, pid, NICE)
+        os.sched_setscheduler(pid, os.SCHED_BATCH, os.sched_param(0))

@@ -5,17 +5,19 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from ..live.page import source_hash
+from ..live.page import source_hash, uplot_licence
 from ..report import palette
+from ..report.page import ASSETS as REPORT_ASSETS
 
 ASSETS = Path(__file__).parent / "assets"
+SCRIPTS = ("plots.js", "workbench.js", "axis.js", "checks.js")
 
 
 @cache
 def page() -> str:
     """The page."""
     text = (ASSETS / "workbench.html").read_text(encoding="utf-8")
-    return text.replace("{{style}}", _style()).replace("{{script}}", _script())
+    return text.replace("{{style}}", _style()).replace("{{script}}", _script()).replace("{{licence}}", uplot_licence())
 
 
 @cache
@@ -38,9 +40,11 @@ def _style() -> str:
     colours = (
         f":root {{ color-scheme: light dark; {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
     )
-    return "\n".join((colours, (ASSETS / "workbench.css").read_text(encoding="utf-8")))
+    uplot = (REPORT_ASSETS / "uplot/uPlot.min.css").read_text(encoding="utf-8")
+    return "\n".join((colours, uplot, (ASSETS / "workbench.css").read_text(encoding="utf-8")))
 
 
 @cache
 def _script() -> str:
-    return (ASSETS / "workbench.js").read_text(encoding="utf-8")
+    uplot = (REPORT_ASSETS / "uplot/uPlot.iife.min.js").read_text(encoding="utf-8")
+    return "\n".join((uplot, *((ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS)))

@@ -6,15 +6,20 @@ that changes something must come from our own page.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import threading
+from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NoReturn
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from ..documents import DocumentError
-from .actions import ACTIONS, Role, may
+from ..live.keys import Asker
+from ..roles import Role, may
+from .actions import ACTIONS
 from .bench import ForbiddenError, Workbench
 from .jobs import BusyError
 from .page import headers, page
@@ -22,6 +27,7 @@ from .page import headers, page
 HOST = "127.0.0.1"
 LARGEST_BYTES = 1 << 30  # of a file that is taken in
 LARGEST_WISH_BYTES = 1 << 16
+STALLED_S = 5.0  # a page that does not read what it is sent for so long is cut off
 SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".yaml": "text/plain; charset=utf-8",
          ".svg": "image/svg+xml", ".png": "image/png"}  # fmt: skip
 
@@ -43,7 +49,7 @@ class WorkbenchServer:
 
     def url(self, role: Role) -> str:
         """The address that gives a role."""
-        return f"http://{HOST}:{self._server.server_address[1]}/{self.bench.keys[role]}/"
+        return f"http://{HOST}:{self._server.server_address[1]}/{self.bench.keys.of(role)}/"
 
     def wait(self) -> NoReturn:
         """Until it is interrupted: raises KeyboardInterrupt."""
@@ -52,7 +58,7 @@ class WorkbenchServer:
 
     def close(self) -> None:
         """Cancel what runs, stop serving."""
-        self.bench.jobs.close()
+        self.bench.close()
         self._server.shutdown()
         self._server.server_close()
 
@@ -73,35 +79,49 @@ class _Handler(BaseHTTPRequestHandler):
         found = self._judged()
         if found is None:
             return
-        role, rest = found
+        asker, rest = found
         if rest == "":
             self._answer(HTTPStatus.OK, page().encode(), headers())
         elif rest == "state":
-            self._json(HTTPStatus.OK, self.workbench.state(role))
+            self._json(HTTPStatus.OK, self.workbench.state(asker))
+        elif rest == "axis/live":
+            self._live()
+        elif rest == "axis/info":
+            self._asked(lambda: self.workbench.served.info(self.workbench.sockets()))
+        elif rest.startswith("checks/"):
+            self._asked(lambda: self.workbench.jobs.checks(rest.removeprefix("checks/")))
+        elif rest.startswith("axis/trial/"):
+            self._asked(lambda: self.workbench.served.trial(rest.removeprefix("axis/trial/")))
         elif rest.startswith("files/"):
             self._file(rest.removeprefix("files/"))
         else:
             self._json(HTTPStatus.NOT_FOUND, {"error": "not here"})
+
+    def _asked(self, what: Callable[[], Any]) -> None:
+        try:
+            self._json(HTTPStatus.OK, what())
+        except DocumentError as error:
+            self._json(HTTPStatus.NOT_FOUND, {"error": str(error)})
 
     def do_POST(self) -> None:
         """What the page asks for."""
         found = self._judged()
         if found is None:
             return
-        role, rest = found
+        asker, rest = found
         host = self.headers.get("Host", "")
         if self.headers.get("Origin") != f"http://{host}":
             self._json(HTTPStatus.FORBIDDEN, {"error": "not from this page"})
             return
         size = int(self.headers.get("Content-Length") or 0)
-        largest = LARGEST_BYTES if rest == "take" and may(role, "move") else LARGEST_WISH_BYTES
+        largest = LARGEST_BYTES if rest == "take" and may(asker.role, "move") else LARGEST_WISH_BYTES
         if not 0 <= size <= largest:
             self.close_connection = True  # the body is not read
             self._json(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": f"at most {largest:,} bytes can be taken in"})
             return
         body = self.rfile.read(size)
         try:
-            self._json(HTTPStatus.OK, self._do(role, rest, body))
+            self._json(HTTPStatus.OK, self._do(asker, rest, body))
         except ForbiddenError as error:
             self._json(HTTPStatus.FORBIDDEN, {"error": str(error)})
         except BusyError as error:
@@ -109,10 +129,10 @@ class _Handler(BaseHTTPRequestHandler):
         except (DocumentError, OSError) as error:
             self._json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
 
-    def _do(self, role: Role, what: str, body: bytes) -> dict[str, Any]:
+    def _do(self, asker: Asker, what: str, body: bytes) -> dict[str, Any]:
         if what == "take":
             name = parse_qs(urlsplit(self.path).query).get("name", [""])[0]
-            self.workbench.take(role, name, body)
+            self.workbench.take(asker, name, body)
             return {}
         try:
             wish = json.loads(body or b"{}")
@@ -121,29 +141,54 @@ class _Handler(BaseHTTPRequestHandler):
         if not isinstance(wish, dict):
             raise DocumentError("not understood: a JSON object is needed")
         if what == "cancel":
-            self.workbench.cancel(role)
+            self.workbench.cancel(asker, service=wish.get("service") is True)
             return {}
         if what == "use_axis":
-            self.workbench.use_axis(role, wish.get("path"))
+            self.workbench.use_axis(asker, wish.get("path"))
             return {}
+        if what == "axis/here":
+            self.workbench.served.heard(wish.get("page"))
+            return {}
+        if what == "axis/try_gain":
+            return self.workbench.try_gain(asker, wish)
+        if what.startswith("axis/"):
+            return {"result": self.workbench.ask(asker, what.removeprefix("axis/"), wish)}
         if what not in ACTIONS:
             raise DocumentError(f"no action is called {what!r}; known: {', '.join(ACTIONS)}")
-        return self.workbench.act(role, what, wish)
+        return self.workbench.act(asker, what, wish)
 
-    def _judged(self) -> tuple[Role, str] | None:
-        """(role, rest of the path); None where an answer was given: another host, no key."""
+    def _live(self) -> None:
+        """The axis as its daemon tells it, as server-sent events, until one of the two is gone."""
+        try:
+            messages = self.workbench.served.messages(self.workbench.sockets())
+            first = next(messages)
+        except DocumentError as error:
+            self._json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": str(error)})
+            return
+        self.close_connection = True
+        self.connection.settimeout(STALLED_S)
+        self.send_response(HTTPStatus.OK.value)
+        for name, value in (("Content-Type", "text/event-stream"), ("Cache-Control", "no-store")):
+            self.send_header(name, value)
+        self.end_headers()
+        with contextlib.closing(messages), contextlib.suppress(OSError, DocumentError):
+            for message in itertools.chain((first,), messages):
+                self.wfile.write(b"data: " + json.dumps(message).encode() + b"\n\n")
+
+    def _judged(self) -> tuple[Asker, str] | None:
+        """(who asks, rest of the path); None where an answer was given: another host, no key."""
         port = self.connection.getsockname()[1]
         if self.headers.get_all("Host") not in [[f"{name}:{port}"] for name in (HOST, "localhost")]:
             self._json(HTTPStatus.MISDIRECTED_REQUEST, {"error": f"this is http://{HOST}:{port}/"})
             return None
         key, _, rest = unquote(urlsplit(self.path).path).lstrip("/").partition("/")
-        role = self.workbench.role_of(key)
-        if role is None:
+        asker = self.workbench.keys.asker(key)
+        if asker is None:
             self._json(
                 HTTPStatus.NOT_FOUND, {"error": "not here: open the address that `fffo-drive workbench` printed"}
             )
             return None
-        return role, rest
+        return asker, rest
 
     def _file(self, name: str) -> None:
         """A file under the bench's directory."""

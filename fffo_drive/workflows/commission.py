@@ -9,12 +9,14 @@ from pathlib import Path
 
 from .. import __version__
 from ..commissioning.bounds import Bounds, BoundsError, make_bounds
-from ..commissioning.procedure import commission
-from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
+from ..commissioning.procedure import Seen, commission
+from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, read_record, write_record
 from ..config.axis import beside, build_profile, model_of, read_axis
+from ..config.axis_text import replace_file, with_line
 from ..config.checks import bus_problems, require
-from ..config.commissioning import declared_facts
+from ..config.commissioning import declared_facts, permission
 from ..config.drive_section import CanopenDriveSection
+from ..documents import DocumentError
 from ..model.parameters import content_hash
 from .plan import Plan, open_drive, plan_session
 
@@ -44,11 +46,13 @@ def bounds_of(
 
 
 def commission_axis(
-    plan: Plan, bounds: Bounds, out: Path, bus: str | None = None, tell: Callable[[str], None] = lambda text: None
-) -> CommissioningRecord:
+    plan: Plan, bounds: Bounds, out: Path, bus: str | None = None, tell: Callable[[str], None] = lambda text: None,
+    seen: Seen = lambda check, motion: None,
+) -> CommissioningRecord:  # fmt: skip
     """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
 
-    `bus`: instead of the file's; `tell` gets a line for each step. Raises DocumentError, DriveError, OSError.
+    `bus`: instead of the file's; `tell` gets a line for each step, `seen` each check as it comes. Raises
+    DocumentError, DriveError, OSError.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(out.parent, os.W_OK):  # before anything moves
@@ -56,7 +60,7 @@ def commission_axis(
     facts = declared_facts(plan.axis, plan.model)
     drive = open_drive(plan, bus)
     try:
-        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell)
+        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell, seen)
     except BoundsError as error:
         require(plan.path, [f"envelope.position_window_rev: {error}"])
         raise
@@ -75,3 +79,18 @@ def commission_axis(
         checks=outcome.checks,
     )
     return write_record(out, record)
+
+
+def accept_record(plan: Plan, record: Path) -> str:
+    """Name a record that has passed in the axis file, whose comments stay. Returns the name.
+
+    Raises DocumentError where the record has not passed, is of other facts, or the line cannot be written; OSError.
+    """
+    if not record.exists():
+        raise DocumentError(f"{record}: there is no record yet: commission the axis first")
+    if not read_record(record).passed:
+        raise DocumentError(f"{record}: this commissioning has not passed: see its checks, and commission again")
+    name = os.path.relpath(record.resolve(), plan.path.resolve().parent)
+    permission(plan.path, plan.axis.model_copy(update={"commissioning": name}), plan.model)
+    replace_file(plan.path, with_line(plan.path, "commissioning", name))
+    return name

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 LINES_ENVIRONMENT = "FFFO_DRIVE_PROGRESS_LINES"  # set: progress goes to stderr as lines, for a program that reads it
 LINE_MARK = "::progress "  # before a JSON object {share, text}
+CHECK_MARK = "::check "  # before a JSON object: a check of commissioning, with columns of the motion before it
 Share = Callable[[float], None]  # is told the share done, 0 to 1
 Bar = Callable[[str], AbstractContextManager[Share | None]]  # of the text beside it
 

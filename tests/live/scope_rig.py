@@ -64,7 +64,7 @@ class ScopeRig:
         assert hear(page, "hello")["info"]["axis"]
         if key:
             say(page, do="token", token=self.server.key)
-            assert hear(page, "rights")["command"]
+            assert hear(page, "rights")["role"] == "tune"
         return page
 
     def leave(self) -> None:

@@ -104,9 +104,9 @@ def test_commands_need_the_token_and_go_through_the_control_api(scope):
     say(page, **toggle, id=1)
     assert "only looks" in hear(page, "answer")["error"]
     say(page, do="token", token="wrong")
-    assert hear(page, "rights")["command"] is False
+    assert hear(page, "rights")["role"] == "look"
     say(page, do="token", token=scope.server.key)
-    assert hear(page, "rights")["command"] is True
+    assert hear(page, "rights")["role"] == "tune"
     say(page, **toggle, id=2)
     answer = hear(page, "answer")
     assert answer["id"] == 2
@@ -150,7 +150,7 @@ def test_a_token_cannot_be_guessed_in_peace(scope):
     page = scope.open()
     for number in range(client_module.WRONG_KEYS - 1):
         say(page, do="token", token=str(number))
-        assert hear(page, "rights")["command"] is False
+        assert hear(page, "rights")["role"] == "look"
     say(page, do="token", token="last")
     with pytest.raises(ConnectionClosed):
         hear(page, "never")

@@ -38,7 +38,7 @@ class EpochEnable(Enable):
 
 
 EPOCHS = {
-    **METHODS, "start": Method(EpochStart, False, "run a profile"), "enable": Method(EpochEnable, False, "torque")
+    **METHODS, "start": Method(EpochStart, "move", "run a profile"), "enable": Method(EpochEnable, "move", "torque")
 }  # fmt: skip
 
 

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.daemon.parameters import METHODS
+from fffo_drive.live.keys import Keys
 from fffo_drive.live.services import ENDING, MethodKind, RefusedCallError, Services
 
 KEY = "k" * 32
-SERVICES = Services(METHODS, KEY)
+SERVICES = Services(METHODS, Keys(KEY))
 NUMBER = {service.name.removeprefix("/fffo_drive/"): service.id for service in SERVICES.offered()}
 
 
@@ -86,8 +87,9 @@ def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, told):
 def test_what_is_right_goes_through_as_it_came():
     sine = {"kind": "sine", "duration_s": 1, "amplitude": 1, "frequency_hz": 1}
     checked = SERVICES.checked(NUMBER["start"], json.dumps({"key": KEY, "profile": sine}).encode())
-    assert checked == ("start", {"profile": sine}, MethodKind.COMMANDS)
-    assert outcome("set", {"key": "a", "value": 1.5}) == ("set", {"key": "a", "value": 1.5}, MethodKind.COMMANDS)
+    who = {"who": "role tune"}
+    assert checked == ("start", {"profile": sine, **who}, MethodKind.COMMANDS)
+    assert outcome("set", {"key": "a", "value": 1.5}) == ("set", {"key": "a", "value": 1.5, **who}, MethodKind.COMMANDS)
     assert SERVICES.checked(NUMBER["status"], b"") == ("status", {}, MethodKind.LOOKS)
     assert SERVICES.checked(NUMBER["stop"], b'{"key": "%s", "wait_s": 0}' % KEY.encode()).kind is MethodKind.ENDS
 

@@ -38,7 +38,7 @@ class Refusal(NamedTuple):
 
 
 class ToldDaemon:
-    """`answers` may be changed while it runs; `lines` is what came."""
+    """`answers` may be changed while it runs, and one may be a function; `lines` is what came."""
 
     def __init__(self, directory: Path) -> None:
         self.sockets = directory / "s"
@@ -76,6 +76,7 @@ class ToldDaemon:
             request = json.loads(line)
             self.lines.append(Line(number, request["method"], request["params"]))
             answer = self.answers.get(request["method"], {})
+            answer = answer() if callable(answer) else answer
             if answer is NEVER:
                 continue
             told = {"error": answer._asdict()} if isinstance(answer, Refusal) else {"result": answer}

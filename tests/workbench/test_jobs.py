@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
 
 from fffo_drive.cli.progress import progress_bar
-from fffo_drive.workbench.jobs import BusyError, Jobs
+from fffo_drive.workbench.actions import ACTIONS
+from fffo_drive.workbench.jobs import NICE, BusyError, Jobs, give_way
 from fffo_drive.workflows.progress import LINE_MARK, LINES_ENVIRONMENT
 
 PATIENCE_S = 120.0
@@ -58,3 +62,15 @@ def test_one_job_runs_at_a_time_and_an_interrupt_ends_it(tmp_path):
     assert job.state == "cancelled"
     assert jobs.running is None
     assert finished(jobs, "--version").state == "done"
+
+
+def test_what_only_computes_gives_way_and_what_runs_a_loop_does_not():
+    sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
+    with subprocess.Popen(sleeping) as process:
+        give_way(process.pid)
+        assert os.getpriority(os.PRIO_PROCESS, process.pid) == NICE
+        assert os.sched_getscheduler(process.pid) == os.SCHED_BATCH
+        process.kill()
+    give_way(process.pid)  # gone: no error
+    assert {name for name, action in ACTIONS.items() if action.computes} == {"identify", "diagnose", "compare", "tune"}
+    assert not any(action.moves or action.beside for action in ACTIONS.values() if action.computes)

@@ -13,8 +13,10 @@ import pytest
 
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
+from fffo_drive.live.keys import Asker
+from fffo_drive.roles import ROLES, may
 from fffo_drive.workbench import shelf
-from fffo_drive.workbench.actions import ACTIONS, ROLES, Bench, may
+from fffo_drive.workbench.actions import ACTIONS, Bench
 from fffo_drive.workbench.bench import AUDIT_NAME, ForbiddenError, Workbench
 from fffo_drive.workbench.server import WorkbenchServer
 
@@ -55,13 +57,16 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         "diagnose": {"fit": [run], "held_out": [run]}, "compare": {"fit": [run]}, "roll_back": {},
         "tune": {"model": model}, "adopt": {"model": model, "dry_run": True},
     }  # fmt: skip
-    assert set(wishes) == set(ACTIONS) - {"commission"}
+    assert set(wishes) == set(ACTIONS) - {"commission", "serve", "accept"}
     for name, wish in wishes.items():
         order = ACTIONS[name].make(bench, wish)
         parser_of(order.words[0]).parse_args(order.words[1:])
     on_bus = bench._replace(axis=bench.axis.with_name("axis_canopen.yaml"))
-    words = ACTIONS["commission"].make(on_bus, {}).words
-    parser_of(words[0]).parse_args(words[1:])
+    served = on_bus._replace(served=bench.directory, who="anna (move)")
+    for name, where in (("commission", on_bus), ("serve", on_bus), ("accept", on_bus), ("record", served)):
+        words = ACTIONS[name].make(where, {}).words
+        parser_of(words[0]).parse_args(words[1:])
+    assert "--served" in words
 
 
 @pytest.mark.parametrize(
@@ -73,6 +78,7 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         ("tune", {"model": "/etc/passwd"}, "choose a model"),
         ("adopt", {}, "choose a model"),
         ("commission", {}, "needs no commissioning record"),
+        ("serve", {}, "a simulated drive in process is not served"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_with_a_reason(workbench, name, wish, text):
@@ -104,35 +110,35 @@ def test_a_role_is_refused_what_it_may_not_and_the_log_says_who_did_what(workben
         ("move", "circle"),
     ):
         with pytest.raises(ForbiddenError, match="your key does not allow it"):
-            workbench.act(role, name, {})
+            workbench.act(Asker(role), name, {})
     with pytest.raises(ForbiddenError):
-        workbench.cancel("look")
+        workbench.cancel(Asker("look"))
     with pytest.raises(ForbiddenError):
-        workbench.take("stop", "run.csv", b"")
+        workbench.take(Asker("stop"), "run.csv", b"")
     with pytest.raises(ForbiddenError):
-        workbench.use_axis("move", "x")
+        workbench.use_axis(Asker("move"), "x")
     assert not (workbench.directory / AUDIT_NAME).exists()
-    workbench.take("move", "run.csv", b"time_s\n")
+    workbench.take(Asker("move", "anna"), "run.csv", b"time_s\n")
     entry = json.loads((workbench.directory / AUDIT_NAME).read_text())
-    assert (entry["role"], entry["action"], entry["file"]) == ("move", "take", "run.csv")
+    assert (entry["role"], entry["name"], entry["action"], entry["file"]) == ("move", "anna", "take", "run.csv")
 
 
 @pytest.mark.parametrize("name", ["../run.csv", "/tmp/run.csv", ".run.csv", "run.exe", ""])
 def test_a_file_is_taken_in_under_a_plain_name_of_its_kind(workbench, name):
     with pytest.raises(DocumentError):
-        workbench.take("tune", name, b"")
+        workbench.take(Asker("tune"), name, b"")
 
 
 def test_a_file_that_is_there_is_not_overwritten(workbench):
-    workbench.take("tune", "run.csv", b"first")
+    workbench.take(Asker("tune"), "run.csv", b"first")
     with pytest.raises(DocumentError, match="already exists"):
-        workbench.take("tune", "run.csv", b"second")
+        workbench.take(Asker("tune"), "run.csv", b"second")
     assert (workbench.directory / "runs" / "run.csv").read_bytes() == b"first"
 
 
 def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
     with_results(workbench)
-    state = workbench.state("look")
+    state = workbench.state(Asker("look"))
     assert (state["role"], state["may_cancel"]) == ("look", False)
     assert state["may"] == []
     assert [run["name"] for run in state["runs"]] == ["one.mcap"]
@@ -145,20 +151,20 @@ def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
 
 def test_an_axis_file_with_a_mistake_is_told_and_the_bench_lives(workbench, axis):
     axis.write_text(axis.read_text().replace("speed_limit_rps", "speed_limt_rps"))
-    told = workbench.state("tune")["axis"]["error"]
+    told = workbench.state(Asker("tune"))["axis"]["error"]
     assert "speed_limt_rps" in told
 
 
 def test_only_axis_files_of_this_bench_can_be_chosen(workbench, tmp_path):
     with pytest.raises(DocumentError, match="no axis file of this workbench"):
-        workbench.use_axis("tune", str(tmp_path / "configs" / "axis_bench.yaml"))
+        workbench.use_axis(Asker("tune"), str(tmp_path / "configs" / "axis_bench.yaml"))
     tuned = workbench.directory / "tune_1"
     tuned.mkdir()
     text = (tmp_path / "configs" / "axis_undeclared.yaml").read_text()
     (tuned / "axis_undeclared.yaml").write_text(text)
     (tuned / "controller.yaml").write_text("controller: {}")
-    workbench.use_axis("tune", str(tuned / "axis_undeclared.yaml"))
-    state = workbench.state("tune")
+    workbench.use_axis(Asker("tune"), str(tuned / "axis_undeclared.yaml"))
+    state = workbench.state(Asker("tune"))
     assert state["axis"]["path"] == str(tuned / "axis_undeclared.yaml")
     assert len(state["axis_files"]) == 2
 
@@ -198,7 +204,7 @@ def asked(served, method, path, body=None, **more):
 
 
 def test_nobody_without_the_key_or_from_another_page_gets_anything(served):
-    key = served.bench.keys["tune"]
+    key = served.bench.keys.of("tune")
     assert asked(served, "GET", "/")[0] == 404
     assert asked(served, "GET", "/guess/state")[0] == 404
     assert asked(served, "GET", f"/{key}/state")[0] == 200
@@ -210,33 +216,33 @@ def test_nobody_without_the_key_or_from_another_page_gets_anything(served):
 
 def test_the_page_runs_nothing_but_its_own_and_keys_have_their_role(served):
     for role in ROLES:
-        status, headers, text = asked(served, "GET", f"/{served.bench.keys[role]}/")
+        status, headers, text = asked(served, "GET", f"/{served.bench.keys.of(role)}/")
         assert status == 200
         assert b"http://" not in text.replace(b"http://www.w3.org", b"")
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
         assert headers["Referrer-Policy"] == "no-referrer"
-        assert json.loads(asked(served, "GET", f"/{served.bench.keys[role]}/state")[2])["role"] == role
-    status, _, text = asked(served, "POST", f"/{served.bench.keys['look']}/record", {})
+        assert json.loads(asked(served, "GET", f"/{served.bench.keys.of(role)}/state")[2])["role"] == role
+    status, _, text = asked(served, "POST", f"/{served.bench.keys.of('look')}/record", {})
     assert (status, "move is needed" in json.loads(text)["error"]) == (403, True)
 
 
 @pytest.mark.parametrize("name", ["../configs/axis_bench.yaml", "%2e%2e/configs/axis_bench.yaml", "runs/one.mcap", "x"])
 def test_files_are_those_pages_of_the_directory_and_no_others(served, name):
-    key = served.bench.keys["tune"]
+    key = served.bench.keys.of("tune")
     assert asked(served, "GET", f"/{key}/files/diagnose_1/report.html")[0] == 200
     assert asked(served, "GET", f"/{key}/files/{name}")[0] == 404
 
 
 def test_what_is_too_large_is_refused_before_it_is_read(served):
     for role, what in (("tune", "record"), ("look", "take?name=run.csv")):
-        path = f"/{served.bench.keys[role]}/{what}"
+        path = f"/{served.bench.keys.of(role)}/{what}"
         assert asked(served, "POST", path, **{"Content-Length": str(1 << 20)})[0] == 413
     assert not (served.bench.directory / "runs" / "run.csv").exists()
 
 
 @pytest.mark.parametrize("body", [[], "x", {"fit": 3}, {"fit": [["a"]]}, {"fit": ["a"]}])
 def test_what_is_not_understood_is_refused_and_the_server_lives(served, body):
-    key = served.bench.keys["tune"]
+    key = served.bench.keys.of("tune")
     assert asked(served, "POST", f"/{key}/identify", body)[0] == 400
     assert asked(served, "POST", f"/{key}/nothing", {})[0] == 400
     assert asked(served, "POST", f"/{key}/record", {"motion": ["a"]})[0] == 400

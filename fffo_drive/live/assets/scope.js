@@ -39,11 +39,14 @@
   }
   setInterval(tellLink, 500);
 
-  function rights(may) { // a key that is not the daemon's (it was started anew) gives none
-    link.may = may;
+  function rights({ role, may }) { // a key that is not the daemon's (it was started anew) gives none
+    Object.assign(link, { may: role !== "look", role });
     tellLink();
-    mayCommand(may);
-    mayStop(may);
+    mayCommand(may.includes("enable"));
+    mayStop(link.may);
+    if (link.may) $("rights").textContent = `(role ${role})`;
+    $("rights").hidden = role === "tune";
+    for (const radio of document.querySelectorAll("input[name=toggle]")) radio.disabled = !may.includes("toggle");
   }
 
   function mayCommand(may) {
@@ -65,7 +68,7 @@
     else if (message.kind === "status") status(message.status);
     else if (message.kind === "event") event(message.event);
     else if (message.kind === "loop") loop(message);
-    else if (message.kind === "rights") rights(message.command);
+    else if (message.kind === "rights") rights(message);
   }
 
   function hello(message) {

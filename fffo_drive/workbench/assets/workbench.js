@@ -2,12 +2,13 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const BUSY_MS = 1000, IDLE_MS = 2000;
-  const STEP_OF = { commission: "h-axis", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
+  const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
   const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
   const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
-  const SAYS = ["adopt", "roll_back", "commission"]; // what they print is the result
+  const SAYS = ["adopt", "roll_back", "commission", "accept"]; // what they print is the result
+  const listeners = [];
   let state = null, timer = 0;
-  window.fffoWorkbench = { get state() { return state; } }; // for tests
+  window.fffoWorkbench = { $, ask, confirmed, element, fill, look, options, question, tell, get state() { return state; }, onState(listener) { listeners.push(listener); } };
 
   async function ask(what, body, raw) {
     const answer = await fetch(what, body === undefined ? {} : { method: "POST", body: raw ? body : JSON.stringify(body) });
@@ -35,6 +36,7 @@
     runs();
     pages();
     job();
+    for (const listener of listeners) listener(state);
     for (const button of document.querySelectorAll("[data-act]")) button.disabled = !possible(button.dataset.act);
     const step = next();
     $("next").textContent = step ? step.text : "";
@@ -43,7 +45,8 @@
 
   function possible(act) {
     if (running() || !state.may.includes(act)) return false;
-    if (["commission", "record", "circle", "roll_back", "adopt"].includes(act) && (!state.axis || state.axis.error)) return false;
+    if (["commission", "accept", "record", "circle", "roll_back", "adopt"].includes(act) && (!state.axis || state.axis.error)) return false;
+    if (["commission", "circle"].includes(act) && state.daemon) return false; // it opens the bus itself
     if (act === "commission") return state.axis.on_bus;
     if (["identify", "diagnose", "compare"].includes(act)) return chosen.use.size > 0;
     if (["tune", "adopt"].includes(act)) return Boolean($("model").value);
@@ -54,6 +57,7 @@
   function next() {
     if (running()) return null;
     const kinds = state.pages.map((page) => page.kind);
+    if (state.axis && state.axis.commissioning && state.daemon) return { act: "", text: "Next: stop the daemon, then commission the axis" };
     if (state.axis && state.axis.commissioning) return { act: "commission", text: "Next: commission the axis" };
     if (!state.runs.length) return { act: "record", text: "Next: record a run, or add a file" };
     if (kinds[0] === "diagnose") {
@@ -155,9 +159,15 @@
     return {};
   }
 
-  function confirmed(act) {
-    if (!state.moves.includes(act) || !state.axis.on_bus) return Promise.resolve(true);
-    $("ask-text").textContent = `The axis ${state.axis.name} will move. Is everybody out of its reach, and the emergency stop at hand?`;
+  // resolves with whether it may be; `what` completes "The axis NAME will ..."
+  function confirmed(what) {
+    return question(`The axis ${state.axis.name} will ${what}. Is everybody out of its reach, and the emergency stop at hand?`, "Move it", "Do not");
+  }
+
+  function question(text, yes, no) {
+    $("ask-text").textContent = text;
+    $("ask-yes").textContent = yes;
+    $("ask-no").textContent = no;
     return new Promise((done) => {
       $("ask-yes").onclick = () => { $("ask").close(); done(true); };
       $("ask-no").onclick = () => { $("ask").close(); done(false); };
@@ -174,7 +184,8 @@
   }
 
   for (const button of document.querySelectorAll("[data-act]")) button.onclick = () => tell(async () => {
-    if (await confirmed(button.dataset.act)) chosen.job = (await ask(button.dataset.act, wish(button))).number;
+    const moves = state.moves.includes(button.dataset.act) && state.axis.on_bus;
+    if (!moves || await confirmed("move")) chosen.job = (await ask(button.dataset.act, wish(button))).number;
   });
   $("cancel").onclick = () => tell(() => ask("cancel", {}));
   $("axis-file").onchange = () => tell(() => ask("use_axis", { path: $("axis-file").value }));
@@ -201,6 +212,26 @@
       fill(select, pairs.map(([given, text]) => new Option(text, given)));
     }
     if (pairs.some(([given]) => given === value)) select.value = value;
+  }
+
+  // tabs: the arrow keys go from one to the other, as everywhere
+  const tabs = [...document.querySelectorAll("[role=tab]")];
+  function turnTo(tab) {
+    for (const one of tabs) {
+      const on = one === tab;
+      one.setAttribute("aria-selected", String(on));
+      one.tabIndex = on ? 0 : -1;
+      $(one.getAttribute("aria-controls")).hidden = !on;
+    }
+  }
+  for (const tab of tabs) {
+    tab.onclick = () => turnTo(tab);
+    tab.onkeydown = (e) => {
+      if (e.key !== "ArrowLeft" && e.key !== "ArrowRight") return;
+      const next = tabs[(tabs.indexOf(tab) + (e.key === "ArrowRight" ? 1 : tabs.length - 1)) % tabs.length];
+      turnTo(next);
+      next.focus();
+    };
   }
 
   look();

@@ -1,0 +1,341 @@
+"""The axis tab in a real browser, beside a daemon with the simulated drive: torque, jog, gains, faults, roles."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+
+import pytest
+import yaml
+from commissioning.test_record import record_for
+from live.served import Served
+from workbench.test_workbench_in_a_browser import CONFIGS, SERIOUS, Shown, cache_of_a_user  # noqa: F401
+
+from fffo_drive.can.link import free_loopback_port
+from fffo_drive.commissioning.record import write_record
+from fffo_drive.config.axis import read_axis
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.recording.reader import read_run
+from fffo_drive.workbench import actions
+from fffo_drive.workbench.bench import AUDIT_NAME, Workbench
+from fffo_drive.workflows.simulated_process import SimulatedProcess
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.browser, pytest.mark.timeout(900)]
+NARROW = {"width": 420, "height": 900}
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    with Served(tmp_path_factory.mktemp("served")) as served:
+        yield served
+
+
+class AxisPage(Shown):
+    """The tab of an axis that is served; the page of this role, with a name."""
+
+    def __init__(self, chromium, served, directory, role="tune"):
+        super().__init__(chromium, Workbench(directory / "out", served.axis, None, (), served.sockets), role)
+        self.served = served
+        self.log = directory / "out" / AUDIT_NAME
+        self.page.click("#tab-axis")
+        self.until("fffoAxis.status !== null")
+
+    def state(self, *wanted):
+        self.until(f"fffoAxis.status && {json.dumps(wanted)}.includes(fffoAxis.status.state)")
+
+    def says(self, text):
+        self.until(f"document.querySelector('#axis-said').textContent.includes({json.dumps(text)})")
+
+    def enable(self):
+        self.state("ready")
+        self.until("!document.querySelector('#enable').disabled")
+        self.page.click("#enable")
+        self.page.click("#ask-yes")
+        self.state("enabled")
+
+    def actions(self):
+        return [json.loads(line)["action"] for line in self.log.read_text().splitlines()]
+
+
+@pytest.fixture
+def shown(served, chromium, tmp_path):
+    served.rest()
+    page = AxisPage(chromium, served, tmp_path)
+    yield page
+    served.rest()
+    page.close()
+
+
+def test_torque_jog_by_mouse_and_by_keys_alone_and_stop(shown):
+    shown.enable()
+    box = shown.page.locator("#jog-ahead").bounding_box()
+    shown.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    shown.page.mouse.down()
+    shown.until("fffoAxis.status.state === 'following' && fffoAxis.status.motion.velocity_rps > 0.5")
+    shown.page.mouse.up()
+    shown.state("enabled")
+    shown.says("Jog ended at standstill")
+    shown.page.focus("#jog-back")
+    shown.page.keyboard.down("Space")
+    shown.until("fffoAxis.status.state === 'following' && fffoAxis.status.motion.velocity_rps < -0.5")
+    shown.page.keyboard.up("Space")
+    shown.state("enabled")
+    shown.page.keyboard.press("Escape")
+    shown.state("ready")
+    shown.says("the axis is at rest, no torque")
+    assert shown.actions() == ["enable", "jog", "jog", "jog", "jog", "disable"]  # begun and ended, twice
+    assert "by role tune through pid" in shown.page.text_content("#axis-events")
+
+
+@pytest.mark.parametrize("how", ["hidden", "blur", "gone"])
+def test_a_page_that_goes_away_ends_its_jog(shown, how):
+    shown.page.uncheck("#tied")  # the daemon alone, or the page, brakes: nothing hangs on the connection
+    shown.enable()
+    box = shown.page.locator("#jog-ahead").bounding_box()
+    shown.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    shown.page.mouse.down()
+    shown.until("fffoAxis.status.state === 'following' && fffoAxis.status.motion.velocity_rps > 0.5")
+    if how == "gone":
+        shown.page.route("**/axis/**", lambda route: route.abort())  # nothing that it sends arrives any more
+    else:
+        event = "new Event('visibilitychange')" if how == "hidden" else "new Event('blur')"
+        target = "document" if how == "hidden" else "window"
+        shown.page.evaluate(
+            f"Object.defineProperty(document, 'hidden', {{ get: () => {str(how == 'hidden').lower()} }});"
+            f"{target}.dispatchEvent({event})"
+        )
+    shown.served.until(lambda: shown.served.state == "enabled")
+    shown.page.mouse.up()
+
+
+def test_an_axis_that_hangs_on_the_page_is_stopped_when_it_is_closed(served, chromium, tmp_path):
+    served.rest()
+    page = AxisPage(chromium, served, tmp_path)
+    page.enable()
+    page.page.click("#start")
+    page.page.click("#ask-yes")
+    page.state("running")
+    page.context.close()
+    served.until(lambda: served.state == "ready")
+    page.server.close()
+
+
+def test_what_the_person_does_not_agree_to_is_not_asked_for(shown):
+    shown.state("ready")
+    shown.page.click("#enable")
+    assert "Is everybody out of its reach" in shown.page.text_content("#ask-text")
+    shown.page.click("#ask-no")
+    shown.page.click("#quick")
+    shown.until("document.querySelector('#axis-said').textContent.includes('at rest')")
+    assert shown.actions() == ["quick_stop"]
+
+
+def test_set_points_and_a_profile_and_its_end(shown):
+    shown.enable()
+    shown.page.fill("#velocity", "1.5")
+    shown.page.click("#go")
+    shown.until("fffoAxis.status.set_point && fffoAxis.status.set_point.to_rps === 1.5")
+    shown.page.fill("#step-by", "0.5")
+    shown.page.fill("#step-for", "0")
+    shown.page.click("#step")
+    shown.until("fffoAxis.status.set_point && fffoAxis.status.set_point.to_rps === 2")
+    shown.page.click("#end")
+    shown.state("enabled")
+    shown.page.click("#start")
+    shown.page.click("#ask-yes")
+    shown.state("running")
+    shown.until("document.querySelector('#axis-doing').textContent.includes('default')")
+    shown.page.click("#disable")
+    shown.state("ready")
+    shown.page.check("input[name=friction][value=off]")
+    shown.until("fffoAxis.status.toggle === 'off'")
+
+
+def test_a_gain_is_tried_with_a_step_before_and_after_and_taken_back(shown):
+    shown.enable()
+    row = shown.page.locator("#gains tbody tr").first
+    assert "proportional_a_per_rps" in row.text_content()
+    row.locator("input").fill("0.12")
+    row.locator("button").nth(1).click()
+    shown.page.click("#ask-yes")
+    shown.until("fffoWorkbench.state.trials.some((trial) => trial.state !== 'running')")
+    assert shown.page.evaluate("fffoWorkbench.state.trials[0].says") == "done"
+    shown.page.locator("#trial .uplot canvas").wait_for()
+    figures = shown.page.locator("#trial tbody tr")
+    assert [figures.nth(k).locator("td").first.text_content() for k in range(2)] == ["before", "after"]
+    assert shown.served.client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.12
+    shown.page.get_by_role("button", name="Take it back: 0.1").click()
+    shown.until("document.querySelector('#gains tbody tr td:nth-child(2)').textContent === '0.1'")
+    assert shown.served.client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.1
+
+
+def test_a_value_that_the_gates_refuse_is_told_and_nothing_changes(shown):
+    shown.state("ready")
+    row = shown.page.locator("#gains tbody tr").nth(4)
+    row.locator("input").fill("-3")
+    row.locator("button").first.click()
+    shown.says("clamp_ratio")
+    assert shown.page.get_attribute("#axis-said", "class") == "bad"
+    assert shown.served.client.call("info")["keys"]["controller.observer.clamp_ratio"] == 2
+
+
+def test_a_fault_is_shown_with_the_drives_words_and_reset(shown):
+    shown.enable()
+    shown.served.break_down()
+    shown.state("fault")
+    assert shown.page.is_visible("#axis-fault")
+    assert "Remove the cause, then reset it." in shown.page.text_content("#axis-fault")
+    assert shown.page.is_disabled("#enable")
+    shown.page.click("#reset")
+    shown.state("ready")
+    assert not shown.page.is_visible("#axis-fault")
+
+
+def test_a_recording_is_made_by_the_daemon_and_listed(shown):
+    served = shown.served
+    content = yaml.safe_load(served.axis.read_text())
+    profile = {"profile": {"kind": "sine", "duration_s": 3, "amplitude": 1, "frequency_hz": 1}}
+    short = shown.log.parent / "short.yaml"
+    served.axis.write_text(yaml.safe_dump(content | profile, sort_keys=False))
+    try:
+        shown.page.click("#tab-work")
+        shown.until("!document.querySelector('#record').disabled")
+        shown.page.click("#record")
+        shown.page.click("#ask-yes")
+        shown.until("fffoWorkbench.state.jobs.length && fffoWorkbench.state.jobs[0].state !== 'running'")
+        assert shown.job["state"] == "done", shown.job
+        assert "--served" in shown.job["line"]
+        shown.until("fffoWorkbench.state.runs.length === 1")
+    finally:
+        served.axis.write_text(yaml.safe_dump(content, sort_keys=False))
+    run = read_run(next((shown.log.parent / "runs").glob("*.mcap")))
+    assert run.metadata["source"] == "daemon"
+    assert served.state == "ready"
+    assert not short.exists()
+
+
+@pytest.mark.parametrize(
+    ("role", "off", "on"),
+    [
+        ("look", ("#halt", "#quick", "#enable", "#serve"), ()),
+        ("stop", ("#enable", "#start", "#serve"), ("#halt", "#quick")),
+        ("move", ("input[name=friction][value=off]", "#gains button"), ("#halt", "#enable")),
+    ],
+)
+def test_what_a_role_may_not_cannot_be_pressed_and_is_refused_all_the_same(
+    served, chromium, tmp_path, role, off, on
+):  # fmt: skip
+    served.rest()
+    page = AxisPage(chromium, served, tmp_path, role)
+    page.state("ready")
+    page.until(f"document.querySelector('#where').textContent.endsWith('role: {role}')")
+    for selector in off:
+        assert page.page.locator(selector).first.is_disabled(), selector
+    for selector in on:
+        page.until(f"!document.querySelector('{selector}').disabled")
+    refused = {"look": "disable", "stop": "enable", "move": "set"}[role]
+    answer = page.page.evaluate(
+        f"fetch('axis/{refused}', {{ method: 'POST', body: '{{}}' }})"
+        ".then(async (answer) => [answer.status, (await answer.json()).error])"
+    )
+    assert answer[0] == 403
+    assert f"this page has {role}" in answer[1]
+    if role == "look":
+        page.page.keyboard.press("Escape")
+        page.says("Use the emergency stop of the machine")
+    assert served.state == "ready"
+    page.close()
+
+
+def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(shown):
+    shown.enable()
+    shown.page.route("**/axis/disable", lambda route: route.abort())
+    shown.page.keyboard.press("Escape")
+    shown.says("STOP NOT CONFIRMED")
+    assert "emergency stop of the machine" in shown.page.text_content("#axis-said")
+    shown.served.client.call("disable")
+    shown.says("confirmed late, by its state: ready")
+
+
+def test_a_status_that_is_old_allows_nothing_but_a_stop(shown):
+    shown.state("ready")
+    shown.until("!document.querySelector('#enable').disabled")
+    shown.page.evaluate("fffoAxis.source.onmessage = null, fffoAxis.heardMs = -1e9")
+    shown.until("document.querySelector('#enable').disabled")
+    assert "what is shown is old" in shown.page.text_content("#axis-link")
+    assert not shown.page.is_disabled("#halt")
+
+
+def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    shown.enable()
+    for width in (None, NARROW):
+        if width:
+            shown.page.set_viewport_size(width)
+        found = axe.run(shown.page).response["violations"]
+        assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
+    assert shown.page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]
+
+
+@pytest.fixture
+def uncommissioned(tmp_path):
+    """An axis on a bus without a drive, and a record for it; its commissioning is that of a drive in process."""
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    axis = tmp_path / "configs" / "axis_canopen.yaml"
+    drive = SimulatedDrive()
+    write_record(axis.with_name("canopen.commissioning.yaml"), record_for(axis, drive.connect()))
+    drive.close()
+    return axis
+
+
+def test_commissioning_shows_each_check_and_names_its_record_when_somebody_agrees(
+    uncommissioned, chromium, tmp_path, monkeypatch
+):
+    simulated = uncommissioned.with_name("axis_simulated.yaml")
+    words = ("commission", str(simulated), "--out", str(tmp_path / "record.yaml"))
+    action = actions.ACTIONS["commission"]._replace(make=lambda *_: actions.CommandLine("commission", words))
+    monkeypatch.setitem(actions.ACTIONS, "commission", action)
+    shown = Shown(chromium, Workbench(tmp_path / "out", uncommissioned, None, ()))
+    before = uncommissioned.read_text()
+    assert shown.page.text_content("#next") == "Next: commission the axis"
+    shown.page.click("#commission")
+    assert "will move" in shown.page.text_content("#ask-text")
+    shown.page.click("#ask-yes")
+    shown.until("document.querySelectorAll('#checks-list details').length === 17")
+    shown.until("document.querySelector('#ask').open")
+    assert "Name its record in" in shown.page.text_content("#ask-text")
+    assert uncommissioned.read_text() == before
+    shown.page.click("#ask-yes")
+    shown.until("fffoWorkbench.state.axis.commissioning === ''")
+    assert read_axis(uncommissioned).commissioning == "canopen.commissioning.yaml"
+    assert uncommissioned.read_text().replace("commissioning: canopen.commissioning.yaml\n", "", 1) == before
+    check = shown.page.locator("#check-torque_sign")
+    check.locator("summary").click()
+    check.locator(".uplot canvas").first.wait_for()
+    assert shown.page.text_content("#checks-verdict").startswith("passed: ")
+    shown.close()
+
+
+@pytest.mark.long
+def test_a_daemon_is_started_and_stopped_from_the_page_and_commissioning_waits_for_its_end(chromium, tmp_path):
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    axis, bus = tmp_path / "configs" / "axis_canopen.yaml", f"loopback:{free_loopback_port()}"
+    text = axis.read_text().replace("loopback:29500", bus).replace("name: canopen", f"name: b{time.monotonic_ns()}")
+    axis.write_text(text)
+    with SimulatedProcess(CONFIGS / "simulated_drive.yaml", bus):
+        shown = Shown(chromium, Workbench(tmp_path / "out", axis, None, ()))
+        shown.page.click("#tab-axis")
+        shown.until("!document.querySelector('#serve').disabled")
+        shown.page.click("#serve")
+        shown.until("fffoWorkbench.state.daemon && fffoAxis.status && fffoAxis.status.state === 'connected'")
+        assert "commissioning" in shown.page.text_content("#axis-obstacles")
+        assert shown.page.is_disabled("#enable")
+        assert shown.page.is_disabled("#commission")
+        assert shown.page.get_attribute("#scope-link", "href").startswith("http://127.0.0.1:")
+        shown.page.click("#unserve")
+        shown.until("!fffoWorkbench.state.daemon")
+        shown.until("fffoWorkbench.state.services[0].state === 'cancelled'")
+        shown.page.click("#tab-work")
+        shown.until("!document.querySelector('#commission').disabled")
+        shown.close()
