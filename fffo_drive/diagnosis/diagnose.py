@@ -27,6 +27,7 @@ from .base import BASE, NAMES
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
 from .gates import NEGLIGIBLE, needed_rows
+from .own_pictures import own_picture
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
 from .propose import WAVE_RUNG
@@ -321,6 +322,7 @@ def _finding(
         torque_rms_nm=float(np.sqrt(np.mean(torque**2))),
         rivals=tuple(_rival(note, *one) for one in note.rivals),
         picture=picture(data, selected.fitted, number),
+        own_picture=own_picture(data, selected.fitted, number),
         gain=(note.gain.value, note.gain.sd),
         held_out_gain=unseen,
         regime_before=before,

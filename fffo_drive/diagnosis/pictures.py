@@ -59,20 +59,20 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
     place = _place(data, scenes, effect.name, dict(effect.shapes))
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
     before = fitted.residual_nm + load
-    edges = _edges(place.values[kept])
+    edges = bin_edges(place.values[kept])
     curves: list[FoundCurve] = []
     for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
         bins = np.clip(np.searchsorted(edges, place.values[rows], side="right") - 1, 0, edges.size - 2)
         window = data.rows.folds.window[rows]
-        shown = _shown(bins, window, edges.size - 1)
-        x = _means(place.values[rows], bins, edges.size - 1)[shown]
+        shown = shown_bins(bins, window, edges.size - 1)
+        x = binned(place.values[rows], bins, edges.size - 1)[shown]
         clouds = [("without the effect", before), ("with it", fitted.residual_nm)][: 1 if where else 2]
         for label, values in clouds:
-            mean, reach = _interval(values[rows], bins, window, edges.size - 1)
+            mean, reach = interval(values[rows], bins, window, edges.size - 1)
             curves.append(
                 FoundCurve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points")
             )
-        says = _means(load[rows], bins, edges.size - 1)[shown]
+        says = binned(load[rows], bins, edges.size - 1)[shown]
         curves.append(FoundCurve("what the effect says" + where, x, says, kind="line"))
     return Picture(
         title=f"{law_of(effect.name).plain_name}, over {place.label}".capitalize(),
@@ -151,7 +151,7 @@ def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floa
     return found
 
 
-def _edges(values: Floats) -> Floats:
+def bin_edges(values: Floats) -> Floats:
     """Bins between even steps of the range and even shares of the rows."""
     if not values.size:
         return np.array([0.0, 1.0])
@@ -161,7 +161,7 @@ def _edges(values: Floats) -> Floats:
     return edges if edges.size > 1 else np.array([low - 0.5, high + 0.5])
 
 
-def _means(values: Floats, bins: Integers, count: int) -> Floats:
+def binned(values: Floats, bins: Integers, count: int) -> Floats:
     return np.asarray(np.bincount(bins, values, count) / np.maximum(np.bincount(bins, minlength=count), 1))
 
 
@@ -171,7 +171,7 @@ def _pieces(bins: Integers, window: Integers) -> tuple[Integers, Integers]:
     return index, keys // (int(window.max()) + 1)
 
 
-def _shown(bins: Integers, window: Integers, count: int) -> npt.NDArray[np.bool_]:
+def shown_bins(bins: Integers, window: Integers, count: int) -> npt.NDArray[np.bool_]:
     """Bins with enough rows and windows."""
     if not bins.size:
         return np.zeros(count, dtype=bool)
@@ -180,9 +180,9 @@ def _shown(bins: Integers, window: Integers, count: int) -> npt.NDArray[np.bool_
     return np.asarray((rows >= LEAST_ROWS) & (np.bincount(owner, minlength=count) >= LEAST_WINDOWS))
 
 
-def _interval(values: Floats, bins: Integers, window: Integers, count: int) -> tuple[Floats, Floats]:
+def interval(values: Floats, bins: Integers, window: Integers, count: int) -> tuple[Floats, Floats]:
     """Mean of each bin, and half the width of its 95 % interval: rows of one window are one piece of evidence."""
-    mean = _means(values, bins, count)
+    mean = binned(values, bins, count)
     if not bins.size:
         return mean, np.zeros(count)
     index, owner = _pieces(bins, window)

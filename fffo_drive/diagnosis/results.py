@@ -68,9 +68,16 @@ class FoundCurve:
     kind: Literal["points", "line"] = "points"
 
 
+class PictureMark(NamedTuple):
+    """A place on the abscissa that has a name."""
+
+    x: float
+    label: str
+
+
 @dataclass(frozen=True)
 class Picture:
-    """The plot that convinces: residual torque over the axis on which the effect lives, and what the effect says."""
+    """A plot that convinces: residual torque over the axis on which the effect lives, or what its law asks for."""
 
     title: str
     x_label: str
@@ -79,6 +86,8 @@ class Picture:
     y_unit: str
     curves: tuple[FoundCurve, ...]
     note: str = ""
+    marks: tuple[PictureMark, ...] = ()
+    says: str = "What is left without and with it: means with 95 % intervals."
 
 
 @dataclass(frozen=True)
@@ -109,7 +118,8 @@ class Finding:
     strength_percent: float  # rms of its torque over rms of the friction torque, fit runs
     torque_rms_nm: float = 0.0  # of its own, where the axis moves in the fit runs
     rivals: tuple[Rival, ...] = ()
-    picture: Picture | None = None
+    picture: Picture | None = None  # the residual over its axis
+    own_picture: Picture | None = None  # of the kind that its law asks for (`Law.figure`)
     gain: tuple[float, float] | None = None  # nats on rows that the fit did not see, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does

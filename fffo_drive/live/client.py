@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from websockets.asyncio.server import ServerConnection
 
 from ..roles import Role, may
+from ..signals import UNITS
 from . import frames
 from .control_link import REFUSED, ControlLink, ControlLinkError
 from .feed import CAPTURE_S
@@ -57,7 +58,7 @@ class LiveClient(Peer):
         if what == "token":
             self._check_key(wanted.get("token"))
         elif what == "capture":
-            self._begin_capture(wanted.get("seconds"), wanted.get("until_tick"))
+            self._begin_capture(wanted)
         elif what not in ("stop", "call"):
             raise DroppedError("asks for what there is not")
         elif self._asker.role == "look":
@@ -80,13 +81,18 @@ class LiveClient(Peer):
     def _needed(self, method: str) -> Role:
         return self._hub.methods[method].role
 
-    def _begin_capture(self, seconds: object, until_tick: object) -> None:
+    def _begin_capture(self, wanted: dict[str, Any]) -> None:
+        seconds, until_tick, signals = wanted.get("seconds"), wanted.get("until_tick"), wanted.get("signals", [])
         if not isinstance(seconds, int | float) or not 0 < seconds <= CAPTURE_S:
             raise DroppedError("asks for a capture of no length")
         if until_tick is not None and (not isinstance(until_tick, int) or not 0 <= until_tick < 1 << 63):
             raise DroppedError("asks for a capture at no tick")
+        if not isinstance(signals, list) or not all(isinstance(name, str) and name in UNITS for name in signals):
+            raise DroppedError("asks for a capture of no signals")
+        if len(set(signals)) < len(signals):
+            raise DroppedError("asks for a signal twice")
         if not self._bulk:  # else the one before is on its way
-            self.offer_bulk(self._hub.feed.captured(float(seconds), until_tick))
+            self.offer_bulk(self._hub.feed.captured(float(seconds), until_tick, signals, _number(wanted)))
 
     def _call(self, wanted: dict[str, Any]) -> None:
         method, params = wanted.get("method"), wanted.get("params", {})

@@ -7,7 +7,7 @@ recorder has a reader of its own. While nobody listens nothing is read and nothi
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from .decimation import Counts, Decimator, Matrix, bin_ticks_of, lateness_counts
 
 CAPTURE_S = 10.0
 KEPT_S = CAPTURE_S + 5.0  # a page asks for what is around an event after it has seen it
-CHUNK_ROWS = 256  # of a capture, in one frame
+CHUNK_BYTES = 96 * 1024  # of a capture, in one frame: what is live goes between two of them
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
@@ -72,10 +72,15 @@ class Capture:
 
     def newest(self, count: int, until_tick: int | None = None) -> Rows:
         """At most so many of the newest rows, oldest first; `until_tick`: of those up to this tick."""
-        rows = np.frombuffer(b"".join(batch.tobytes() for batch in self._batches), ROW)  # NumPy's way is field by field
-        if until_tick is not None:
-            rows = rows[: np.searchsorted(rows["tick"], until_tick, side="right")]
-        return rows[max(0, len(rows) - count) :]
+        found: list[Rows] = []
+        missing = count
+        for batch in reversed(self._batches):
+            if missing <= 0:
+                break
+            rows = batch if until_tick is None else batch[: np.searchsorted(batch["tick"], until_tick, side="right")]
+            found.append(rows[max(0, len(rows) - missing) :])
+            missing -= len(found[-1])
+        return np.frombuffer(b"".join(rows.tobytes() for rows in reversed(found)), ROW)  # NumPy's way is field by field
 
 
 class Feed:
@@ -133,19 +138,34 @@ class Feed:
             "torque_constant_nm_per_a": source.torque_constant_nm_per_a,
         }
 
-    def captured(self, seconds: float, until_tick: int | None = None) -> list[bytes]:
+    def captured(
+        self, seconds: float, until_tick: int | None = None, names: Sequence[str] = (), number: int | None = None
+    ) -> list[bytes]:
         """The rows of the last seconds at the full rate (or of those before a tick), as frames of kind `capture`.
 
-        One without rows if there are none.
+        `names`: of these signals alone, packed in this order; all of them without. Whoever asked knows the frames by
+        `number`. One without rows if there are none.
         """
-        if self._reader is None:
-            return [frames.binary("capture", b"", loop=None, first=0, rows=0, total=0)]
-        rows = self._capture.newest(round(min(seconds, CAPTURE_S) * self._rate_hz), until_tick)
-        total = len(rows)
+        rows = np.empty(0, ROW)
+        loop = None
+        if self._reader is not None:
+            loop = self._number
+            rows = self._capture.newest(round(min(seconds, CAPTURE_S) * self._rate_hz), until_tick)
+        if names:
+            rows = _columns(rows, names)
+        total, chunk = len(rows), max(1, CHUNK_BYTES // rows.dtype.itemsize)
         return [
             frames.binary(
-                "capture", rows[first : first + CHUNK_ROWS].tobytes(),
-                loop=self._number, first=first, rows=min(CHUNK_ROWS, total - first), total=total,
+                "capture", rows[first : first + chunk].tobytes(), loop=loop, first=first,
+                rows=min(chunk, total - first), total=total, signals=list(names), id=number,
             )
-            for first in range(0, max(total, 1), CHUNK_ROWS)
+            for first in range(0, max(total, 1), chunk)
         ]  # fmt: skip
+
+
+def _columns(rows: Rows, names: Sequence[str]) -> Rows:
+    """Some signals of rows, one after the other without gaps."""
+    packed = np.empty(len(rows), np.dtype([(name, ROW[name]) for name in names]))
+    for name in names:
+        packed[name] = rows[name]
+    return packed

@@ -20,7 +20,7 @@ from .feed import CAPTURE_S, Feed, Taken
 from .keys import Keys
 from .services import WHO, ServiceMethod
 
-FRAMES_HZ = 25.0
+FRAMES_HZ = 50.0  # as many as there are bins: a page draws each of them, where its machine can
 STATUS_HZ = 10.0
 RETRY_S = 0.5
 EVENTS = 50
@@ -102,6 +102,8 @@ class Hub:
     async def run(self) -> None:
         """Read the ring and tell everybody, while there is anybody; for ever."""
         looked = False
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
         while True:
             looking = self._looking
             if looking != looked:
@@ -110,7 +112,8 @@ class Hub:
             await self._subscribe(STATUS_HZ if looking else 0.0)
             if looking:
                 self._turn()
-                await asyncio.sleep(1.0 / FRAMES_HZ)
+                due_s = max(due_s + 1.0 / FRAMES_HZ, loop.time())  # a late turn is not made up for
+                await asyncio.sleep(due_s - loop.time())
             else:
                 await self._wait_for_somebody()
 

@@ -11,7 +11,10 @@ from ..report import palette
 from ..report.page import ASSETS as REPORT_ASSETS
 
 ASSETS = Path(__file__).parent / "assets"
-SCRIPTS = ("wire.js", "store.js", "charts.js", "controls.js", "scope.js")
+SCRIPTS = (
+    "wire.js", "store.js", "captures.js", "trigger.js", "dsp.js", "chart.js", "charts.js", "analysis.js", "views.js",
+    "controls.js", "scope.js",
+)  # fmt: skip
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..diagnosis.results import Diagnosis, Finding, FoundCurve, Picture, ResidualChannel, RunFigure
 from ..units import axis_word_on, name_on, text_on, unit_on
-from .figures import Figure, Floats, Group, PlotAxis, Series, Uniform, grouped_bars
+from .figures import Dash, Figure, Floats, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
 PAIR = " x "  # in the name of a channel over two axes
@@ -17,6 +17,7 @@ SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angl
 BEFORE, AFTER, LAW = "grey", "blue", "orange"
 POINTS = (BEFORE, AFTER, "green", "purple")
 LINES = (LAW, "ink", "purple", "green")
+DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")  # two lines are told apart without their colours
 
 
 class DiagnosisWords(NamedTuple):
@@ -61,41 +62,39 @@ def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
 
 
 def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:
-    """The picture of each finding that has one."""
-    pictured = [finding for finding in findings if finding.picture is not None and finding.picture.curves]
-    return tuple(
-        _effect(f"effect-{number}", finding.picture, "full" if len(pictured) == 1 else "half", words)
-        for number, finding in enumerate(pictured, 1)
-        if finding.picture is not None
-    )
+    """The pictures of each finding: the residual over its axis, and beside it what its law asks for."""
+    found = []
+    for number, finding in enumerate((f for f in findings if f.picture is not None or f.own_picture is not None), 1):
+        both = {f"effect-{number}": finding.picture, f"effect-{number}-own": finding.own_picture}
+        found += [(name, picture) for name, picture in both.items() if picture is not None and picture.curves]
+    width = "full" if len(found) == 1 else "half"
+    return tuple(_effect(name, picture, width, words) for name, picture in found)
 
 
 def _effect(name: str, picture: Picture, width: str, words: DiagnosisWords) -> Figure:
     clouds = [curve for curve in picture.curves if curve.kind == "points"]
     lines = [curve for curve in picture.curves if curve.kind == "line"]
     series = [_series(curve, POINTS[k % len(POINTS)], words) for k, curve in enumerate(clouds)]
-    series += [_series(curve, LINES[k % len(LINES)], words) for k, curve in enumerate(lines)]
+    series += [_series(curve, LINES[k % len(LINES)], words, DASHES[k % len(DASHES)]) for k, curve in enumerate(lines)]
     note = f" {picture.note}" if picture.note else ""
     return Figure(
         name=name,
         kind="xy",
         title=words.text(picture.title),
-        caption=f"What is left without and with it: means with 95 % intervals.{note}",
+        caption=words.text(picture.says) + note,
         x=PlotAxis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
         y=PlotAxis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
+        levels=tuple(LevelLine(mark.x, mark.label, upright=True) for mark in picture.marks),
         width="full" if width == "full" else "half",
     )
 
 
-def _series(curve: FoundCurve, colour: str, words: DiagnosisWords) -> Series:
+def _series(curve: FoundCurve, colour: str, words: DiagnosisWords, dash: Dash = "solid") -> Series:
     order = np.argsort(curve.x, kind="stable")
     low, high = (None if end is None else np.asarray(end)[order] for end in (curve.low, curve.high))
     x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
-    draw = "points" if curve.kind == "points" else "line"
-    return Series(
-        words.text(curve.label), x, y, colour, "points" if draw == "points" else "line", weight=2.2, low=low, high=high
-    )
+    return Series(words.text(curve.label), x, y, colour, curve.kind, dash, weight=2.2, low=low, high=high)
 
 
 def _distinct(series: Sequence[Series]) -> list[Series]:

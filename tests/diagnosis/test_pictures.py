@@ -8,7 +8,7 @@ from identification.synthetic import TRUTH, chirp_record
 
 from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.fitting import Data, Fitted
-from fffo_drive.diagnosis.pictures import _edges, _interval, ceiling, picture, run_figures
+from fffo_drive.diagnosis.pictures import bin_edges, ceiling, interval, picture, run_figures
 from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
 from fffo_drive.diagnosis.scenes import Effect
 from fffo_drive.identification.dataset import Record
@@ -63,18 +63,18 @@ def test_intervals_of_a_mean_hold_also_where_windows_hang_together():
     for _ in range(200):
         window = np.repeat(np.arange(60), 20)
         values = np.repeat(draw.normal(size=60), 20) + draw.normal(size=1200)  # a window has an error of its own
-        mean, reach = _interval(values, np.zeros(1200, np.int64), window, 1)
+        mean, reach = interval(values, np.zeros(1200, np.int64), window, 1)
         inside += abs(mean[0]) < reach[0]
     assert 180 <= inside <= 199
 
 
 def test_bins_cover_the_range_and_none_is_empty_of_meaning():
     values = np.concatenate([np.zeros(1000), np.linspace(0.0, 10.0, 1000)])
-    edges = _edges(values)
+    edges = bin_edges(values)
     assert edges[0] == 0.0
     assert edges[-1] == 10.0
     assert (np.diff(edges) > 0.0).all()
-    assert _edges(np.ones(5)).size == 2
+    assert bin_edges(np.ones(5)).size == 2
 
 
 def test_the_picture_of_a_wave_is_folded_onto_its_period_and_shows_what_the_effect_says():

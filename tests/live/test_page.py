@@ -4,70 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
-import time
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from daemon.rig import PATIENCE_S
+from live.scope_page import INKED, LAPTOP, Page
 from live.served import Served
 
 from fffo_drive.signals import SIGNALS
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.browser, pytest.mark.timeout(400)]
-LAPTOP, TABLET, UPRIGHT = (1366, 768), (1024, 768), (768, 1024)
+TABLET, UPRIGHT = (1024, 768), (768, 1024)
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
     with Served(tmp_path_factory.mktemp("served")) as served:
         yield served
-
-
-class Page:
-    """A page that is looked at, and everything that it complained of or asked for."""
-
-    def __init__(self, browser, served, size=LAPTOP, key=True, **options):
-        width, height = size
-        self.context = browser.new_context(viewport={"width": width, "height": height}, **options)
-        self.tab = self.context.new_page()
-        self.tab.set_default_timeout(PATIENCE_S * 1000)
-        self.troubles, self.requests = [], []
-        self.tab.on("pageerror", lambda error: self.troubles.append(str(error)))
-        self.tab.on("console", lambda message: message.type == "error" and self.troubles.append(message.text))
-        self.tab.on("request", lambda request: self.requests.append(request.url))
-        self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
-        self.address = f"{served.url}#{served.key}" if key else served.url
-
-    def open(self):
-        self.tab.goto(self.address)
-        self.until("document.body.dataset.state !== '' && fffoScope.store")
-        if "#" in self.address:
-            self.until("fffoScope.mayCommand")
-        return self
-
-    def js(self, expression):
-        return self.tab.evaluate(expression)
-
-    def until(self, expression):
-        """Wait until it is so. The page's own policy forbids what playwright would do for this."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not (value := self.js(expression)):
-            assert time.monotonic() < deadline_s, f"never: {expression}; it says: {self.said}; {self.troubles}"
-            time.sleep(0.05)
-        return value
-
-    def until_state(self, state):
-        self.until(f"document.body.dataset.state === '{state}'")
-
-    @property
-    def said(self):
-        return self.tab.text_content("#said")
-
-    def see(self, seconds):
-        """So many seconds of the axis more than now."""
-        now_s = self.js("fffoScope.store.now")
-        self.until(f"fffoScope.store.now > {now_s + seconds} || fffoScope.store.now < {now_s}")
 
 
 @pytest.fixture
@@ -79,19 +32,6 @@ def page(served, chromium):
     assert page.troubles == []
 
 
-# pixels of a picture that are of a series' colour
-INKED = """([title, colour]) => {
-  const figure = [...document.querySelectorAll("figure")].find((f) => f.textContent.startsWith(title));
-  const canvas = figure.querySelector("canvas"), probe = document.createElement("canvas").getContext("2d");
-  probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(`--series-${colour}`).trim();
-  probe.fillRect(0, 0, 1, 1);
-  const wanted = probe.getImageData(0, 0, 1, 1).data;
-  const all = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
-  let count = 0;
-  for (let i = 0; i < all.length; i += 4)
-    if (all[i + 3] > 200 && [0, 1, 2].every((c) => Math.abs(all[i + c] - wanted[c]) < 40)) count++;
-  return count;
-}"""
 CURVES = [
     ("Velocity", "blue"), ("Velocity", "ink"), ("Error", "orange"), ("Current", "ink"), ("Current", "purple"),
     ("Friction", "green"), ("Ticks", "purple"),
@@ -142,8 +82,8 @@ def test_a_fault_is_shown_as_one_and_triggers(served, page):
     assert page.tab.get_attribute("#fault", "role") == "alert"
     assert "emergency" in page.tab.text_content("#fault").lower()
     assert page.tab.text_content("#state") == "FAULT"
-    page.until("!!fffoScope.triggered")
-    trips = page.js("columnsOf(fffoScope.triggered, fffoScope.fields, ['trip']).trip")
+    page.until("!!fffoScope.taken")
+    trips = page.js("columnsOf(fffoScope.taken, fffoScope.fields, ['trip']).trip")
     assert trips[0] == 0
     assert trips[-1] != 0
     assert page.tab.is_disabled("#start")
@@ -158,11 +98,11 @@ def test_a_reversal_triggers_and_is_taken_at_the_full_rate(served, page, tmp_pat
     page.until_state("running")
     page.see(1.0)
     page.tab.select_option("#trigger", "reversal")
-    page.until("!!fffoScope.triggered")
+    page.until("!!fffoScope.taken")
     assert page.tab.get_attribute("#pause", "aria-pressed") == "true"
     begin_s, end_s = page.js("fffoScope.view")
     taken = page.js("""(() => {
-      const { tick, reference_rps } = columnsOf(fffoScope.triggered, fffoScope.fields, ["tick", "reference_rps"]);
+      const { tick, reference_rps } = columnsOf(fffoScope.taken, fffoScope.fields, ["tick", "reference_rps"]);
       return { times: tick.map((t) => Number(t) / fffoScope.rate), reference: reference_rps };
     })()""")
     pairs = zip(taken["times"], pairwise(taken["reference"]), strict=False)
@@ -298,27 +238,19 @@ def test_the_crosshair_gives_the_values_of_its_time(served, page):
 
 
 def test_everything_can_be_done_with_keys(served, page):
-    def reach(name):
-        for _ in range(40):
-            page.tab.keyboard.press("Tab")
-            if page.js("document.activeElement.id || document.activeElement.value") == name:
-                assert page.js("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-                return
-        pytest.fail(f"{name} is not reached with Tab")
-
     page.js("document.activeElement.blur()")
     page.tab.keyboard.press("Tab")
     assert page.js("document.activeElement.id") == "stop"  # first of all
-    reach("enable")
+    page.reach("enable")
     page.tab.keyboard.press("Enter")
     page.until_state("enabled")
-    reach("start")
+    page.reach("start")
     page.tab.keyboard.press("Enter")
     page.until_state("running")
-    reach("ff")
+    page.reach("ff")
     page.tab.keyboard.press("ArrowRight")
     page.until("document.querySelector('#facts').textContent.includes('friction fb')")
-    reach("seconds")
+    page.reach("seconds")
     page.tab.keyboard.press("Escape")
     page.until_state("ready")
 

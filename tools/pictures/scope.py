@@ -88,7 +88,7 @@ def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> No
         page.select_option("#trigger", "fault")
         with open_link(bus) as link:
             link.send(pack_frame(EMERGENCY + 1, bytes([0x10, 0x23, 0x03, 0, 0, 0, 0, 0])))
-        wait(page, "!!fffoScope.triggered")
+        wait(page, "!!fffoScope.taken")
         every_way(page, everything, "fault_")
 
 

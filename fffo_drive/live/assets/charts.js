@@ -1,5 +1,5 @@
 "use strict";
-// The five pictures. Series differ in dash and weight as well as in colour and carry their names and values.
+// The pictures over time, friction over velocity, and the bars of the lateness.
 
 const PICTURES = [
   { title: "Velocity", unit: "rps", series: [
@@ -23,79 +23,23 @@ const PICTURES = [
     { name: "busy_ns", label: "work", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
 ];
 
-function cssColour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
-function shown(value) { return value == null ? "–" : (Math.abs(value) >= 1000 ? value.toFixed(0) : value.toPrecision(3)).replace("-", "−"); }
+class Picture extends Chart {
+  constructor(spec, parent, view) { super({ ...spec, x: { unit: "s", inverse: "Hz" } }, parent, view); }
 
-// three rows of pictures fit a laptop's screen
-function sizeIn(place) { return { width: Math.max(240, place.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
-function axisOf(size, values) { return { stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size, values: (u, ticks) => ticks.map((t) => values(t).replace("-", "−")) }; }
-
-class Picture {
-  constructor(spec, parent, onSelect, onReset) {
-    this.spec = spec;
-    this.off = new Set();
-    this.onSelect = onSelect;
-    this.onReset = onReset;
-    this.figure = document.createElement("figure");
-    const head = document.createElement("figcaption"), title = document.createElement("b");
-    title.textContent = `${spec.title}, ${spec.unit}`;
-    head.append(title);
-    this.values = spec.series.map((series, i) => head.appendChild(this.legend(series, i)).lastElementChild);
-    this.plotAt = document.createElement("div");
-    this.plotAt.className = "plot";
-    this.figure.append(head, this.plotAt);
-    parent.insertBefore(this.figure, parent.lastElementChild); // the histogram stays last
-    this.build();
-  }
-
-  legend(series, i) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.setAttribute("aria-pressed", "true");
-    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), line = document.createElementNS(svg.namespaceURI, "line");
-    svg.setAttribute("width", "30"); svg.setAttribute("height", "8"); svg.setAttribute("aria-hidden", "true");
-    for (const [key, value] of Object.entries({ x1: 0, x2: 30, y1: 4, y2: 4, stroke: `var(--series-${series.colour})`, "stroke-width": series.width + 0.4, "stroke-dasharray": (series.dash || []).join(" ") })) line.setAttribute(key, value);
-    svg.append(line);
-    const value = document.createElement("span");
-    value.className = "value";
-    button.append(svg, series.label, value);
-    button.addEventListener("click", () => {
-      const hide = !this.off.has(i);
-      if (hide) this.off.add(i); else this.off.delete(i);
-      button.setAttribute("aria-pressed", String(!hide));
-      this.build();
-    });
-    return button;
-  }
-
-  size() { return sizeIn(this.plotAt); }
-
-  build() {
-    const data = this.plot ? this.plot.data : null, scale = this.plot ? this.plot.scales.x : null;
-    if (this.plot) this.plot.destroy();
+  series() {
     const series = [{}], bands = [];
-    this.spec.series.forEach((s, i) => {
-      const stroke = cssColour(`--series-${s.colour}`), show = !this.off.has(i);
+    this.places = this.spec.series.map((s, i) => {
+      const stroke = cssColour(`--series-${s.colour}`), show = !this.off.has(i), at = series.length;
       if (s.band) {
-        const at = series.length;
         series.push({ stroke: stroke + "55", width: 0.5, points: { show: false }, show }, { stroke: stroke + "55", width: 0.5, points: { show: false }, show });
         bands.push({ series: [at, at + 1], fill: stroke + "33" });
       }
       series.push({ label: s.label, stroke, width: s.width, dash: s.dash, points: { show: false }, show });
+      return series.length - 1;
     });
-    const own = this;
-    this.plot = new uPlot({
-      ...this.size(), series, bands, legend: { show: false }, pxAlign: 0, padding: [8, 14, 0, 0],
-      scales: { x: { time: false } },
-      axes: [axisOf(26, (t) => `${+t.toFixed(3)} s`), axisOf(58, (t) => String(+t.toPrecision(6)))],
-      cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { own.onReset(); return null; } } },
-      hooks: { setSelect: [(u) => {
-        if (u.select.width > 4) own.onSelect(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
-        u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-      }], setCursor: [(u) => own.read(u)] },
-    }, data || series.map(() => []), this.plotAt);
-    if (data && scale && scale.min != null) this.plot.setScale("x", { min: scale.min, max: scale.max });
+    return { series, bands };
   }
+  columnOf(i) { return this.places[i]; }
 
   draw(store, from, to, constant, tell) {
     const [begin, end] = store.between(from, to);
@@ -107,76 +51,57 @@ class Picture {
       data.push(line);
       if (tell && !this.crossed) this.values[i].textContent = shown(line[line.length - 1]);
     });
+    this.data = data;
     this.plot.batch(() => {
       this.plot.setData(data, false);
       this.plot.setScale("x", { min: from, max: to });
     });
-  }
-
-  resize() { this.plot.setSize(this.size()); }
-
-  remove() {
-    this.plot.destroy();
-    this.figure.remove();
-  }
-
-  // values at the crosshair of any picture; the last ones without
-  read(u) {
-    const at = u.cursor.idx;
-    this.crossed = at != null && u.cursor.left >= 0;
-    if (!this.crossed) return;
-    let column = 1;
-    this.spec.series.forEach((s, i) => {
-      if (s.band) column += 2;
-      this.values[i].textContent = shown(u.data[column++][at]);
-    });
+    if (tell) this.tellCursors();
   }
 }
 
+// any signal of the row, by its name
+function pictureOf(field, parent, view) {
+  const series = [{ name: field.name, label: field.name, colour: "purple", width: 1.8, band: true }];
+  return new Picture({ title: field.name, unit: field.unit || "-", series }, parent, view);
+}
+
+const MOST_POINTS = 600; // of the map, as many as it has bins in 12 s: each is a circle to draw
+const NEAR_SHARE = 0.01; // of the velocities shown: a cursor on the map tells the median of the points so near
+
 // friction over velocity, while it turns: what the current leaves beside the inertia feed-forward, and what the observer makes of it
-class FrictionMap {
-  constructor(parent) {
-    this.figure = document.createElement("figure");
+class FrictionMap extends OwnAxisChart {
+  constructor(parent, view) {
+    super({ title: "Friction over velocity", unit: "Nm", x: { unit: "rps" }, series: [
+      { label: "motor torque minus the inertia feed-forward", colour: "grey", width: 1, mark: "transparent" },
+      { label: "estimate", colour: "green", width: 1, mark: "var(--series-green)" }] }, parent, view);
     this.figure.id = "friction-map";
-    const head = document.createElement("figcaption"), title = document.createElement("b");
-    title.textContent = "Friction over velocity, Nm";
-    const key = document.createElement("span");
-    key.textContent = "○ motor torque minus the inertia feed-forward   ● estimate";
-    head.append(title, key);
-    this.plotAt = document.createElement("div");
-    this.plotAt.className = "plot";
-    this.figure.append(head, this.plotAt);
-    parent.insertBefore(this.figure, parent.lastElementChild);
-    this.build();
   }
 
-  size() { return sizeIn(this.plotAt); }
-
-  build() {
-    const data = this.points || [[], [], []];
-    if (this.plot) this.plot.destroy();
-    const dots = (colour, filled) => ({ paths: () => null, points: { show: true, size: 4, width: 1, stroke: cssColour(colour), fill: filled ? cssColour(colour) : "transparent" } });
-    this.plot = new uPlot({
-      ...this.size(), mode: 1, legend: { show: false }, padding: [8, 14, 0, 0],
-      scales: { x: { time: false } }, axes: [axisOf(26, (t) => `${+t.toPrecision(4)} rps`), axisOf(58, (t) => String(+t.toPrecision(6)))],
-      series: [{ sorted: 0 }, dots("--series-grey", false), dots("--series-green", true)],
-      cursor: { points: { show: false } },
-    }, data, this.plotAt);
+  series() {
+    const dots = (s, i) => ({ paths: () => null, show: !this.off.has(i), points: { show: true, size: 4, width: 1, stroke: cssColour(`--series-${s.colour}`), fill: s.mark === "transparent" ? s.mark : cssColour(`--series-${s.colour}`) } });
+    return { series: [{ sorted: 0 }, ...this.spec.series.map(dots)], bands: [] };
   }
+  points() { return { show: false }; }
 
   draw(store, from, to, constant, tell) {
-    if (!tell) return; // a cloud of points: five pictures a second
     const [begin, end] = store.between(from, to);
     const speed = store.column("velocity_rps", 2, begin, end, 1);
     const motor = store.column("current_a", 2, begin, end, constant || NaN);
     const inertia = store.column("inertia_nm", 2, begin, end, 1), estimate = store.column("friction_nm", 2, begin, end, 1);
-    const order = speed.map((v, i) => i).filter((i) => speed[i] != null).sort((a, b) => speed[a] - speed[b]);
+    const stride = Math.ceil(speed.length / MOST_POINTS);
+    const order = [...speed.keys()].filter((i) => i % stride === 0 && speed[i] != null).sort((a, b) => speed[a] - speed[b]);
     const left = (i) => (motor[i] == null ? null : motor[i] - (inertia[i] || 0));
-    this.points = [order.map((i) => speed[i]), order.map(left), order.map((i) => estimate[i])];
-    this.plot.setData(this.points);
+    this.data = [order.map((i) => speed[i]), order.map(left), order.map((i) => estimate[i])];
+    this.plot.setData(this.data);
+    if (tell) this.tellCursors();
   }
 
-  resize() { this.plot.setSize(this.size()); }
+  valueAt(i, x) {
+    const [at, ...columns] = this.plot.data, near = NEAR_SHARE * (this.plot.scales.x.max - this.plot.scales.x.min);
+    const found = columns[i].filter((v, k) => v != null && Math.abs(at[k] - x) <= near).sort((a, b) => a - b);
+    return found.length ? found[found.length >> 1] : null;
+  }
 }
 
 // how many ticks woke how late, as bars with their shares written beside them

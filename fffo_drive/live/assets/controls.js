@@ -68,5 +68,9 @@ class Wire {
     return Promise.race([answer, late]);
   }
 
-  capture(seconds, untilTick) { if (this.open) this.socket.send(JSON.stringify({ do: "capture", seconds, until_tick: untilTick })); }
+  // returns whether it was asked
+  capture(id, seconds, untilTick, signals) {
+    if (this.open) this.socket.send(JSON.stringify({ do: "capture", id, seconds, until_tick: untilTick, signals }));
+    return this.open;
+  }
 }

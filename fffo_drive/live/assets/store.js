@@ -56,14 +56,28 @@ class Store {
   }
 }
 
-// a capture at the full rate, as a store whose bins are single rows
-function storeOfRows(buffer, fields, rate) {
-  const columns = columnsOf(buffer, fields), store = new Store(fields), count = columns.tick.length;
-  for (let row = 0; row < count; row++) {
-    const bin = new Float64Array(fields.length * 3);
-    fields.forEach((field, i) => bin.fill(Number(columns[field.name][row]), i * 3, i * 3 + 3));
-    store.time.push(Number(columns.tick[row]) / rate);
-    store.bins.push(bin);
+// rows at the full rate, looked at like bins of one row; a signal is decoded when it is asked for
+class RowStore {
+  constructor(buffer, fields, rate) {
+    Object.assign(this, { buffer, fields, rate, decoded: {}, scaled: {} });
+    this.count = Math.floor(buffer.byteLength / rowBytes(fields));
+    this.time = this.values("tick").map((tick) => Number(tick) / rate);
   }
-  return store;
+
+  values(name) { return (this.decoded[name] ||= columnsOf(this.buffer, this.fields, [name])[name]); }
+  get now() { return this.count ? this.time[this.count - 1] : 0; }
+
+  // the rows of a time
+  cut(from, to) {
+    const size = rowBytes(this.fields);
+    return new RowStore(this.buffer.slice(this.place(from) * size, this.place(to) * size), this.fields, this.rate);
+  }
+
+  column(name, part, begin, end, factor) {
+    const key = `${name} ${factor}`;
+    const all = (this.scaled[key] ||= this.values(name).map((v) => (Number.isFinite(Number(v)) ? Number(v) * factor : null)).map((v) => (Number.isNaN(v) ? null : v)));
+    return all.slice(begin, end);
+  }
 }
+RowStore.prototype.place = Store.prototype.place;
+RowStore.prototype.between = Store.prototype.between;

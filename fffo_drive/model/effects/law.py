@@ -16,6 +16,7 @@ Axis = Literal[
 ]  # fmt: skip
 STRENGTH: Final = "strength"
 SHAPE: Final = "shape"
+FigureKind = Literal["axis", "order", "friction", "level", "reversal", "transfer", "limit"]
 Shape = dict[str, float]
 Folded = tuple[Literal["motor_angle", "time"], float]  # over which signal, and with which period in rev or s
 
@@ -129,6 +130,7 @@ class Law:
     experiment: str  # what tells it from them
     motions: tuple[str, ...]  # what of it a run can do: parts of the recipe (identification.excitation.PARTS), or CHIRP
     picture: Axis  # the axis over which a plot convinces
+    figure: FigureKind = "axis"  # what is drawn beside that, of diagnosis.own_pictures; axis: nothing else
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
     level: bool = False  # it changes the level of the friction

@@ -43,6 +43,7 @@ LAW = Law(
     ),
     motions=("dwells", "staircase", "creep"),
     picture="direction",
+    figure="friction",
     level=True,
     rung=0,
 )

@@ -42,5 +42,6 @@ LAW = Law(
     experiment="constant speeds at three levels and more, both ways: the even part grows in proportion to speed",
     motions=("staircase",),
     picture="velocity",
+    figure="friction",
     level=True,
 )

@@ -117,6 +117,7 @@ LAW = Law(
     experiment="reversals at several accelerations: the gap is fixed in angle; the resonance falls at small amplitude",
     motions=("triangles", "pairs"),
     picture="travel_since_reversal",
+    figure="reversal",
     feedforward=_along_motion,
     joint=True,
 )

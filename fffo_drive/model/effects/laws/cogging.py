@@ -41,6 +41,7 @@ LAW = Law(
     ),
     motions=("creep", "pairs"),
     picture="motor_angle",
+    figure="order",
     per_run=("cos_nm", "sin_nm"),
     rung=2,
     fold=folded_over_order,

@@ -40,5 +40,6 @@ LAW = Law(
     experiment="the same motion at the beginning, in the middle and at the end, at several speeds; then after a rest",
     motions=("staircase", "dwells", "staircase", "pairs", "staircase"),
     picture="time",
+    figure="level",
     level=True,
 )

@@ -50,6 +50,7 @@ LAW = Law(
     ),
     motions=("chirp",),
     picture="frequency",
+    figure="reversal",
     acts_on="command",
     shown_by_current=True,
 )

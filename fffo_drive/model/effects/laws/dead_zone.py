@@ -53,6 +53,7 @@ LAW = Law(
     experiment="let the torque cross zero while the axis moves, as in coasting down: stiction acts at rest only",
     motions=("coast_downs",),
     picture="current",
+    figure="transfer",
     feedforward=_inverse,
     acts_on="command",
     shown_by_current=True,

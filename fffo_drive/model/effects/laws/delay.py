@@ -43,6 +43,7 @@ LAW = Law(
     ),
     motions=("chirp",),
     picture="frequency",
+    figure="reversal",
     acts_on="command",
     in_base=True,
 )

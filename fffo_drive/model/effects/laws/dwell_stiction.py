@@ -79,5 +79,6 @@ LAW = Law(
     ),
     motions=("dwells",),
     picture="dwell",
+    figure="reversal",
     level=True,
 )

@@ -98,6 +98,7 @@ LAW = Law(
     experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring stays",
     motions=("chirp",),
     picture="frequency",
+    figure="reversal",
     feedforward=_along_motion,
     joint=True,
 )

@@ -44,6 +44,7 @@ LAW = Law(
     ),
     motions=("creep",),
     picture="motor_angle",
+    figure="order",
     per_run=("cos_share", "sin_share"),
     level=True,
     fold=folded_over_order,

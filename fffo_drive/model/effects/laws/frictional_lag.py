@@ -52,4 +52,5 @@ LAW = Law(
     ),
     motions=("biased_sines",),
     picture="velocity",
+    figure="reversal",
 )

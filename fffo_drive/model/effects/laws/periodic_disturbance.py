@@ -42,6 +42,7 @@ LAW = Law(
     experiment="two speeds: the frequency stays, an order of the angle moves; hold the axis at rest",
     motions=("staircase", "dwells"),
     picture="frequency",
+    figure="order",
     per_run=("cos_nm", "sin_nm"),
     fold=lambda values: ("time", 1.0 / values["frequency_hz"]),
 )

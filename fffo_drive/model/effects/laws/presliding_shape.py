@@ -60,4 +60,5 @@ LAW = Law(
     ),
     motions=("triangles",),
     picture="travel_since_reversal",
+    figure="reversal",
 )

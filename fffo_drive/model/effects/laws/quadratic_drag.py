@@ -31,4 +31,5 @@ LAW = Law(
     experiment="constant speeds at four levels and more, up to the highest",
     motions=("staircase",),
     picture="velocity",
+    figure="friction",
 )

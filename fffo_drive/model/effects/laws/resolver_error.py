@@ -38,6 +38,7 @@ LAW = Law(
     experiment="two speeds: in torque it grows with the square of the speed, cogging stays; coasting down shows it too",
     motions=("creep", "coast_downs"),
     picture="motor_angle",
+    figure="order",
     per_run=("cos1_rev", "sin1_rev", "cos2_rev", "sin2_rev"),
     rotary=True,
 )

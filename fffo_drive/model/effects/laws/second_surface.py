@@ -68,4 +68,5 @@ LAW = Law(
     experiment="reversals at two accelerations and more, and constant speeds at eight levels, very slow ones too",
     motions=("triangles", "staircase"),
     picture="travel_since_reversal",
+    figure="reversal",
 )

@@ -43,4 +43,5 @@ LAW = Law(
     experiment="constant speeds at eight levels and more, very slow ones among them, held until friction has settled",
     motions=("staircase",),
     picture="velocity",
+    figure="friction",
 )

@@ -30,5 +30,6 @@ LAW = Law(
     experiment="turn the mounting or the sign of the motor round; at rest an offset acts, asymmetric friction does not",
     motions=("dwells", "staircase"),
     picture="torque",
+    figure="friction",
     rung=0,
 )

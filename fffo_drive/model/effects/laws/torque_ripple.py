@@ -48,6 +48,7 @@ LAW = Law(
     experiment="the same slow speed at two loads: the ripple grows with the torque, cogging does not",
     motions=("creep", "pairs"),
     picture="motor_angle",
+    figure="order",
     per_run=("cos_share", "sin_share"),
     feedforward=_inverse,
     acts_on="torque",

@@ -58,6 +58,7 @@ LAW = Law(
     ),
     motions=("pairs",),
     picture="current",
+    figure="transfer",
     feedforward=_inverse,
     acts_on="torque",
 )

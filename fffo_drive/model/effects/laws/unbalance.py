@@ -52,6 +52,7 @@ LAW = Law(
     ),
     motions=("creep",),
     picture="output_angle",
+    figure="order",
     per_run=("cos_nm", "sin_nm"),
     rung=1,
     fold=lambda values: ("motor_angle", values["ratio"]),

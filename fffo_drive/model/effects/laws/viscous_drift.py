@@ -44,5 +44,6 @@ LAW = Law(
     ),
     motions=("staircase", "dwells", "staircase", "pairs", "staircase"),
     picture="time",
+    figure="level",
     level=True,
 )

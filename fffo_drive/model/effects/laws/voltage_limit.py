@@ -64,6 +64,7 @@ LAW = Law(
     ),
     motions=("pairs",),
     picture="velocity",
+    figure="limit",
     acts_on="command",
     shown_by_current=True,
     needs_current=True,
