@@ -11,11 +11,11 @@ Floats = npt.NDArray[np.float64]
 
 
 class RunHistory(NamedTuple):
-    """n runs of one drive, oldest first; p base parameters, k orders. A linear axis: revolutions stand for m, Nm for N."""
+    """n runs of one drive, oldest first; p base parameters, k orders. Linear: revolutions stand for m, Nm for N."""
 
     time_s: Floats  # (n,) start, UTC, seconds since 1970
-    theta: Floats  # (n, p) base parameters; nan where a run does not determine one
-    information: Floats  # (n, p, p) inverse covariance of theta: rows and columns of 0 where nothing is known
+    theta: Floats  # (n, p) base parameters, finite; what a run does not determine is the smallest that fits
+    information: Floats  # (n, p, p) inverse covariance of theta; 0 along what a run does not determine
     names: tuple[str, ...]  # (p,) `fleet.regress.PARAMETERS`, with their units
     rms_nm: Floats  # (n,) of the residual of the run's own regression
     order_amplitude_nm: Floats  # (n, k) of the residual; nan where the run does not resolve an order
