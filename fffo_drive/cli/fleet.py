@@ -173,14 +173,12 @@ def _status(options: argparse.Namespace) -> int:
         return 0
     share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
     print(f"{status.runs} runs of {status.drives} drives, {status.models} models: {share:.0f} % done")
-    print(
-        f"  {status.recorded} have a record ({status.record_bytes / 1e3:.0f} kB), {status.waiting} wait, {status.failed} failed"
-    )
+    kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
+    print(f"  {status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed")
     print(f"  {status.new_files} files to merge, {status.merged_files} merged")
     for row in drives[:MOST_TOLD]:
-        print(
-            f"  {row['model']}, {row['drive']}: {row['runs']} runs from {row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
-        )
+        span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
+        print(f"  {row['model']}, {row['drive']}: {row['runs']} runs, {span}")
     if len(drives) > MOST_TOLD:
         print(f"  and {len(drives) - MOST_TOLD} drives more (--json has all)")
     for failure in failures[:MOST_TOLD]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -26,31 +27,22 @@ def work_on_dask(where: str, address: str, entries: Sequence[Entry], progress: P
     with _client(where) as client:
         left = iter(entries)
         running = as_completed()
-        done = count = 0
-        for entry in _some(left, IN_FLIGHT):
+        for entry in itertools.islice(left, IN_FLIGHT):
             running.add(_submit(client, address, entry))
-            count += 1
-        for future in running:
-            entry_run = str(future.key).removeprefix("record-")
+        for done, future in enumerate(running, 1):
             error = future.exception()
             if isinstance(error, KilledWorker):
-                _killed(address, entry_run, entries)
+                _killed(address, str(future.key).removeprefix("record-"), entries)
             elif error is not None:
                 raise error
-            done += 1
             if progress is not None:
                 progress(done / len(entries))
-            for entry in _some(left, 1):
+            for entry in itertools.islice(left, 1):
                 running.add(_submit(client, address, entry))
 
 
 def _submit(client: Client, address: str, entry: Entry) -> Any:
     return client.submit(make_record, address, entry, key=f"record-{entry['run']}", pure=False)
-
-
-def _some(entries: Iterator[Entry], count: int) -> Iterator[Entry]:
-    for _, entry in zip(range(count), entries, strict=False):
-        yield entry
 
 
 def _killed(address: str, run: str, entries: Sequence[Entry]) -> None:
@@ -64,10 +56,8 @@ def _killed(address: str, run: str, entries: Sequence[Entry]) -> None:
 @contextlib.contextmanager
 def _client(where: str) -> Iterator[Client]:
     if where == LOCAL:
-        with (
-            LocalCluster(threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster,
-            Client(cluster) as client,
-        ):
+        own = LocalCluster(threads_per_worker=1, dashboard_address=None, host="127.0.0.1")
+        with own as cluster, Client(cluster) as client:
             yield client
         return
     try:

@@ -17,6 +17,7 @@ from .store import FleetStore
 Floats = npt.NDArray[np.float64]
 
 US_PER_S = 1e6
+SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
     "speed_rms_rps", "temperature_degc",
@@ -48,11 +49,9 @@ def history_of(table: pa.Table, drive: str) -> RunHistory:
     if not table.num_rows:
         raise DocumentError(f"no record of drive {drive!r}: `fffo-drive fleet status STORE` lists the drives")
     table = table.sort_by([("start", "ascending"), ("run", "ascending")])
-    balances = Balance(
-        unpacked(_matrix(table, "normal")), _matrix(table, "moment"),
-        *(_column(table, name) for name in ("energy_nm2", "rows", "effective_rows")),
-    )  # fmt: skip
-    solved = [solve(Balance(*parts)) for parts in zip(*balances, strict=True)]
+    normal, moment = unpacked(_matrix(table, "normal")), _matrix(table, "moment")
+    scalars = np.stack([_column(table, name) for name in SCALARS], axis=1)
+    solved = [solve(Balance(a, b, *c)) for a, b, c in zip(normal, moment, scalars.tolist(), strict=True)]
     return RunHistory(
         time_s=table.column("start").cast(pa.int64()).to_numpy() / US_PER_S,
         theta=np.stack([one.theta for one in solved]),
@@ -71,7 +70,7 @@ def balance_of_rows(table: pa.Table) -> Balance:
     """All records of a table together."""
     return Balance(
         unpacked(_matrix(table, "normal").sum(axis=0)), _matrix(table, "moment").sum(axis=0),
-        *(float(_column(table, name).sum()) for name in ("energy_nm2", "rows", "effective_rows")),
+        *(float(_column(table, name).sum()) for name in SCALARS),
     )  # fmt: skip
 
 

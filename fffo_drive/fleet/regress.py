@@ -47,11 +47,12 @@ class Balance(NamedTuple):
     rows: float
     effective_rows: float  # independent ones among them: rows that follow each other say nearly the same
 
-    def __add__(self, other: object) -> Balance:
+    def with_rows_of(self, other: Balance) -> Balance:
         """Both sets of rows together."""
-        if not isinstance(other, Balance):
-            return NotImplemented
-        return Balance(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
+        return Balance(
+            self.normal + other.normal, self.moment + other.moment, self.energy_nm2 + other.energy_nm2,
+            self.rows + other.rows, self.effective_rows + other.effective_rows,
+        )  # fmt: skip
 
 
 class Estimates(NamedTuple):
@@ -103,7 +104,7 @@ def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     half = sums / scaled.scale @ scaled.directions / np.sqrt(scaled.curvature)
     few = sums.shape[0] / (sums.shape[0] - scaled.rank)
     ratio = few * float(np.sum(half**2)) / (scaled.rank * rms_nm**2)
-    return balance.rows / max(1.0, ratio)
+    return float(balance.rows / max(1.0, ratio))
 
 
 class _Scaled:

@@ -10,10 +10,10 @@ import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, TypeVar
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -25,7 +25,6 @@ from .measure import measured
 from .place import digest_of, local_copy
 from .store import FleetStore
 
-T = TypeVar("T")
 Entry = dict[str, Any]
 Progress = Callable[[float], None]
 
@@ -39,20 +38,23 @@ def make_record(address: str, entry: Entry) -> None:
     store = FleetStore(address)
     run = str(entry["run"])
     while not store.place.exists(store.record_name(run)) and not store.has_failed(run):
-        attempt = _stored(lambda: store.begin_attempt(run, entry["path"]))
+        with _storing():
+            attempt = store.begin_attempt(run, entry["path"])
         if attempt is None:
             return
         try:
             row = _row(entry)
         except Exception as error:  # whatever is in the file: it stops nobody else
             reason = str(error) if isinstance(error, DataError) else f"{type(error).__name__}: {error}"
-            _stored(lambda: store.end_attempt(attempt, reason))
+            with _storing():
+                store.end_attempt(attempt, reason)
             continue
         except BaseException:
             store.give_back(attempt)
             raise
-        _stored(lambda: store.write_record(row))
-        _stored(lambda: store.end_attempt(attempt, None))
+        with _storing():
+            store.write_record(row)
+            store.end_attempt(attempt, None)
 
 
 def _row(entry: Entry) -> dict[str, Any]:
@@ -69,9 +71,10 @@ def _row(entry: Entry) -> dict[str, Any]:
     return row | {name: entry[name] for name in ("drive", "model", "path", "start")}
 
 
-def _stored(act: Callable[[], T]) -> T:
+@contextlib.contextmanager
+def _storing() -> Iterator[None]:
     try:
-        return act()
+        yield
     except OSError as error:
         raise StoreWriteError(error.errno, error.strerror or str(error), error.filename) from error
 
@@ -101,11 +104,8 @@ def work(address: str, entries: Sequence[Entry], workers: int | None = None, pro
             for hand in busy:
                 if not hand.pipe.poll():
                     continue
-                entry = hand.entry
-                assert entry is not None
                 if hand.has_died():
-                    hand.replace()
-                    hand.give(entry)  # the store counts how often
+                    hand.begin_again()
                     continue
                 done += 1
                 _tell(progress, done, len(entries))
@@ -140,7 +140,15 @@ class _Hand:
         theirs.close()
         self.entry = None
 
+    def begin_again(self) -> None:
+        """A new process, with the unit of the one that died: the store counts how often."""
+        unit = self.entry
+        self.replace()
+        if unit is not None:
+            self.give(unit)
+
     def give(self, entry: Entry) -> None:
+        """A unit to work on."""
         self.entry = entry
         with contextlib.suppress(OSError):  # one that died meanwhile is found when it is asked
             self.pipe.send(entry)
@@ -158,6 +166,7 @@ class _Hand:
         return False
 
     def dismiss(self) -> None:
+        """End the process; a unit that it has is given back."""
         self.pipe.close()
         if self.entry is not None:
             self._process.terminate()

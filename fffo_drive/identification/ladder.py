@@ -221,7 +221,7 @@ def _scanned(bench: _Bench, white: _Weighted, highest: int) -> Floats:
 
     The residual has nothing left of the known columns, so that they need not be projected out of the waves.
     """
-    return waves_in(bench.rows, clipped(white.residual), white.weight, highest).explained.sum(axis=0)
+    return np.asarray(waves_in(bench.rows, clipped(white.residual), white.weight, highest).explained.sum(axis=0))
 
 
 class Waves(NamedTuple):
