@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import BLOCK_S
+from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
@@ -34,6 +34,7 @@ RUNGS = {  # of the ladder, those that are columns here
 STRIBECK_RPS = 1.0  # V0: between those of small servo motors; one for all, or records would not add up
 STRIBECK_M_PER_S = 0.02  # V0 of a linear axis
 SINGULAR = 1e-9  # of the scaled normal matrix: what columns have in common beyond it is not known
+BLOCKS_A_RUN = 60  # of a short run, which are independent pieces: several times as many as columns
 LARGEST_INFLATION = 1e3  # of a variance by the other columns: an estimate beyond it says nothing by itself
 UPPER = np.triu_indices(len(PARAMETERS))
 
@@ -87,7 +88,9 @@ def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
     """Normal equations of the rows that slide for sure; `columns` (m, p) of all rows."""
     kept = np.flatnonzero(rows.sliding)
     own, torque_nm = columns[kept], rows.torque_nm[kept]
-    block = kept // max(1, round(BLOCK_S / rows.period_s))
+    duration_s = rows.run.size * rows.period_s
+    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, duration_s / BLOCKS_A_RUN))
+    block = kept // max(1, round(block_s / rows.period_s))
     begins = np.flatnonzero(np.diff(block, prepend=-1))
     whole = Balance(own.T @ own, own.T @ torque_nm, float(torque_nm @ torque_nm), float(kept.size), float(kept.size))
     solution = solve(whole)

@@ -52,8 +52,13 @@ def make_record(address: str, entry: Entry) -> None:
         except BaseException:
             store.give_back(attempt)
             raise
+        try:
+            with _storing():
+                store.write_record(row)
+        except StoreWriteError:
+            store.give_back(attempt)  # a full disk is not the run's doing
+            raise
         with _storing():
-            store.write_record(row)
             store.end_attempt(attempt, None)
 
 
