@@ -21,6 +21,7 @@ from fffo_drive.fleet import work as work_module
 from fffo_drive.fleet.adding import Given, add_runs, runs_below
 from fffo_drive.fleet.dask_engine import work_on_dask
 from fffo_drive.fleet.place import Place
+from fffo_drive.fleet.schema import file_bytes
 from fffo_drive.fleet.store import MOST_TRIES, FleetStore
 from fffo_drive.fleet.work import StoreWriteError, make_record, shard_of, work
 
@@ -265,17 +266,21 @@ def test_runs_and_store_may_be_in_a_bucket(bucket, six_runs, merged_bytes, tmp_p
     (failure,) = store.failures()
     assert failure.path == f"{bucket}/runs/monday/bad.csv"
     assert failure.path in failure.reason
-    made = store.records().sort_by("run")
+    made = store.records().sort_by("run").combine_chunks()
     local = filled_store(tmp_path / "store", six_runs[:3])
     work(local.place.address, local.waiting(), workers=1)
-    where_it_was = ["path", "start"]
-    assert made.drop_columns(where_it_was).equals(local.records().sort_by("run").drop_columns(where_it_was))
+    assert _numbers(made) == _numbers(local.records().sort_by("run"))
     assert store.compact().records == 3
     assert not store.place.files("records/new", "")
-    assert store.records().sort_by("run").equals(made)
+    assert _numbers(store.records().sort_by("run")) == _numbers(made)
     again = store.place.files("records", "")
     store.compact()
     assert store.place.files("records", "") == again
+
+
+def _numbers(table):
+    """All but where a run was, as bytes: NaN is NaN there."""
+    return file_bytes(table.drop_columns(["path", "start"]))
 
 
 def test_a_protocol_that_is_not_known_is_one_sentence():
