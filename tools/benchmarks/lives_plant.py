@@ -99,7 +99,9 @@ def random_profile(rng: np.random.Generator, period_s: float) -> Profile:
 def life_runs(life: Life, nominal: PlantConfig, period_s: float, seed: int) -> list[LifeRun]:
     """All runs of a life; the same for the same seed."""
     own = np.random.default_rng([seed, life.number, 1])
-    level, viscous, inertia = (math.exp(s * own.standard_normal()) for s in (LEVEL_SPREAD, VISCOUS_SPREAD, INERTIA_SPREAD))
+    level, viscous, inertia = (
+        math.exp(s * own.standard_normal()) for s in (LEVEL_SPREAD, VISCOUS_SPREAD, INERTIA_SPREAD)
+    )
     if life.other_model:
         level, inertia = 1.6 * level, 1.25 * inertia
     gap = GAP_REV * math.exp(GAP_SPREAD * own.standard_normal())
