@@ -163,6 +163,7 @@ def _settle(
     if count == 0:
         return
     centre = _median(scratch, count)
+    state[_B] = centre
     for k in range(count):
         scratch[k] = abs(scratch[k] - centre)
     spread = NORMAL_MAD * _median(scratch, count)
@@ -275,7 +276,7 @@ def detect(
 ) -> Detections:  # fmt: skip
     """Watch the runs of many drives. `bounds` (d + 1,): drive k has the runs bounds[k]:bounds[k + 1], oldest first.
 
-    `time_s` (n,), `y` (n, c) with nan where a run has no value, `noise` (n, c) variance over that of a typical run,
+    `time_s` (n,), `y` (n, c) with nan where a run has no value, `noise` (n, c) variance over that of `prior`,
     `covariates` (n, 2) weather and speed.
     """
     channels, runs = y.shape[1], y.shape[0]
