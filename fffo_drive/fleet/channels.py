@@ -30,12 +30,13 @@ Mask = npt.NDArray[np.bool_]
 
 # columns of the records: the law that each stands for, the column that is its scale, and the typical standard deviation
 # between runs of seconds, over that scale (for a fleet of one; each fleet has its own)
-_COULOMB, _VISCOUS, _INERTIA = "coulomb_nm", "viscous_nm_per_rps", "inertia_nm_s2_per_rev"
+_COULOMB, _STRIBECK = "coulomb_nm", "stribeck_nm"
+_VISCOUS, _INERTIA = "viscous_nm_per_rps", "inertia_nm_s2_per_rev"
 COLUMNS: Mapping[str, tuple[str, str, float]] = {
     _INERTIA: ("inertia", _INERTIA, 0.07),
     _VISCOUS: ("viscous friction", _VISCOUS, 0.15),
     _COULOMB: ("Coulomb friction", _COULOMB, 0.07),
-    "stribeck_nm": ("stiction", _COULOMB, 0.20),
+    _STRIBECK: ("stiction", _COULOMB, 0.20),
     "offset_nm": ("constant torque", _COULOMB, 0.05),
     "viscous_excess_nm_per_rps": ("friction that differs by direction", _VISCOUS, 0.08),
     "gravity_cos_nm": ("gravity", _COULOMB, 0.05),
@@ -43,6 +44,7 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {
 }
 WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
 UNMODELLED = "what no column explains (backlash, elasticity)"
+LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
 LEANING = -0.4  # typical correlation of viscous and Coulomb friction between runs: on each other, less weather
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
 PRIOR_DRIVES = 4.0  # ... and typical slopes and spreads
@@ -54,12 +56,13 @@ EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.5  # of logarithms of amplitudes: between run
 LEVEL_RUNS = 100.0  # variances of a run that a level may be away at first
 REFERENCE_EVERY = 8  # runs after which a drive's own level is taken anew
 LEARNED_DRIVES, LEARNED_RUNS = 100, 60  # at most, to learn what a fleet is like
-LEARNING_RATE = 1.0  # alarms per drive and year, beyond which a drive's later runs teach nothing
+LEARNING_RATE = 0.2  # alarms per drive and year, beyond which a drive's later runs teach nothing
 LEAST_TEACHING = BURN_IN + 6  # runs of a drive
 LEARNING_ROUNDS = 12
 LEAST_SHAPE, LARGEST_SHAPE = 2.0, 15.0
 LARGEST_MEMORY = 0.8
-MEDIAN_WASTE = 3.5  # variance of a squared median of differences over that of a mean square
+MEDIAN_WASTE = 2.7  # variance of a squared median over that of a mean square
+MEAN_FITTED = 1.0  # a fitted level makes neighbours look this much over the number of runs less alike
 MOST_ORDERS = 6
 LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
 ORDER_SHARE = 0.5  # of the runs that have to resolve an order
@@ -110,6 +113,7 @@ class FleetPrior(NamedTuple):
     weather_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
     slope: Floats  # (p,) per step of temperature
     slope_sd: Floats  # (p,) between drives
+    directions: Floats  # (p, p) what each law moves, by its row: its column, and what goes along
     orders: tuple[float, ...]
 
 
@@ -255,7 +259,17 @@ def learn(stack: Stack) -> FleetPrior:
         spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
         slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * SLOPE_SD**2)
     weather, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
-    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, stack.orders)
+    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, _directions(stack), stack.orders)
+
+
+def _directions(stack: Stack) -> Floats:
+    """Each law moves its column. Coulomb friction takes stiction along: a level that rises, rises at all speeds."""
+    directions = np.eye(len(stack.columns))
+    if _COULOMB in stack.columns and _STRIBECK in stack.columns:
+        level, rise = stack.columns.index(_COULOMB), stack.columns.index(_STRIBECK)
+        ratio = stack.theta[:, rise] / np.maximum(stack.theta[:, level], 1e-3)
+        directions[level, rise] = float(np.clip(np.median(ratio[stack.theta[:, level] > 0.0]), 0.0, LARGEST_RISE))
+    return directions
 
 
 def _between_runs(stack: Stack, drives: Integers, typical: Floats, terms: int) -> tuple[Floats, Floats]:
@@ -330,9 +344,10 @@ def _projected(
     size = len(stack.columns)
     theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
     inverse = inverse_total(stack.information[runs], covariance)
-    diagonal = np.einsum("nii->ni", inverse)
+    along = prior.directions @ inverse  # (n, law, column)
+    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.where(diagonal[:, :, None] > 0.0, inverse / diagonal[:, :, None], np.nan)  # (n, law, column)
+        weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
         variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
     usual = np.nanmedian(weights[:: max(1, weights.shape[0] // 20_000)], axis=0)
     usual = np.where(np.isfinite(usual), usual, 0.0)
@@ -413,10 +428,10 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
             spread = (NORMAL_MAD * np.median(np.abs(slopes - centre), axis=0)) ** 2
             mean[c, 1:] = share * centre
             between = share * np.maximum(spread - own, 0.1 * spread) + (1.0 - share) * slope_sd[c] ** 2 + 1e-12
-            near = np.median(np.concatenate([one.near for one in fits]))
-            far = np.median(np.concatenate([one.far for one in fits]))
-            memory[c] = min(max(share * float(far / near - 1.0), 0.0), LARGEST_MEMORY) if near > 0.0 else 0.0
-            logs = np.log([one.variance / (1.0 - memory[c]) for one in fits])
+            lag = sum(one.lag for one in fits) / max(sum(one.energy for one in fits), 1e-300)
+            runs = float(np.mean([one.dof for one in fits]))
+            memory[c] = min(max(share * (lag + MEAN_FITTED / runs), 0.0), LARGEST_MEMORY)
+            logs = np.log([one.variance for one in fits])
             dof = float(np.median([one.dof for one in fits]))
             variance[c] = np.exp(share * np.median(logs))
             beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - MEDIAN_WASTE * 2.0 / dof
@@ -429,10 +444,10 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
 class _DriveFit(NamedTuple):
     slopes: Floats  # (2,)
     slope_variance: Floats  # (2,)
-    variance: float  # half the squared difference of neighbours, over what the records say
+    variance: float  # of what is left of a run, over what its record says
     dof: float
-    near: Floats  # squared differences of neighbours, over `variance`
-    far: Floats  # ... of every second run
+    lag: float  # sum of products of neighbours, outliers pulled in
+    energy: float  # ... of squares
 
 
 def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _DriveFit | None:
@@ -454,10 +469,9 @@ def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _Dr
         scale = max(NORMAL_MAD * float(np.median(np.abs(residual))), 1e-9)
         weight = np.minimum(1.0, CLIP * scale / np.maximum(np.abs(residual), 1e-300))
     spread = np.diag(np.linalg.inv(normal))[1:]
-    # differences: a change of the level touches one or two of them
-    near, far = (residual[1:] - residual[:-1]) ** 2, (residual[2:] - residual[:-2]) ** 2
-    variance = max(0.5 * NORMAL_MAD**2 * float(np.median(near)), 1e-18)
-    return _DriveFit(solution[1:], spread, variance, known.size - 3.0, near / variance, far / variance)
+    clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
+    lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
+    return _DriveFit(solution[1:], spread, scale**2, known.size - 3.0, lag, energy)
 
 
 def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
