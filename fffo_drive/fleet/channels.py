@@ -47,12 +47,12 @@ UNMODELLED = "what no column explains (backlash, elasticity)"
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
 LEANING = -0.4  # typical correlation of viscous and Coulomb friction between runs: on each other, less weather
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
-PRIOR_DRIVES = 4.0  # ... and typical slopes and spreads
+PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
 MEAN_DEGC, STEP_K = 25.0, 10.0  # temperatures are counted in steps from this mean
 TEMPERATURE_SHARE = 0.8  # of the runs with a temperature, for it to be the thermometer
-SLOPE_SD = 0.3  # of a scale per step of temperature, before any drive is seen
+SLOPE_SDS = 1.5  # slope per step of temperature, before any drive is seen: in typical deviations between runs
 CHANNEL_SLOPE_SD = 0.02  # of a channel per e-fold of speed, over its scale
-EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.5  # of logarithms of amplitudes: between runs, and per unit of a covariate
+EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.2  # of logarithms of amplitudes: between runs, and per unit of a covariate
 LEVEL_RUNS = 100.0  # variances of a run that a level may be away at first
 REFERENCE_EVERY = 8  # runs after which a drive's own level is taken anew
 LEARNED_DRIVES, LEARNED_RUNS = 100, 60  # at most, to learn what a fleet is like
@@ -250,14 +250,14 @@ def learn(stack: Stack) -> FleetPrior:
     drives = np.arange(len(stack.drives))
     logged = drives[stack.logged]
     slope = np.zeros(len(stack.columns))
-    slope_sd = np.full(slope.size, SLOPE_SD)
     covariance = typical_covariance(stack.columns)
+    slope_sd = SLOPE_SDS * np.sqrt(np.diag(covariance))
     if logged.size:
         covariance, slopes = _between_runs(stack, logged, covariance, 2)
         share = logged.size / (logged.size + PRIOR_DRIVES)
         slope = share * np.median(slopes, axis=0)
         spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
-        slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * SLOPE_SD**2)
+        slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * slope_sd**2)
     weather, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
     return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, _directions(stack), stack.orders)
 
@@ -285,7 +285,7 @@ def _between_runs(stack: Stack, drives: Integers, typical: Floats, terms: int) -
     covariance = typical
     coefficients = np.zeros((len(parts), terms * size))
     begins = np.flatnonzero(np.diff(own, prepend=-1))
-    ridge = np.diag(np.concatenate([np.full(size, 1e-6), np.full((terms - 1) * size, SLOPE_SD**-2)]))
+    ridge = np.diag(np.concatenate([np.full(size, 1e-6), np.tile(1.0 / (SLOPE_SDS**2 * np.diag(typical)), terms - 1)]))
     weight = known.astype(np.float64)
     for _ in range(LEARNING_ROUNDS):
         inverse = inverse_total(information, covariance) * weight[:, None, None]
@@ -409,7 +409,7 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
     size = len(stack.columns)
     typical = np.array([*(COLUMNS[name][2] for name in stack.columns)])
     slope_sd = np.vstack([
-        np.column_stack([np.full(size, SLOPE_SD), CHANNEL_SLOPE_SD + 0.5 * typical]),
+        np.column_stack([SLOPE_SDS * typical, CHANNEL_SLOPE_SD + 0.5 * typical]),
         np.full((count - size, 2), EXTRA_SLOPE_SD),
     ])  # fmt: skip
     mean, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
