@@ -136,11 +136,14 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
         if one.names != first.names:
             raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {drives[0]}")
     columns = tuple(name for name in first.names if name in COLUMNS)
-    kept = [first.names.index(name) for name in columns]
     bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in histories.values()])]).astype(np.int64)
-    theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
     information = np.concatenate([one.information for one in histories.values()])
-    information = _of_known(information if len(kept) == len(first.names) else _marginal(information, kept), theta)
+    seen = [name for name in columns if np.any(np.diagonal(information, 0, 1, 2)[:, first.names.index(name)] > 0.0)]
+    if not seen:
+        raise ValueError("no run determines a parameter")
+    columns, kept = tuple(seen), [first.names.index(name) for name in seen]
+    theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
+    information = _of_known(information if len(kept) == len(first.names) else marginal(information, kept), theta)
     theta = np.where(np.isfinite(theta), theta, 0.0)
     scales = _scales(bounds, theta, information, columns)
     by_run = np.repeat(scales, np.diff(bounds), axis=0)
@@ -148,8 +151,8 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
     information *= by_run[:, :, None]
     information *= by_run[:, None, :]
     degc = np.concatenate([one.temperature_degc for one in histories.values()])
-    seen = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
-    logged = seen >= TEMPERATURE_SHARE
+    shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
+    logged = shares >= TEMPERATURE_SHARE
     temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
     chosen, extras = _extras(histories, orders)
     speed = np.concatenate([one.speed_rms_rps for one in histories.values()])
@@ -160,7 +163,7 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
     )  # fmt: skip
 
 
-def _marginal(information: Floats, kept: Sequence[int]) -> Floats:
+def marginal(information: Floats, kept: Sequence[int]) -> Floats:
     """Information of some columns, whatever the others are."""
     rest = [k for k in range(information.shape[1]) if k not in kept]
     inner = np.linalg.pinv(information[:, rest][:, :, rest], hermitian=True)
@@ -180,7 +183,7 @@ def _of_known(information: Floats, theta: Floats) -> Floats:
         kept = np.flatnonzero(~pattern)
         reduced = np.zeros((runs.size, *information.shape[1:]))
         if kept.size:
-            reduced[np.ix_(np.arange(runs.size), kept, kept)] = _marginal(information[runs], kept.tolist())
+            reduced[np.ix_(np.arange(runs.size), kept, kept)] = marginal(information[runs], kept.tolist())
         information[runs] = reduced
     return information
 
@@ -211,7 +214,8 @@ def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None)
     """Logarithms of the amplitudes of some orders, and of the residual. Those orders stand out where none are given."""
     first = next(iter(histories.values()))
     if orders is None:
-        sample = np.concatenate([one.order_amplitude_nm[:LEARNED_RUNS] for one in list(histories.values())[:LEARNED_DRIVES]])
+        some = list(histories.values())[:LEARNED_DRIVES]
+        sample = np.concatenate([one.order_amplitude_nm[:LEARNED_RUNS] for one in some])
         resolved = np.mean(np.isfinite(sample), axis=0) >= ORDER_SHARE if sample.size else np.zeros(0, bool)
         steady = np.zeros(resolved.size)
         for k in np.flatnonzero(resolved):
@@ -323,7 +327,8 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
         runs = np.flatnonzero(by_run == logged)
         y[runs], variance[runs] = _projected(stack, prior, drives, runs, covariance)
         if not logged:
-            y[np.ix_(runs, [k for k, law in enumerate(laws) if law in WITHOUT_TEMPERATURE])] = np.nan
+            unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
+            y[np.ix_(runs, unwatched)] = np.nan
     y[~np.isfinite(stack.temperature)] = np.nan
     with np.errstate(invalid="ignore"):
         usual = np.array([np.median(v[np.isfinite(v)]) if np.isfinite(v).any() else 1.0 for v in variance.T])
@@ -415,8 +420,8 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
     mean, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     variance, shape, memory = np.ones(count), np.full(count, LEAST_SHAPE), np.zeros(count)
     for c in range(count):
-        fits = [_drive_fit(channels, stack.of(d), c, slope_sd[c]) for d in range(len(stack.drives))]
-        fits = [one for one in fits if one is not None]
+        tried = [_drive_fit(channels, stack.of(d), c, slope_sd[c]) for d in range(len(stack.drives))]
+        fits = [one for one in tried if one is not None]
         number = len(fits)
         share = number / (number + PRIOR_DRIVES)
         usual = np.nanmedian(channels.variance[:, c])
@@ -460,15 +465,15 @@ def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _Dr
     design = np.column_stack([np.ones(known.size), channels.covariates[runs][known]]) * white[:, None]
     target = y[known] * white
     scale = 1.0
-    weight = np.ones(known.size)
+    weight: Floats = np.ones(known.size)
     for _ in range(4):
         own = design * weight[:, None]
-        normal = own.T @ design / scale**2 + np.diag([0.0, *slope_sd**-2.0])
+        normal = own.T @ design / scale**2 + np.diag(np.concatenate([[0.0], slope_sd**-2.0]))
         solution = np.linalg.solve(normal, own.T @ target / scale**2)
         residual = target - design @ solution
         scale = max(NORMAL_MAD * float(np.median(np.abs(residual))), 1e-9)
         weight = np.minimum(1.0, CLIP * scale / np.maximum(np.abs(residual), 1e-300))
-    spread = np.diag(np.linalg.inv(normal))[1:]
+    spread: Floats = np.diag(np.linalg.inv(normal))[1:]
     clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
     lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
     return _DriveFit(solution[1:], spread, scale**2, known.size - 3.0, lag, energy)

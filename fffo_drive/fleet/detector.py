@@ -16,10 +16,10 @@ since the run before, the Shiryaev-Roberts sum of each channel, sign and l
 
     R_n = (R_{n-1} + t_n - t_{n-1}) exp(l z_n - norm(l)),     E R_T <= E T,
 
-as is their mean: stopped at R >= 1/rate the mean time to a false alarm is at least 1/rate, and the chance of one within
-T at most T rate, for any schedule of runs (Pollak, Ann. Statist. 13, 1985; Shin, Ramdas and Rinaldo, E-detectors,
-N. Engl. J. Statist. Data Sci. 2, 2024). What it rests on: scores symmetric about 0 given the past, as they are where the
-regression holds and what it leaves has no memory but the one that `memory` takes out.
+and so their mean: stopped at R >= 1/rate the mean time to a false alarm is at least 1/rate, and the chance of one
+within T at most T rate, for any schedule of runs (Pollak, Ann. Statist. 13, 1985; Shin, Ramdas and Rinaldo,
+E-detectors, N. Engl. J. Statist. Data Sci. 2, 2024). What it rests on: scores symmetric about 0 given the past, as they
+are where the regression holds and what it leaves has no memory but the one that `memory` takes out.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
-from .detector import BURN_IN, CLIP, NORMAL_MAD, YEAR_S, ChannelPrior, Detections, detect
+from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
@@ -171,7 +171,8 @@ def _fit_change(
     # neighbours that are alike say less than so many runs
     alike = math.sqrt((1.0 + prior.memory[c]) / (1.0 - prior.memory[c]))
     spread = max(1.0, math.sqrt(float(clipped @ clipped) / max(known.size - 4, 1)))
-    return _Change(float(solution[3]), math.sqrt(np.linalg.inv(normal)[3, 3]) * alike * spread, float(clipped @ clipped))
+    sd = math.sqrt(float(np.linalg.inv(normal)[3, 3])) * alike * spread
+    return _Change(float(solution[3]), sd, float(clipped @ clipped))
 
 
 def _alarm(stack: Stack, channels: Channels, prior: ChannelPrior, detections: Detections, k: int) -> Alarm:
@@ -299,9 +300,9 @@ def watch_lines(found: Watched) -> list[str]:
     lines += [f"{doubt.drive}: {doubt.text}" for doubt in found.doubts]
     expected = found.alarms_per_drive_year * found.drive_years
     lines.append(
-        f"{len(found.alarms)} alarms in {found.drives} drives, {found.runs} runs, {found.drive_years:.1f} drive-years; at "
-        f"{found.alarms_per_drive_year:g} false alarms a drive and year at most {expected:.2g} of them are expected to "
-        "be false"
+        f"{len(found.alarms)} alarms in {found.drives} drives, {found.runs} runs, {found.drive_years:.1f} drive-years; "
+        f"at {found.alarms_per_drive_year:g} false alarms a drive and year, {expected:.2g} of them are expected to be "
+        "false at most"
     )
     lines.append(f"watched: {', '.join(found.laws)}")
     return lines

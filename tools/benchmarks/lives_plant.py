@@ -41,7 +41,6 @@ SPEED_RPS = (4.0, 12.0)  # largest of a run
 MOVES_A_SECOND = 1.6
 NONE, COULOMB, BACKLASH, RIPPLE = "none", "coulomb", "backlash", "ripple"
 WEARS = {COULOMB: 0.10, BACKLASH: 0.20, RIPPLE: 1.00}  # the size that has to be found
-OVERSHOOT = 1.0  # of the size where wear ends, over the size that has to be found
 
 
 class Life(NamedTuple):
