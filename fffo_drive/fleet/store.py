@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -137,9 +138,23 @@ class FleetStore:
 
     def records(self, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
         """Records, one a run, in no order. `columns`: None for all; `where`: which. Raises DocumentError, OSError."""
+        return self._records_in(self._record_files, columns, where)
+
+    def parts(self, columns: Sequence[str]) -> Iterator[pa.Table]:
+        """`records` in parts that hold different runs: month by month, where all is merged."""
+        months = {name.split("/")[2] for name in self.place.files(MERGED, PARQUET)}
+        if not months or self.place.files(NEW, PARQUET):
+            yield self.records(columns)
+            return
+        for month in sorted(months):
+            yield self._records_in(partial(self.place.files, f"{MERGED}/{month}", PARQUET), columns, None)
+
+    def _records_in(
+        self, listed: Callable[[], dict[str, int]], columns: Sequence[str] | None, where: pc.Expression | None
+    ) -> pa.Table:
         wanted = list(RECORD_SCHEMA.names) if columns is None else list(columns)
         needed = list(dict.fromkeys([*wanted, "run", "schema_version"]))
-        table = self._read(self._record_files, RECORD_SCHEMA, needed, where)
+        table = self._read(listed, RECORD_SCHEMA, needed, where)
         newest = pc.max(table.column("schema_version")).as_py() if table.num_rows else None
         if newest is not None and newest > SCHEMA_VERSION:
             raise DocumentError(
