@@ -75,13 +75,14 @@ DIAGNOSIS = Format("diagnosis", "report.json of a diagnosis", "diagnose", "adopt
 IDENTIFICATION = Format("identification", "results in report.json of an identification", "identify", NOBODY)
 TUNING = Format("tuning", "results in report.json of a design", "tune", NOBODY)
 CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the-loop", NOBODY)
+FLEET = Format("fleet", "store.json of a fleet's store", "fleet add", "fleet")
 REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
 
 FORMATS: dict[str, Format] = {
     f.kind: f
     for f in (
         AXIS, DRIVE_PROFILE, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT,
-        IDENTIFICATION, TUNING, CIRCLE,
+        IDENTIFICATION, TUNING, CIRCLE, FLEET,
     )
 }  # fmt: skip
 

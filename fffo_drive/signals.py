@@ -79,8 +79,9 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("resetting", "u1", "ticks", "for how long a fault reset will be asked for, this tick included"),
 )
 
-# of logs that other programs made: no drive of ours has it
+# of logs that other programs made: no drive of ours has them
 REFERENCE_POSITION = Signal("reference_position_rev", "<f8", "rev", "position by a reference encoder on the same shaft")
+TEMPERATURE = Signal("temperature_degc", "<f8", "degC", "of the motor, or where friction is; what the log has")
 
 ROW = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])
 UNITS = {signal.name: signal.unit for signal in SIGNALS}

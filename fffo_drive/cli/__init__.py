@@ -27,6 +27,7 @@ COMMANDS = {
     "close-the-loop": ("close_the_loop", "run, record, diagnose, adopt, run again: the error before and after"),
     "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
     "serve": ("serve", "serve an axis as a daemon: supervise, record, listen on a Unix socket"),
+    "fleet": ("fleet", "many runs of many drives: a record of each, a store of them, what they say together"),
     "workbench": ("workbench", "record, identify, tune, diagnose and adopt in a browser"),
     "init": ("init", "write the example files: axes, drives, models, profiles, scenarios"),
     "ctl": ("ctl", "control a daemon: status, enable, start, toggle, stop, set, record, events"),

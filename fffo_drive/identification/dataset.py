@@ -104,10 +104,19 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     Raises DataError with everything that speaks against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return record_of_log(path, log_of(path, facts), facts, digest)
+
+
+def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
+    """A log as it is, a table by the columns that the facts declare. Raises RecordingError, OSError."""
     if path.name.endswith(RECORDINGS):
-        log: Run | LogTable = read_log(path)
-    else:
-        log = read_table(path, facts.column_map(), uneven_time=True)
+        return read_log(path)
+    return read_table(path, facts.column_map(), uneven_time=True)
+
+
+def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:
+    """As `load_record`, of a log that was read. `digest`: of its file. Raises DataError."""
     columns: dict[str, Floats] = {
         name: np.ascontiguousarray(log.columns[name], dtype=np.float64) for name in TAKEN if name in log.columns
     }
@@ -116,7 +125,6 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
         warnings += [f"{path}: {filled}"] if filled else []
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return _record(path, columns, fresh, facts, warnings, digest)
 
 

@@ -221,22 +221,44 @@ def _scanned(bench: _Bench, white: _Weighted, highest: int) -> Floats:
 
     The residual has nothing left of the known columns, so that they need not be projected out of the waves.
     """
-    rows, residual = bench.rows, clipped(white.residual)
+    return np.asarray(waves_in(bench.rows, clipped(white.residual), white.weight, highest).explained.sum(axis=0))
+
+
+class Waves(NamedTuple):
+    """Waves of whole orders 1 to n in values at rows, with a phase for each of r runs."""
+
+    amplitude: npt.NDArray[np.complex128]  # (r, n) of the values over the weight; its phase is that of the angle
+    explained: Floats  # (r, n) of the values' squares
+
+
+def waves_in(rows: RegressionRows, values: Floats, weight: Floats, highest: int) -> Waves:
+    """The wave of each whole order up to `highest`, by itself, in values (m,) at rows of this weight (m,)."""
     edges = np.flatnonzero(np.diff(rows.run, prepend=-1))
     turn = np.exp(2j * np.pi * rows.position_rev)
     wave = np.ones(rows.run.size, dtype=np.complex128)
-    found = np.zeros(highest)
+    amplitude = np.zeros((edges.size, highest), dtype=np.complex128)
+    explained = np.zeros((edges.size, highest))
     for order in range(1, highest + 1):
         wave *= turn
-        column = wave * (white.weight / (1.0 + (order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER))
-        product = np.add.reduceat(column * residual, edges)
+        column = wave * (weight * _passed_by_filter(rows, order))
+        product = np.add.reduceat(column * values, edges)
         power = np.add.reduceat(np.abs(column) ** 2, edges)
         square = np.add.reduceat(column * column, edges)
         # the 2 x 2 normal equations of cosine and sine, in complex numbers
         determinant = np.maximum(power**2 - np.abs(square) ** 2, SAME_COLUMNS * power**2 + 1e-300)
-        explained = 2.0 * (power * np.abs(product) ** 2 - (np.conj(square) * product**2).real) / determinant
-        found[order - 1] = float(explained.sum())
-    return found
+        amplitude[:, order - 1] = 2.0 * (power * product - square * np.conj(product)) / determinant
+        explained[:, order - 1] = (np.conj(amplitude[:, order - 1]) * product).real
+    return Waves(amplitude, explained)
+
+
+def wave_columns(rows: RegressionRows, order: float) -> Floats:
+    """Cosine and sine of an order behind the rows' filter. (m, 2)"""
+    angle = 2.0 * np.pi * order * rows.position_rev
+    return np.asarray(_passed_by_filter(rows, order)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def _passed_by_filter(rows: RegressionRows, order: float) -> Floats:
+    return np.asarray(1.0 / (1.0 + (order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER))
 
 
 def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
@@ -248,11 +270,9 @@ def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
         return bench.level_nm[:, None]
     if candidate.name == "asymmetric_viscous":
         return np.abs(rows.velocity_rps)[:, None]
-    angle = 2.0 * np.pi * candidate.order * rows.position_rev
-    passed = 1.0 / (1.0 + (candidate.order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER)
-    wave = passed[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    wave = wave_columns(rows, candidate.order)
     if not candidate.per_run:
-        return np.asarray(wave)
+        return wave
     return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])
 
 

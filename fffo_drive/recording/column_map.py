@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from .. import units
-from ..signals import REFERENCE_POSITION, SIGNALS
+from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE
 from .errors import RecordingError, did_you_mean
 
 TIME = "time_s"
-_FOREIGN = (*SIGNALS, REFERENCE_POSITION)
+_FOREIGN = (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)
 SIGNAL_UNITS = {TIME: "s"} | {signal.name: signal.unit for signal in _FOREIGN if signal.dtype == "<f8"}
 
 _DEG_PER_REV = 360.0
@@ -43,6 +43,7 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "m/s2": {"m/s2": 1.0, "mm/s2": 1e-3},
     "N": {"N": 1.0},
     "N/s": {"N/s": 1.0},
+    "degC": {"degC": 1.0},
 }
 _ALSO = {"A": ("V",)}  # an amplifier's input in volts stands in the place of the current command
 

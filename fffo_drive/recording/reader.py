@@ -144,20 +144,37 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     return collector.run(scanner.tear)
 
 
-def read_metadata(path: Path | str) -> dict[str, str]:
-    """What a recording says of itself at its beginning, without reading its rows; {} where it says nothing.
+class RunHead(NamedTuple):
+    """What stands in front of a recording's rows."""
+
+    metadata: Mapping[str, str]  # empty where it says nothing of itself
+    attachments: Mapping[str, Attachment]
+    start_ns: int | None  # log time of its first message; None where there is none
+
+
+def read_head(path: Path | str) -> RunHead:
+    """What a recording says of itself at its beginning, without reading its rows.
 
     Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
     """
+    told: dict[str, str] = {}
+    attachments: dict[str, Attachment] = {}
     with Path(path).open("rb") as file, contextlib.suppress(DamagedRecordError):
         for record in Scanner(file, str(path)):
             if record.opcode == Opcode.METADATA:
                 metadata = parse(Metadata.read, record.body)
-                if metadata.name == METADATA_NAME:
-                    return dict(metadata.metadata)
+                told |= metadata.metadata if metadata.name == METADATA_NAME else {}
+            elif record.opcode == Opcode.ATTACHMENT:
+                attachment = parse(AttachmentRecord.read, record.body)
+                attachments[attachment.name] = Attachment(attachment.name, attachment.media_type, attachment.data)
             elif record.opcode == Opcode.CHUNK:
-                break
-    return {}
+                return RunHead(told, attachments, int.from_bytes(record.body[:8], "little"))
+    return RunHead(told, attachments, None)
+
+
+def read_metadata(path: Path | str) -> dict[str, str]:
+    """The metadata of `read_head`, with its errors."""
+    return dict(read_head(path).metadata)
 
 
 @dataclass

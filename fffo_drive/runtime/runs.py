@@ -91,6 +91,7 @@ def run_metadata(
         "python": platform.python_version(),
         "system": " ".join(os.uname()),
         "drive": f"{identity.device_name} {identity.software_version}".strip(),
+        "drive_software": identity.software_version,
         "drive_vendor": f"0x{identity.vendor_id:08X}",
         "drive_product": f"0x{identity.product_code:08X}",
         "drive_revision": f"0x{identity.revision:08X}",

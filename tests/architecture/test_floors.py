@@ -20,6 +20,7 @@ FLOORS = {
     "config": 5, "report": 5,
     "workflows": 5.5,
     "daemon": 5.75, "live": 5.75,
+    "fleet": 5.75,
     "workbench": 5.9,
     "cli": 6, "library": 6,
     "manual": 7,

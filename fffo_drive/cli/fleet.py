@@ -1,0 +1,202 @@
+"""Many runs of many drives: a small record of each run, a store of records, and what they say together.
+
+fffo-drive fleet add STORE RUN...      index runs by drive, time and content; nothing is copied
+fffo-drive fleet work STORE            make the record of every run that has none
+fffo-drive fleet status STORE          how far that is, and what failed
+fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
+fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
+fffo-drive fleet compare A B           two runs, or two times of a drive: what differs beyond chance
+
+STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
+
+Exit codes: 0 done; 74 the disk of the store; 78 bad input, also where a run that was named could not be added.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from ..documents import DocumentError
+from ..identification.facts import read_facts
+from .exits import EXIT_BAD_INPUT
+from .progress import progress_bar
+
+if TYPE_CHECKING:
+    from ..fleet.store import FleetStore
+
+MOST_TOLD = 20  # failures that status prints; --json has all
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    add = _action(actions, "add", "index runs; nothing is copied")
+    add.add_argument("runs", nargs="*", metavar="RUN", help="recording (MCAP) or table (CSV, MAT): path or URL")
+    add.add_argument("--from", dest="source", metavar="DIR|URL", help="all finished recordings there and below")
+    add.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
+    add.add_argument("--serial", metavar="NAME", help="of the drive, in place of what the runs say")
+    add.add_argument("--model", metavar="NAME", help="type of the drive, in place of what the runs say")
+    add.add_argument("--work", action="store_true", help="make their records at once")
+    _engine_arguments(add)
+    work = _action(actions, "work", "make the record of every run that has none")
+    _engine_arguments(work)
+    work.add_argument("--shard", metavar="K/N", help="only share K (1 to N) of N: one task of an array of jobs")
+    work.add_argument("--retry", action="store_true", help="try those again that failed")
+    _action(actions, "status", "how far the work is, and what failed")
+    compact = _action(actions, "compact", "merge the small files of records, month by month")
+    compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began longer ago")
+
+
+def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    parser.add_argument("store", metavar="STORE", help="directory, or s3://BUCKET/PREFIX")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _engine_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--on", default="local", metavar="ENGINE",
+        help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: one that runs (local)",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes of --on local (default: all cores)")
+    parser.add_argument("--idle", action="store_true", help="only when nothing else wants the processor")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    try:
+        import fsspec  # noqa: F401
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise DocumentError(f"fleet needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+    return int(_ACTIONS[options.action](options))
+
+
+def _add(options: argparse.Namespace) -> int:
+    from ..fleet.adding import Given, add_runs, all_places
+    from ..fleet.store import FleetStore
+
+    facts = read_facts(options.drive) if options.drive else None
+    places = all_places(options.runs, options.source, facts is not None)
+    store = FleetStore(options.store, create=True)
+    given = Given(options.serial, options.model, facts)
+    with progress_bar("add", quiet=options.json) as progress:
+        added = add_runs(store, places, given, progress)
+    for problem in added.problems:
+        print(f"not added: {problem}", file=sys.stderr)
+    if options.json:
+        print(json.dumps(added._asdict(), indent=2))
+    else:
+        known = added.found - added.new - len(added.problems)
+        print(
+            f"{added.new} runs added, {known} were known"
+            + (f", {len(added.problems)} not added" * bool(added.problems))
+        )
+    if options.work:
+        named = set(added.runs)
+        _make_records(options, store, [entry for entry in store.waiting() if entry["run"] in named])
+    elif not options.json:
+        print(f"next: fffo-drive fleet work {options.store}")
+    return EXIT_BAD_INPUT if added.problems else 0
+
+
+def _work(options: argparse.Namespace) -> int:
+    from ..fleet.store import FleetStore
+    from ..fleet.work import shard_of
+
+    store = FleetStore(options.store)
+    if options.retry:
+        store.forgive()
+    entries = store.waiting()
+    if options.shard:
+        entries = shard_of(entries, *_share(options.shard))
+    _make_records(options, store, entries)
+    return 0
+
+
+def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[dict[str, Any]]) -> None:
+    from ..fleet.work import work
+
+    if options.workers is not None and options.workers < 1:
+        raise DocumentError(f"--workers {options.workers}: at least 1")
+    if options.idle:
+        os.nice(19)
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    engine, _, where = options.on.partition(":")
+    if engine == "local" and not where:
+        run = partial(work, store.place.address, entries, options.workers)
+    elif engine == "dask" and where:
+        try:
+            from ..fleet.dask_engine import work_on_dask
+        except ImportError as error:
+            raise DocumentError(f"--on {options.on} needs the extra `fleet`: {error}") from None
+        run = partial(work_on_dask, where, store.place.address, entries)
+    else:
+        raise DocumentError(f"--on {options.on}: local, dask:local or dask:tcp://HOST:PORT")
+    with progress_bar("records", quiet=options.json) as progress:
+        run(progress=progress)
+    asked = {entry["run"] for entry in entries}
+    failed = [failure for failure in store.failures() if failure.run in asked]
+    if options.json and not hasattr(options, "runs"):
+        print(json.dumps({"runs": len(entries), "failed": [one._asdict() for one in failed]}, indent=2))
+    elif not options.json:
+        print(f"{len(entries) - len(failed)} records made" + (f", {len(failed)} failed" if failed else ""))
+        for failure in failed[:MOST_TOLD]:
+            print(f"failed: {failure.reason}", file=sys.stderr)
+        if failed:
+            print(f"all of them: fffo-drive fleet status {options.store}; again: work --retry", file=sys.stderr)
+
+
+def _share(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise DocumentError(f"--shard {text}: K/N with K from 1 to N, such as 3/8")
+    return int(number), int(count)
+
+
+def _status(options: argparse.Namespace) -> int:
+    from ..fleet.store import FleetStore
+
+    store = FleetStore(options.store)
+    status, failures = store.status(), store.failures()
+    drives = store.drives().to_pylist()
+    if options.json:
+        told = status._asdict() | {"waiting": status.waiting}
+        told |= {"by_drive": drives, "failures": [one._asdict() for one in failures]}
+        print(json.dumps(told, indent=2, default=str))
+        return 0
+    share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
+    print(f"{status.runs} runs of {status.drives} drives, {status.models} models: {share:.0f} % done")
+    kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
+    print(f"  {status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed")
+    print(f"  {status.new_files} files to merge, {status.merged_files} merged")
+    for row in drives[:MOST_TOLD]:
+        span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
+        print(f"  {row['model']}, {row['drive']}: {row['runs']} runs, {span}")
+    if len(drives) > MOST_TOLD:
+        print(f"  and {len(drives) - MOST_TOLD} drives more (--json has all)")
+    for failure in failures[:MOST_TOLD]:
+        print(f"failed after {failure.tries} tries: {failure.reason}")
+    return 0
+
+
+def _compact(options: argparse.Namespace) -> int:
+    from ..fleet.store import FleetStore
+
+    if options.keep is not None and not options.keep > 0.0:
+        raise DocumentError(f"--keep {options.keep:g}: days, more than 0")
+    done = FleetStore(options.store).compact(options.keep)
+    if options.json:
+        print(json.dumps(done._asdict(), indent=2))
+    else:
+        print(f"{done.records} records in {done.files} files" + (f", {done.removed} removed" if done.removed else ""))
+    return 0
+
+
+_ACTIONS = {"add": _add, "work": _work, "status": _status, "compact": _compact}

@@ -1,0 +1,1 @@
+"""A fleet: one small additive record of every run, a store of them, and what they say together."""

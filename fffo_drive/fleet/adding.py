@@ -1,0 +1,154 @@
+"""Runs on the index of a store: which drive they are of, when they ran, their content hash. Nothing is copied."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..documents import DocumentError, check, parse
+from ..identification.dataset import RECORDINGS
+from ..identification.facts import DriveFacts
+from ..importing.convert import FACTS_NAME
+from ..recording.errors import RecordingError
+from ..recording.reader import RunHead, read_head
+from ..recording.table import SUFFIXES
+from .place import digest_of, is_url, local_copy, open_filesystem
+from .store import FleetStore
+
+FINISHED = RECORDINGS[0]  # what --from takes: others are being written, or torn
+FIRST_TRUE_CLOCK = datetime(2000, 1, 1, tzinfo=UTC)  # a log with an earlier time counts from its own zero
+NO_NUMBER = ("", "0x00000000")
+
+
+class Given(NamedTuple):
+    """What is said of runs beside what they say themselves; None: nothing."""
+
+    drive: str | None = None
+    model: str | None = None
+    facts: DriveFacts | None = None
+
+
+class Added(NamedTuple):
+    """What `add_runs` did."""
+
+    found: int
+    new: int
+    runs: tuple[str, ...]  # content hashes of all that were named, known ones too
+    problems: tuple[str, ...]  # one sentence a run that could not be added
+
+
+def runs_below(place: str, tables: bool) -> list[str]:
+    """Finished recordings in a directory or below a URL's prefix, and with `tables` CSV and MAT files; sorted.
+
+    Raises DocumentError where there are none.
+    """
+    suffixes = (FINISHED, *SUFFIXES) if tables else (FINISHED,)
+    filesystem, root = open_filesystem(place)
+    try:
+        paths = filesystem.find(root)
+    except FileNotFoundError:
+        paths = []
+    found = sorted(path for path in paths if path.lower().endswith(suffixes))
+    if not found:
+        raise DocumentError(f"--from {place}: no run there ({', '.join(suffixes)})")
+    return [filesystem.unstrip_protocol(path) if is_url(place) else path for path in found]
+
+
+def add_runs(
+    store: FleetStore, places: Sequence[str], given: Given, progress: Callable[[float], None] | None = None
+) -> Added:
+    """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read.
+
+    What speaks against a run is told and stops no other. Raises OSError where the store cannot be written.
+    """
+    facts = None if given.facts is None else json.dumps(given.facts.model_dump(exclude_defaults=True), sort_keys=True)
+    known = {(entry["path"], entry["stamp"]): entry["run"] for entry in store.index().to_pylist()}
+    entries: list[dict[str, Any]] = []
+    runs: list[str] = []
+    problems: list[str] = []
+    for number, place in enumerate(places):
+        try:
+            path = place if is_url(place) else str(Path(place).resolve())
+            size, stamp, changed = _state_of(path)
+            if (path, stamp) in known:
+                runs.append(known[path, stamp])
+            else:
+                entry = _entry(path, given, facts, changed) | {"path": path, "bytes": size, "stamp": stamp}
+                entries.append(entry)
+                runs.append(entry["run"])
+        except (RecordingError, DocumentError) as error:
+            problems.append(str(error))
+        except OSError as error:
+            problems.append(f"{place}: {error.strerror or error}")
+        if progress is not None:
+            progress((number + 1) / len(places))
+    return Added(len(places), store.add(entries), tuple(runs), tuple(problems))
+
+
+def _state_of(path: str) -> tuple[int, str, datetime]:
+    """Size, what changes when the file does, and when it was written."""
+    filesystem, inner = open_filesystem(path)
+    info = filesystem.info(inner)
+    told = info.get("LastModified") or info.get("mtime") or 0.0
+    changed = told if isinstance(told, datetime) else datetime.fromtimestamp(float(told), UTC)
+    size = int(info.get("size") or 0)
+    return size, f"{size} {changed.isoformat()} {info.get('ETag', '')}".strip(), changed
+
+
+def _entry(path: str, given: Given, facts: str | None, changed: datetime) -> dict[str, Any]:
+    with local_copy(path) as copy:
+        if copy.name.lower().endswith(RECORDINGS):
+            drive, model, start = _said(path, read_head(copy), given, changed)
+        else:
+            if given.facts is None:
+                raise DocumentError(f"{path}: a table carries no facts about its drive: give them with --drive FILE")
+            drive, model, start = _of_facts(path, given.facts, given), given.model or given.facts.name, changed
+        return {"run": digest_of(copy), "drive": drive, "model": model or drive, "start": start, "facts": facts}
+
+
+def _said(path: str, head: RunHead, given: Given, changed: datetime) -> tuple[str, str, datetime]:
+    """Drive, model and start of a recording, by what stands in front of its rows."""
+    told = head.metadata
+    start = changed
+    if head.start_ns is not None:
+        stamp = datetime.fromtimestamp(head.start_ns // 1_000 / 1e6, UTC)
+        start = stamp if stamp >= FIRST_TRUE_CLOCK else changed
+    attached = head.attachments.get(FACTS_NAME)
+    if attached is not None and "axis" not in told:
+        name = f"{path}, {FACTS_NAME}"
+        data, lines = parse(attached.data.decode("utf-8", "replace"), name)
+        declared = check(data, DriveFacts, name, lines)
+        return _of_facts(path, declared, given), given.model or declared.name, start
+    serial = told.get("drive_serial", "")
+    # a simulated drive in process has neither maker nor number of its own: its axis is what is one and the same
+    numbered = serial not in NO_NUMBER and told.get("drive_vendor", "") not in NO_NUMBER
+    drive = given.drive or (serial if numbered else told.get("axis", ""))
+    if not drive:
+        raise DocumentError(f"{path}: does not say of which drive it is: give --serial NAME")
+    words = told.get("drive", "")
+    model = words.removesuffix(told.get("drive_software", "")).strip() or words
+    return drive, given.model or model, start
+
+
+def _of_facts(path: str, facts: DriveFacts, given: Given) -> str:
+    drive = given.drive or facts.name
+    if not drive:
+        raise DocumentError(f"{path}: nothing says of which drive it is: give --serial NAME, or `name` in the facts")
+    return drive
+
+
+def facts_of(entry: dict[str, Any]) -> DriveFacts | None:
+    """The facts that an entry of the index carries."""
+    told = entry.get("facts")
+    return None if told is None else DriveFacts.model_validate(json.loads(told))
+
+
+def all_places(named: Iterable[str], source: str | None, tables: bool) -> list[str]:
+    """Runs that were named, and those of --from."""
+    places = [*named, *(runs_below(source, tables) if source else [])]
+    if not places:
+        raise DocumentError("no run: name recordings, or a directory or bucket with --from")
+    return places

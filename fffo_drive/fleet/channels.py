@@ -1,0 +1,501 @@
+"""From records to channels: for each law one number a run, free of what weather and the run's own motion do to it.
+
+The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and Coulomb
+friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
+So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
+information and S the covariance between runs, both as a fleet shows it,
+
+    P_t = (I_t^-1 + S)^-1,    y_t = e^T P_t (theta_t - mu_t) / e^T P_t e,    var y_t = 1 / e^T P_t e
+
+is the generalised least-squares estimate of a change along e that leaves all else as it was (Rao's score for it). mu_t
+is the drive's own level, from runs before t, and with a logged temperature its own slope. Without one, weather is a
+part of S: what moves along its line, viscous friction and Coulomb friction together, then counts for next to nothing.
+That is how viscous friction serves as the thermometer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .detector import BURN_IN, CLIP, NORMAL_MAD, ChannelPrior, detect
+from .history import RunHistory
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+# columns of the records: the law that each stands for, the column that is its scale, and the typical standard deviation
+# between runs of seconds, over that scale (for a fleet of one; each fleet has its own)
+_COULOMB, _STRIBECK = "coulomb_nm", "stribeck_nm"
+_VISCOUS, _INERTIA = "viscous_nm_per_rps", "inertia_nm_s2_per_rev"
+COLUMNS: Mapping[str, tuple[str, str, float]] = {
+    _INERTIA: ("inertia", _INERTIA, 0.07),
+    _VISCOUS: ("viscous friction", _VISCOUS, 0.15),
+    _COULOMB: ("Coulomb friction", _COULOMB, 0.07),
+    _STRIBECK: ("stiction", _COULOMB, 0.20),
+    "offset_nm": ("constant torque", _COULOMB, 0.05),
+    "viscous_excess_nm_per_rps": ("friction that differs by direction", _VISCOUS, 0.08),
+    "gravity_cos_nm": ("gravity", _COULOMB, 0.05),
+    "gravity_sin_nm": ("gravity", _COULOMB, 0.05),
+}
+WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
+UNMODELLED = "what no column explains (backlash, elasticity)"
+LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
+LEANING = -0.4  # typical correlation of viscous and Coulomb friction between runs: on each other, less weather
+PRIOR_RUNS = 30.0  # that the typical covariance counts for
+PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
+MEAN_DEGC, STEP_K = 25.0, 10.0  # temperatures are counted in steps from this mean
+TEMPERATURE_SHARE = 0.8  # of the runs with a temperature, for it to be the thermometer
+SLOPE_SDS = 1.5  # slope per step of temperature, before any drive is seen: in typical deviations between runs
+CHANNEL_SLOPE_SD = 0.02  # of a channel per e-fold of speed, over its scale
+EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.2  # of logarithms of amplitudes: between runs, and per unit of a covariate
+LEVEL_RUNS = 100.0  # variances of a run that a level may be away at first
+REFERENCE_EVERY = 8  # runs after which a drive's own level is taken anew
+LEARNED_DRIVES, LEARNED_RUNS = 100, 60  # at most, to learn what a fleet is like
+LEARNING_RATE = 0.2  # alarms per drive and year, beyond which a drive's later runs teach nothing
+LEAST_TEACHING = BURN_IN + 6  # runs of a drive
+LEARNING_ROUNDS = 12
+LEAST_SHAPE, LARGEST_SHAPE = 2.0, 15.0
+LARGEST_MEMORY = 0.8
+MEDIAN_WASTE = 2.7  # variance of a squared median over that of a mean square
+MEAN_FITTED = 1.0  # a fitted level makes neighbours look this much over the number of runs less alike
+MOST_ORDERS = 6
+LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
+ORDER_SHARE = 0.5  # of the runs that have to resolve an order
+LARGEST_NOISE = 25.0  # of a channel's usual variance: beyond it a run says nothing
+
+
+class Stack(NamedTuple):
+    """Runs of d drives, one after the other: n in all, p columns."""
+
+    drives: tuple[str, ...]
+    bounds: Integers  # (d + 1,)
+    time_s: Floats  # (n,)
+    theta: Floats  # (n, p) over the drive's scales; 0 where nothing is known
+    information: Floats  # (n, p, p) likewise
+    scales: Floats  # (d, p)
+    temperature: Floats  # (n,) steps from the mean; 0 for drives without a thermometer, nan for single runs without
+    logged: Mask  # (d,) whether a drive has a thermometer
+    log_speed: Floats  # (n,)
+    extras: Floats  # (n, k) logarithms of amplitudes; nan where a run has none
+    run: npt.NDArray[np.str_]  # (n,)
+    columns: tuple[str, ...]  # (p,)
+    orders: tuple[float, ...]  # of extras; rms of the residual stands behind them
+
+    def of(self, drive: int) -> slice:
+        """Runs of a drive."""
+        return slice(int(self.bounds[drive]), int(self.bounds[drive + 1]))
+
+    def part(self, drives: Integers, ends: Integers) -> Stack:
+        """Some drives, each up to a run `ends` (drives,) of all runs."""
+        begins = self.bounds[drives]
+        runs = np.concatenate([np.arange(begin, end) for begin, end in zip(begins, ends, strict=True)])
+        cut = {name: getattr(self, name)[runs] for name in _BY_RUN}
+        bounds = np.concatenate([[0], np.cumsum(ends - begins)]).astype(np.int64)
+        names = tuple(self.drives[k] for k in drives)
+        return self._replace(
+            drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut
+        )
+
+
+_BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "run")
+
+
+class FleetPrior(NamedTuple):
+    """What a fleet of one model is like, run by run."""
+
+    columns: tuple[str, ...]
+    covariance: Floats  # (p, p) between runs, with the temperature taken out
+    weather_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
+    slope: Floats  # (p,) per step of temperature
+    slope_sd: Floats  # (p,) between drives
+    directions: Floats  # (p, p) what each law moves, by its row: its column, and what goes along
+    orders: tuple[float, ...]
+
+
+class Channels(NamedTuple):
+    """What is watched: n runs, c channels."""
+
+    laws: tuple[str, ...]  # (c,)
+    y: Floats  # (n, c) nan where a run has no value
+    variance: Floats  # (n, c)
+    covariates: Floats  # (n, 2) temperature and logarithm of speed from its median
+
+
+def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None = None) -> Stack:
+    """Histories of drives of one model. Raises ValueError where there are none, or their columns differ."""
+    if not histories:
+        raise ValueError("no drive has records")
+    drives = tuple(histories)
+    first = histories[drives[0]]
+    for name, one in histories.items():
+        if one.names != first.names:
+            raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {drives[0]}")
+    columns = tuple(name for name in first.names if name in COLUMNS)
+    bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in histories.values()])]).astype(np.int64)
+    information = np.concatenate([one.information for one in histories.values()])
+    seen = [name for name in columns if np.any(np.diagonal(information, 0, 1, 2)[:, first.names.index(name)] > 0.0)]
+    if not seen:
+        raise ValueError("no run determines a parameter")
+    columns, kept = tuple(seen), [first.names.index(name) for name in seen]
+    theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
+    information = _of_known(information if len(kept) == len(first.names) else marginal(information, kept), theta)
+    theta = np.where(np.isfinite(theta), theta, 0.0)
+    scales = _scales(bounds, theta, information, columns)
+    by_run = np.repeat(scales, np.diff(bounds), axis=0)
+    theta /= by_run
+    information *= by_run[:, :, None]
+    information *= by_run[:, None, :]
+    degc = np.concatenate([one.temperature_degc for one in histories.values()])
+    shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
+    logged = shares >= TEMPERATURE_SHARE
+    temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
+    chosen, extras = _extras(histories, orders)
+    speed = np.concatenate([one.speed_rms_rps for one in histories.values()])
+    return Stack(
+        drives, bounds, np.concatenate([one.time_s for one in histories.values()]), theta, information, scales,
+        temperature, logged, np.log(np.maximum(speed, 1e-6)), extras,
+        np.concatenate([one.run for one in histories.values()]), columns, chosen,
+    )  # fmt: skip
+
+
+def marginal(information: Floats, kept: Sequence[int]) -> Floats:
+    """Information of some columns, whatever the others are."""
+    rest = [k for k in range(information.shape[1]) if k not in kept]
+    inner = np.linalg.pinv(information[:, rest][:, :, rest], hermitian=True)
+    cross = information[:, kept][:, :, rest]
+    return np.asarray(information[:, kept][:, :, kept] - cross @ inner @ cross.transpose(0, 2, 1))
+
+
+def _of_known(information: Floats, theta: Floats) -> Floats:
+    """Information of the finite columns alone: none about the others, whatever these are."""
+    information = information.copy()
+    missing = ~np.isfinite(theta)
+    patterns, which = np.unique(missing, axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        if not pattern.any():
+            continue
+        runs = np.flatnonzero(which.ravel() == number)
+        kept = np.flatnonzero(~pattern)
+        reduced = np.zeros((runs.size, *information.shape[1:]))
+        if kept.size:
+            reduced[np.ix_(np.arange(runs.size), kept, kept)] = marginal(information[runs], kept.tolist())
+        information[runs] = reduced
+    return information
+
+
+def _scales(bounds: Integers, theta: Floats, information: Floats, columns: Sequence[str]) -> Floats:
+    """Size of each column for each drive, by the fit to its first runs together. (d, p)"""
+    begin, end = bounds[:-1], np.minimum(bounds[:-1] + BURN_IN, bounds[1:])
+    moment = np.einsum("nij,nj->ni", information, theta)
+    pairs = np.column_stack([begin, end]).ravel()
+    whole = np.concatenate([np.zeros((1, *information.shape[1:])), np.cumsum(information, axis=0)])
+    total = whole[pairs[1::2]] - whole[pairs[::2]]
+    summed = np.concatenate([np.zeros((1, moment.shape[1])), np.cumsum(moment, axis=0)])
+    sizes = np.sqrt(np.maximum(np.einsum("dii->di", total), 1e-300))
+    scaled = total / (sizes[:, :, None] * sizes[:, None, :])
+    mean = np.linalg.solve(
+        scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
+    )[:, :, 0] / sizes
+    found = np.ones_like(mean)
+    for k, name in enumerate(columns):
+        scale = COLUMNS[name][1]
+        if scale in columns:
+            found[:, k] = np.abs(mean[:, columns.index(scale)])
+    usual = np.median(found, axis=0)
+    return np.where(found > 0.05 * usual, found, np.where(usual > 0.0, usual, 1.0))
+
+
+def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None) -> tuple[tuple[float, ...], Floats]:
+    """Logarithms of the amplitudes of some orders, and of the residual. Those orders stand out where none are given."""
+    first = next(iter(histories.values()))
+    if orders is None:
+        some = list(histories.values())[:LEARNED_DRIVES]
+        sample = np.concatenate([one.order_amplitude_nm[:LEARNED_RUNS] for one in some])
+        resolved = np.mean(np.isfinite(sample), axis=0) >= ORDER_SHARE if sample.size else np.zeros(0, bool)
+        steady = np.zeros(resolved.size)
+        for k in np.flatnonzero(resolved):
+            size = sample[np.isfinite(sample[:, k]), k]
+            usual = float(np.median(size))
+            spread = NORMAL_MAD * float(np.median(np.abs(size - usual)))
+            steady[k] = usual / spread if usual > LEAST_STEADINESS * spread else 0.0
+        chosen = np.sort(np.argsort(steady)[::-1][:MOST_ORDERS])
+        orders = [float(first.orders[k]) for k in chosen if steady[k] > 0.0]
+    places = [int(np.flatnonzero(first.orders == order)[0]) for order in orders]
+    values = np.concatenate([
+        np.column_stack([one.order_amplitude_nm[:, places], one.rms_nm]) for one in histories.values()
+    ])  # fmt: skip
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return tuple(orders), np.where(values > 0.0, np.log(values), np.nan)
+
+
+def inverse_total(information: Floats, covariance: Floats) -> Floats:
+    """(I^-1 + S)^-1 of many runs (n, p, p), also where I is singular."""
+    inner = np.linalg.solve(information + np.linalg.inv(covariance), information)
+    return np.asarray(information - information @ inner)
+
+
+def typical_covariance(columns: Sequence[str]) -> Floats:
+    """Between runs, before any is seen. (p, p)"""
+    sds = np.array([COLUMNS[name][2] for name in columns])
+    correlation = np.eye(len(columns))
+    if _VISCOUS in columns and _COULOMB in columns:
+        a, b = columns.index(_VISCOUS), columns.index(_COULOMB)
+        correlation[a, b] = correlation[b, a] = LEANING
+    return np.asarray(correlation * np.outer(sds, sds))
+
+
+def learn(stack: Stack) -> FleetPrior:
+    """Covariance between runs and slopes with temperature, by EM over the drives' own levels; outliers weigh less."""
+    drives = np.arange(len(stack.drives))
+    logged = drives[stack.logged]
+    slope = np.zeros(len(stack.columns))
+    covariance = typical_covariance(stack.columns)
+    slope_sd = SLOPE_SDS * np.sqrt(np.diag(covariance))
+    if logged.size:
+        covariance, slopes = _between_runs(stack, logged, covariance, 2)
+        share = logged.size / (logged.size + PRIOR_DRIVES)
+        slope = share * np.median(slopes, axis=0)
+        spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
+        slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * slope_sd**2)
+    weather, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
+    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, _directions(stack), stack.orders)
+
+
+def _directions(stack: Stack) -> Floats:
+    """Each law moves its column. Coulomb friction takes stiction along: a level that rises, rises at all speeds."""
+    directions = np.eye(len(stack.columns))
+    if _COULOMB in stack.columns and _STRIBECK in stack.columns:
+        level, rise = stack.columns.index(_COULOMB), stack.columns.index(_STRIBECK)
+        ratio = stack.theta[:, rise] / np.maximum(stack.theta[:, level], 1e-3)
+        directions[level, rise] = float(np.clip(np.median(ratio[stack.theta[:, level] > 0.0]), 0.0, LARGEST_RISE))
+    return directions
+
+
+def _between_runs(stack: Stack, drives: Integers, typical: Floats, terms: int) -> tuple[Floats, Floats]:
+    """Covariance (p, p) between runs of drives, beside a level and, with two terms, a slope; the slopes (d, p)."""
+    size = typical.shape[0]
+    parts = [stack.of(int(d)) for d in drives]
+    runs = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    own = np.repeat(np.arange(len(parts)), [part.stop - part.start for part in parts])
+    steps = np.nan_to_num(stack.temperature[runs])
+    design = np.column_stack([np.ones(runs.size), steps])[:, :terms]
+    information, theta = stack.information[runs], stack.theta[runs]
+    known = np.einsum("nii->n", information) > 0.0
+    covariance = typical
+    coefficients = np.zeros((len(parts), terms * size))
+    begins = np.flatnonzero(np.diff(own, prepend=-1))
+    ridge = np.diag(np.concatenate([np.full(size, 1e-6), np.tile(1.0 / (SLOPE_SDS**2 * np.diag(typical)), terms - 1)]))
+    weight = known.astype(np.float64)
+    for _ in range(LEARNING_ROUNDS):
+        inverse = inverse_total(information, covariance) * weight[:, None, None]
+        moment = np.einsum("nij,nj->ni", inverse, theta)
+        normal = np.einsum("na,nb,nij->naibj", design, design, inverse).reshape(runs.size, terms * size, terms * size)
+        right = np.einsum("na,ni->nai", design, moment).reshape(runs.size, terms * size)
+        total = np.add.reduceat(normal, begins, axis=0) + ridge
+        coefficients = np.linalg.solve(total, np.add.reduceat(right, begins, axis=0)[:, :, None])[:, :, 0]
+        predicted = np.einsum("na,nai->ni", design, coefficients.reshape(-1, terms, size)[own])
+        residual = theta - predicted
+        inverse = inverse_total(information, covariance)
+        distance = np.einsum("ni,nij,nj->n", residual, inverse, residual)
+        weight = np.where(known, np.minimum(1.0, 2.0 * size / np.maximum(distance, 1e-9)), 0.0)
+        expected = np.einsum("ij,njk,nk->ni", covariance, inverse, residual)
+        spread = covariance - covariance @ inverse @ covariance
+        summed = np.einsum("n,ni,nj->ij", weight, expected, expected) + spread[known].sum(axis=0)
+        # a level of its own takes a run from each drive, and outliers were pulled in
+        count = max(float(known.sum()) - terms * len(parts), 1.0)
+        covariance = (summed + PRIOR_RUNS * typical) / (count + PRIOR_RUNS)
+        covariance = 0.5 * (covariance + covariance.T)
+    return covariance, coefficients.reshape(-1, terms, size)[:, -1]
+
+
+def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
+    """The channels of all runs: laws of the columns, orders, and the residual."""
+    size = len(stack.columns)
+    by_run = np.repeat(stack.logged, np.diff(stack.bounds))
+    laws = [COLUMNS[name][0] for name in stack.columns]
+    y = np.full((stack.time_s.size, size), np.nan)
+    variance = np.ones_like(y)
+    for logged, covariance in ((True, prior.covariance), (False, prior.weather_covariance)):
+        drives = np.flatnonzero(stack.logged == logged)
+        if not drives.size:
+            continue
+        runs = np.flatnonzero(by_run == logged)
+        y[runs], variance[runs] = _projected(stack, prior, drives, runs, covariance)
+        if not logged:
+            unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
+            y[np.ix_(runs, unwatched)] = np.nan
+    y[~np.isfinite(stack.temperature)] = np.nan
+    with np.errstate(invalid="ignore"):
+        usual = np.array([np.median(v[np.isfinite(v)]) if np.isfinite(v).any() else 1.0 for v in variance.T])
+        y[variance > LARGEST_NOISE * usual] = np.nan
+    names = [f"ripple of order {order:g}" for order in stack.orders] + [UNMODELLED]
+    extra_variance = np.full(stack.extras.shape, EXTRA_SD**2)
+    covariates = np.column_stack([np.nan_to_num(stack.temperature), stack.log_speed - np.median(stack.log_speed)])
+    return Channels(
+        (*laws, *names), np.column_stack([y, stack.extras]),
+        np.column_stack([np.where(np.isfinite(y), variance, 1.0), extra_variance]), covariates,
+    )  # fmt: skip
+
+
+def _projected(
+    stack: Stack, prior: FleetPrior, drives: Integers, runs: Integers, covariance: Floats
+) -> tuple[Floats, Floats]:
+    """Estimates (n, p) of a change along each column, and their variances, for some drives and their runs."""
+    size = len(stack.columns)
+    theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
+    inverse = inverse_total(stack.information[runs], covariance)
+    along = prior.directions @ inverse  # (n, law, column)
+    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
+        variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
+    usual = np.nanmedian(weights[:: max(1, weights.shape[0] // 20_000)], axis=0)
+    usual = np.where(np.isfinite(usual), usual, 0.0)
+    lengths = np.diff(stack.bounds)[drives]
+    own = np.repeat(np.arange(drives.size), lengths)
+    begins = np.concatenate([[0], np.cumsum(lengths)])[:-1]
+    place = np.arange(runs.size) - begins[own]
+    level, slope = _references(theta, steps, inverse, own, place, drives.size, prior)
+    which = np.maximum(place // REFERENCE_EVERY - 1, 0)
+    reference = level[which, own] + steps[:, None] * slope[which, own]
+    y = np.einsum("nij,nj->ni", weights, theta - reference) + reference @ usual.T
+    return y.reshape(-1, size), variance
+
+
+def _references(
+    theta: Floats, steps: Floats, inverse: Floats, own: Integers, place: Integers, drives: int, prior: FleetPrior
+) -> tuple[Floats, Floats]:
+    """Level and slope (blocks, d, p) of each drive by its runs up to the end of each block of REFERENCE_EVERY."""
+    size = theta.shape[1]
+    blocks = max(1, (int(place.max(initial=0)) + REFERENCE_EVERY) // REFERENCE_EVERY)
+    block = place // REFERENCE_EVERY
+    slopes = bool(np.any(steps != 0.0))
+    terms = 2 if slopes else 1
+    levels, found = np.zeros((blocks, drives, size)), np.zeros((blocks, drives, size))
+    normal, right = np.zeros((drives, terms * size, terms * size)), np.zeros((drives, terms * size))
+    ridge = np.concatenate([np.full(size, 1e-6), *([prior.slope_sd**-2] if slopes else [])])
+    normal[:, np.arange(terms * size), np.arange(terms * size)] = ridge
+    if slopes:
+        right[:, size:] = prior.slope * ridge[size:]
+    for number in range(blocks):
+        now = np.flatnonzero(block == number)
+        weight = np.ones(now.size)
+        if number:
+            reference = levels[number - 1, own[now]] + steps[now, None] * found[number - 1, own[now]]
+            away = theta[now] - reference
+            distance = np.einsum("ni,nij,nj->n", away, inverse[now], away)
+            weight = np.minimum(1.0, 2.0 * size / np.maximum(distance, 1e-9))
+        taken = inverse[now] * weight[:, None, None]
+        moment = np.einsum("nij,nj->ni", taken, theta[now])
+        here, begins = np.unique(own[now], return_index=True)
+        for a in range(terms):
+            left = steps[now] if a else 1.0
+            rows = slice(a * size, (a + 1) * size)
+            right[here, rows] += np.add.reduceat(moment * np.reshape(left, (-1, 1)), begins, axis=0)
+            for b in range(terms):
+                both = left * (steps[now] if b else 1.0)
+                part = np.add.reduceat(taken * np.reshape(both, (-1, 1, 1)), begins, axis=0)
+                normal[here, rows, b * size : (b + 1) * size] += part
+        solution = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        levels[number] = solution[:, :size]
+        if slopes:
+            found[number] = solution[:, size:]
+    return levels, found
+
+
+def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
+    """Slopes, variance, its spread over drives, and memory of each channel, as this fleet has them."""
+    count = len(channels.laws)
+    size = len(stack.columns)
+    typical = np.array([*(COLUMNS[name][2] for name in stack.columns)])
+    slope_sd = np.vstack([
+        np.column_stack([SLOPE_SDS * typical, CHANNEL_SLOPE_SD + 0.5 * typical]),
+        np.full((count - size, 2), EXTRA_SLOPE_SD),
+    ])  # fmt: skip
+    mean, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    variance, shape, memory = np.ones(count), np.full(count, LEAST_SHAPE), np.zeros(count)
+    for c in range(count):
+        tried = [_drive_fit(channels, stack.of(d), c, slope_sd[c]) for d in range(len(stack.drives))]
+        fits = [one for one in tried if one is not None]
+        number = len(fits)
+        share = number / (number + PRIOR_DRIVES)
+        usual = np.nanmedian(channels.variance[:, c])
+        between = slope_sd[c] ** 2
+        if number:
+            slopes = np.array([one.slopes for one in fits])
+            centre = np.median(slopes, axis=0)
+            own = np.median([one.slope_variance for one in fits], axis=0)
+            spread = (NORMAL_MAD * np.median(np.abs(slopes - centre), axis=0)) ** 2
+            mean[c, 1:] = share * centre
+            between = share * np.maximum(spread - own, 0.1 * spread) + (1.0 - share) * slope_sd[c] ** 2 + 1e-12
+            lag = sum(one.lag for one in fits) / max(sum(one.energy for one in fits), 1e-300)
+            runs = float(np.mean([one.dof for one in fits]))
+            memory[c] = min(max(share * (lag + MEAN_FITTED / runs), 0.0), LARGEST_MEMORY)
+            logs = np.log([one.variance for one in fits])
+            dof = float(np.median([one.dof for one in fits]))
+            variance[c] = np.exp(share * np.median(logs))
+            beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - MEDIAN_WASTE * 2.0 / dof
+            wide = 1.0 / max(float(beyond), 1e-3)  # the variance of the logarithm is about 1 / shape
+            shape[c] = np.clip(share * wide, LEAST_SHAPE, LARGEST_SHAPE)
+        covariance[c] = np.diag([LEVEL_RUNS * usual, *(between / variance[c])])
+    return ChannelPrior(mean, covariance, variance, shape, memory)
+
+
+class _DriveFit(NamedTuple):
+    slopes: Floats  # (2,)
+    slope_variance: Floats  # (2,)
+    variance: float  # of what is left of a run, over what its record says
+    dof: float
+    lag: float  # sum of products of neighbours, outliers pulled in
+    energy: float  # ... of squares
+
+
+def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _DriveFit | None:
+    """Level and slopes of one channel of a drive, by reweighted least squares; None for a few runs."""
+    y = channels.y[runs, c]
+    known = np.flatnonzero(np.isfinite(y))
+    if known.size < BURN_IN + 3:
+        return None
+    white = 1.0 / np.sqrt(channels.variance[runs, c][known])
+    design = np.column_stack([np.ones(known.size), channels.covariates[runs][known]]) * white[:, None]
+    target = y[known] * white
+    scale = 1.0
+    weight: Floats = np.ones(known.size)
+    for _ in range(4):
+        own = design * weight[:, None]
+        normal = own.T @ design / scale**2 + np.diag(np.concatenate([[0.0], slope_sd**-2.0]))
+        solution = np.linalg.solve(normal, own.T @ target / scale**2)
+        residual = target - design @ solution
+        scale = max(NORMAL_MAD * float(np.median(np.abs(residual))), 1e-9)
+        weight = np.minimum(1.0, CLIP * scale / np.maximum(np.abs(residual), 1e-300))
+    spread: Floats = np.diag(np.linalg.inv(normal))[1:]
+    clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
+    lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
+    return _DriveFit(solution[1:], spread, scale**2, known.size - 3.0, lag, energy)
+
+
+def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
+    """What the fleet is like, from runs in which nothing changes: twice, for what changes has to be seen first."""
+    drives = np.unique(np.linspace(0, len(stack.drives) - 1, LEARNED_DRIVES).astype(np.int64))
+    ends = np.minimum(stack.bounds[drives + 1], stack.bounds[drives] + LEARNED_RUNS)
+    part = stack.part(drives, ends)
+    prior = learn(part)
+    channels = channels_of(part, prior)
+    own = channel_prior(part, channels)
+    found = detect(
+        part.bounds, part.time_s, channels.y, channels.variance, channels.covariates, own, LEARNING_RATE
+    )  # fmt: skip
+    kept = np.diff(part.bounds)
+    for drive, first in zip(found.drive[::-1], found.first[::-1], strict=True):
+        kept[drive] = first - part.bounds[drive]
+    enough = np.flatnonzero(kept >= LEAST_TEACHING)
+    if not found.drive.size or not enough.size:
+        return prior, own
+    quiet = part.part(enough, part.bounds[enough] + kept[enough])
+    prior = learn(quiet)
+    return prior, channel_prior(quiet, channels_of(quiet, prior))

@@ -1,0 +1,89 @@
+"""A drive's records in the order of time, as plain arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..documents import DocumentError
+from .regress import PARAMETERS, Balance, Estimates, solve_each, unpacked
+from .schema import ORDERS
+from .store import FleetStore
+
+Floats = npt.NDArray[np.float64]
+
+US_PER_S = 1e6
+SCALARS = ("energy_nm2", "rows", "effective_rows")
+HISTORY_COLUMNS = (
+    "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
+    "speed_rms_rps", "temperature_degc",
+)  # fmt: skip
+
+
+class RunHistory(NamedTuple):
+    """n runs of one drive, oldest first; p base parameters, k orders. Linear: revolutions stand for m, Nm for N."""
+
+    time_s: Floats  # (n,) start, UTC, seconds since 1970
+    theta: Floats  # (n, p) base parameters, finite; what a run does not determine is the smallest that fits
+    information: Floats  # (n, p, p) inverse covariance of theta; 0 along what a run does not determine
+    names: tuple[str, ...]  # (p,) `fleet.regress.PARAMETERS`, with their units
+    rms_nm: Floats  # (n,) of the residual of the run's own regression
+    order_amplitude_nm: Floats  # (n, k) of the residual; nan where the run does not resolve an order
+    orders: Floats  # (k,) periods a motor turn
+    speed_rms_rps: Floats  # (n,)
+    temperature_degc: Floats  # (n,) mean; nan where not logged
+    run: npt.NDArray[np.str_]  # (n,) content hash of each run, hex
+
+
+def history(store: FleetStore, drive: str) -> RunHistory:
+    """A drive's records. Raises DocumentError where there is none of it, with the nearest names."""
+    return history_of(store.records(HISTORY_COLUMNS, pc.field("drive") == drive), drive)
+
+
+def history_of(table: pa.Table, drive: str) -> RunHistory:
+    """As `history`, of records (`schema.RECORD_SCHEMA`, at least HISTORY_COLUMNS) of one drive."""
+    if not table.num_rows:
+        raise DocumentError(f"no record of drive {drive!r}: `fffo-drive fleet status STORE` lists the drives")
+    table = table.sort_by([("start", "ascending"), ("run", "ascending")])
+    solved = estimates_of(table)
+    return RunHistory(
+        time_s=table.column("start").cast(pa.int64()).to_numpy() / US_PER_S,
+        theta=solved.theta,
+        information=solved.information,
+        names=PARAMETERS,
+        rms_nm=column_of(table, "rms_nm"),
+        order_amplitude_nm=matrix_of(table, "order_amplitude_nm"),
+        orders=ORDERS,
+        speed_rms_rps=column_of(table, "speed_rms_rps"),
+        temperature_degc=column_of(table, "temperature_degc"),
+        run=np.array(table.column("run").to_pylist(), dtype=np.str_),
+    )
+
+
+def balance_of_rows(table: pa.Table) -> Balance:
+    """All records of a table together."""
+    return Balance(
+        unpacked(matrix_of(table, "normal").sum(axis=0)), matrix_of(table, "moment").sum(axis=0),
+        *(float(column_of(table, name).sum()) for name in SCALARS),
+    )  # fmt: skip
+
+
+def estimates_of(table: pa.Table) -> Estimates:
+    """What each record gives by itself. (n, ...)"""
+    scalars = (column_of(table, name) for name in SCALARS)
+    return solve_each(unpacked(matrix_of(table, "normal")), matrix_of(table, "moment"), *scalars)
+
+
+def column_of(table: pa.Table, name: str) -> Floats:
+    """A column of numbers; nan where there is none. (n,)"""
+    return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
+
+
+def matrix_of(table: pa.Table, name: str) -> Floats:
+    """A column of lists of one length. (n, length)"""
+    column = table.column(name).combine_chunks()
+    return np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=np.float64).reshape(len(column), -1)

@@ -1,0 +1,174 @@
+"""The additive part of a record: a run's force balance as normal equations, and what these give.
+
+Torque is regressed on what the motion needs, on the rows on which `identify` stands (`identification.rows`):
+
+    torque = J a + sigma w + Fc d + Fst d exp(-|w| / V0) + offset + excess |w| + C cos(angle) + S sin(angle)
+
+a acceleration, w velocity, d its direction; V0 is one number for all, so that the records of an axis add up to the fit
+on all of its rows. The last two columns are there where the angle has the same zero in every run.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
+from ..identification.facts import DriveFacts
+from ..identification.ladder import GRAVITY_PERIODS, wave_columns
+from ..identification.rows import RegressionRows, turns_one_way
+
+Floats = npt.NDArray[np.float64]
+
+PARAMETERS = (
+    "inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "stribeck_nm", "offset_nm",
+    "viscous_excess_nm_per_rps", "gravity_cos_nm", "gravity_sin_nm",
+)  # fmt: skip
+INERTIA, VISCOUS, COULOMB, STRIBECK, OFFSET, EXCESS, GRAVITY_COS, GRAVITY_SIN = range(len(PARAMETERS))
+RUNGS = {  # of the ladder, those that are columns here
+    "constant": (OFFSET,), "direction": (EXCESS,), "gravity": (GRAVITY_COS, GRAVITY_SIN),
+}  # fmt: skip
+STRIBECK_RPS = 1.0  # V0: between those of small servo motors; one for all, or records would not add up
+STRIBECK_M_PER_S = 0.02  # V0 of a linear axis
+SINGULAR = 1e-9  # of the scaled normal matrix: what columns have in common beyond it is not known
+BLOCKS_A_RUN = 60  # of a short run, which are independent pieces: several times as many as columns
+LARGEST_INFLATION = 1e3  # of a variance by the other columns: an estimate beyond it says nothing by itself
+UPPER = np.triu_indices(len(PARAMETERS))
+
+
+class Balance(NamedTuple):
+    """Normal equations of m rows with p columns: those of two sets of rows are added field by field."""
+
+    normal: Floats  # (p, p) X^T X
+    moment: Floats  # (p,) X^T y
+    energy_nm2: float  # y^T y
+    rows: float
+    effective_rows: float  # independent ones among them: rows that follow each other say nearly the same
+
+    def with_rows_of(self, other: Balance) -> Balance:
+        """Both sets of rows together."""
+        return Balance(
+            self.normal + other.normal, self.moment + other.moment, self.energy_nm2 + other.energy_nm2,
+            self.rows + other.rows, self.effective_rows + other.effective_rows,
+        )  # fmt: skip
+
+
+class Estimates(NamedTuple):
+    """What a balance gives, or each of several (...)."""
+
+    theta: Floats  # (..., p) of PARAMETERS, finite; what is not determined is the smallest that fits
+    information: Floats  # (..., p, p) inverse covariance; 0 along what is not determined
+    sd: Floats  # (..., p) nan where a parameter is not determined
+    rms_nm: Floats  # (...) of the residual
+
+
+def balance_columns(rows: RegressionRows, facts: DriveFacts) -> Floats:
+    """Columns of the balance at all rows, in the order of PARAMETERS; 0 where the motion has none. (m, p)"""
+    speed = np.abs(rows.velocity_rps)
+    v0_rps = STRIBECK_M_PER_S if facts.units == "linear" else STRIBECK_RPS
+    columns = np.zeros((speed.size, len(PARAMETERS)))
+    columns[:, INERTIA] = rows.acceleration_rps2
+    columns[:, VISCOUS] = rows.velocity_rps
+    columns[:, COULOMB] = rows.direction
+    columns[:, STRIBECK] = rows.direction * np.exp(-speed / v0_rps)
+    if not turns_one_way(rows.direction[rows.sliding]):  # else they are Coulomb and viscous friction
+        columns[:, OFFSET] = 1.0
+        columns[:, EXCESS] = speed
+    order = 1.0 / (facts.gear_ratio or 1.0)
+    travel = float(np.ptp(rows.position_rev[rows.sliding])) if rows.sliding.any() else 0.0
+    if facts.units == "rotary" and facts.absolute_angle and order * travel >= GRAVITY_PERIODS:
+        columns[:, GRAVITY_COS:] = wave_columns(rows, order)
+    return columns
+
+
+def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
+    """Normal equations of the rows that slide for sure; `columns` (m, p) of all rows."""
+    kept = np.flatnonzero(rows.sliding)
+    own, torque_nm = columns[kept], rows.torque_nm[kept]
+    duration_s = rows.run.size * rows.period_s
+    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, duration_s / BLOCKS_A_RUN))
+    block = kept // max(1, round(block_s / rows.period_s))
+    begins = np.flatnonzero(np.diff(block, prepend=-1))
+    whole = Balance(own.T @ own, own.T @ torque_nm, float(torque_nm @ torque_nm), float(kept.size), float(kept.size))
+    solution = solve(whole)
+    scores = own * (torque_nm - own @ solution.theta)[:, None]
+    sums = np.add.reduceat(scores, begins, axis=0) if kept.size else scores
+    return whole._replace(effective_rows=_effective_rows(whole, sums, float(solution.rms_nm)))
+
+
+def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
+    """Rows over how much larger variances are than those of independent rows, by blocks' scores (b, p)."""
+    scale, curvature, directions = _scaled(balance.normal)
+    known = curvature > SINGULAR
+    rank = int(known.sum())
+    if rms_nm == 0.0 or rank == 0 or sums.shape[0] <= rank:
+        return balance.rows
+    half = (sums / scale @ directions)[:, known] / np.sqrt(curvature[known])
+    few = sums.shape[0] / (sums.shape[0] - rank)
+    ratio = few * float(np.sum(half**2)) / (rank * rms_nm**2)
+    return float(balance.rows / max(1.0, ratio))
+
+
+def _scaled(normal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Lengths of the columns (..., p), and eigenvalues and vectors of the normal matrix of columns of length one."""
+    length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
+    scale = np.where(length > 0.0, length, 1.0)
+    curvature, directions = np.linalg.eigh(normal / (scale[..., :, None] * scale[..., None, :]))
+    return scale, curvature, directions
+
+
+def solve(balance: Balance) -> Estimates:
+    """Least squares, with the covariance that the effective rows give."""
+    scalars = (np.array([value]) for value in balance[2:])
+    found = solve_each(balance.normal[None], balance.moment[None], *scalars)
+    return Estimates(*(one[0] for one in found))
+
+
+def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats, effective_rows: Floats) -> Estimates:
+    """`solve` of n balances: (n, p, p), (n, p) and (n,) each."""
+    scale, curvature, directions = _scaled(normal)
+    known = curvature > SINGULAR
+    rank = known.sum(axis=-1)
+    over = np.where(known, 1.0 / np.where(known, curvature, 1.0), 0.0)
+    inverse = np.einsum("nij,nj,nkj->nik", directions, over, directions)
+    theta = np.einsum("nij,nj->ni", inverse, moment / scale) / scale
+    left = np.maximum(energy_nm2 - np.einsum("ni,ni->n", moment, theta), 0.0)
+    variance_nm2 = left / np.maximum(rows - rank, 1.0)
+    noisy = variance_nm2 > 0.0
+    share = np.where(noisy, effective_rows / np.maximum(rows, 1.0), 0.0)
+    precision = np.where(noisy, share / np.where(noisy, variance_nm2, 1.0), 0.0)
+    kept = np.einsum("nij,nj,nkj->nik", directions, np.where(known, curvature, 0.0), directions)
+    there = np.diagonal(normal, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
+    size = scale * there
+    information = kept * (size[:, :, None] * size[:, None, :]) * precision[:, None, None]
+    inflation = np.diagonal(inverse, axis1=-2, axis2=-1)
+    # a parameter that has a part in a direction that is not determined is not determined either
+    within = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
+    sure = within & there & (inflation < LARGEST_INFLATION) & (precision > 0.0)[:, None]
+    variance = inflation / np.where(precision > 0.0, precision, 1.0)[:, None]
+    sd = np.where(sure, np.sqrt(np.maximum(variance, 0.0)) / scale, np.nan)
+    return Estimates(theta, information, sd, np.sqrt(left / np.maximum(rows, 1.0)))
+
+
+def explained_by(balance: Balance, without: tuple[int, ...]) -> float:
+    """Share of the squared residual that these columns explain beside all others: of a rung of the ladder."""
+    keep = np.setdiff1d(np.arange(len(PARAMETERS)), without)
+    rest = solve(balance._replace(normal=balance.normal[np.ix_(keep, keep)], moment=balance.moment[keep]))
+    left, whole = float(rest.rms_nm) ** 2, float(solve(balance).rms_nm) ** 2
+    return max(0.0, 1.0 - whole / left) if left > 0.0 else 0.0
+
+
+def packed(normal: Floats) -> Floats:
+    """Upper triangle of (p, p), row by row."""
+    return np.asarray(normal[UPPER])
+
+
+def unpacked(upper: Floats) -> Floats:
+    """(..., p, p) of upper triangles (..., p (p + 1) / 2)."""
+    size = len(PARAMETERS)
+    full = np.zeros((*upper.shape[:-1], size, size))
+    full[..., UPPER[0], UPPER[1]] = upper
+    full[..., UPPER[1], UPPER[0]] = upper
+    return full

@@ -1,0 +1,359 @@
+"""A fleet's store: what runs there are, the record of each, and what could not be made; Parquet and JSON files.
+
+    store.json                      which format it is
+    index/DIGEST.parquet            runs that were added: where they are, of which drive
+    records/new/RUN-VERSION.parquet one record, as it was made
+    records/merged/YYYY-MM/DIGEST.parquet
+                                    the records of a month after `compact`, sorted by model, drive, time and run
+    failed/RUN.json                 a run that makes no record, and why
+    failed/tries/RUN-K.json         an attempt that has begun; gone when it ends well
+
+Every file appears whole under a name that its content gives. Whoever writes the same thing writes the same file, so
+that several may write at once; whoever merges deletes only what stands in the merged file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from .. import formats
+from ..documents import DocumentError
+from .place import Place
+from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, table_of
+
+STORE_FILE = "store.json"
+INDEX, NEW, MERGED, FAILED, TRIES = "index", "records/new", "records/merged", "failed", "failed/tries"
+PARQUET = ".parquet"
+MOST_TRIES = 3
+RELISTED = 5  # times that a listing is made again because somebody merged meanwhile
+
+
+class Attempt(NamedTuple):
+    """One try at a record that has begun."""
+
+    run: str
+    path: str
+    number: int  # from 1
+    reason: str  # why it ended badly; of one that is under way, or whose worker died, that
+
+
+class Failure(NamedTuple):
+    """A run that makes no record."""
+
+    run: str
+    path: str
+    tries: int
+    reason: str
+
+
+class StoreStatus(NamedTuple):
+    """How far the work is."""
+
+    runs: int
+    recorded: int
+    failed: int
+    new_files: int  # records that are not merged yet
+    merged_files: int
+    record_bytes: int
+    drives: int
+    models: int
+
+    @property
+    def waiting(self) -> int:
+        """Runs that have neither a record nor failed."""
+        return self.runs - self.recorded - self.failed
+
+
+class Compacted(NamedTuple):
+    """What `compact` did."""
+
+    records: int
+    files: int
+    removed: int  # records that were too old to keep
+
+
+class FleetStore:
+    """The store at a directory or a URL."""
+
+    def __init__(self, address: str, create: bool = False) -> None:
+        """`create`: make it where there is none. Raises DocumentError for what is no store of this version."""
+        self.place = Place(address)
+        if create and not self.place.exists(STORE_FILE):
+            if self.place.files("", ""):
+                raise DocumentError(f"{address}: no store ({STORE_FILE} is missing), and not empty: give another place")
+            text = json.dumps({"format": formats.FLEET.word}, indent=2) + "\n"
+            self.place.write(STORE_FILE, text.encode())
+        try:
+            told = json.loads(self.place.read(STORE_FILE))
+        except FileNotFoundError:
+            raise DocumentError(
+                f"{address}: no store here: `fffo-drive fleet add {address} RUN...` makes one"
+            ) from None
+        except ValueError as error:
+            raise DocumentError(f"{address}: {STORE_FILE} cannot be read: {error}") from None
+        try:
+            formats.migrated(told, "fleet")
+        except formats.FormatError as error:
+            raise DocumentError(f"{address}: {STORE_FILE}: {error}") from None
+
+    # ---- index
+
+    def index(self) -> pa.Table:
+        """What was added, one row a run (`schema.INDEX_SCHEMA`), sorted by run."""
+        return _first_of_each(self._read(lambda: self.place.files(INDEX, PARQUET), INDEX_SCHEMA), INDEX_SCHEMA)
+
+    def add(self, entries: Sequence[Mapping[str, Any]]) -> int:
+        """Put runs on the index; how many are new. Raises OSError."""
+        known = set(self.index().column("run").to_pylist())
+        fresh = {str(entry["run"]): entry for entry in entries if entry["run"] not in known}
+        if fresh:
+            self._put(INDEX, table_of((fresh[run] for run in sorted(fresh)), INDEX_SCHEMA))
+        return len(fresh)
+
+    def _put(self, folder: str, table: pa.Table) -> str:
+        data = file_bytes(table)
+        name = f"{folder}/{hashlib.sha256(data).hexdigest()[:16]}{PARQUET}"
+        self.place.write(name, data)
+        return name
+
+    # ---- records
+
+    def record_name(self, run: str) -> str:
+        """The file of a record as it is made."""
+        return f"{NEW}/{run}-{SCHEMA_VERSION}{PARQUET}"
+
+    def write_record(self, row: Mapping[str, Any]) -> None:
+        """Put one record. Raises OSError."""
+        self.place.write(self.record_name(str(row["run"])), file_bytes(table_of([row]), small=True))
+
+    def records(self, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
+        """Records, one a run, in no order. `columns`: None for all; `where`: which. Raises DocumentError, OSError."""
+        return self._records_in(self._record_files, columns, where)
+
+    def parts(self, columns: Sequence[str]) -> Iterator[pa.Table]:
+        """`records` in parts that hold different runs: month by month, where all is merged."""
+        months = {name.split("/")[2] for name in self.place.files(MERGED, PARQUET)}
+        if not months or self.place.files(NEW, PARQUET):
+            yield self.records(columns)
+            return
+        for month in sorted(months):
+            yield self._records_in(partial(self.place.files, f"{MERGED}/{month}", PARQUET), columns, None)
+
+    def _records_in(
+        self, listed: Callable[[], dict[str, int]], columns: Sequence[str] | None, where: pc.Expression | None
+    ) -> pa.Table:
+        wanted = list(RECORD_SCHEMA.names) if columns is None else list(columns)
+        needed = list(dict.fromkeys([*wanted, "run", "schema_version"]))
+        table = self._read(listed, RECORD_SCHEMA, needed, where)
+        newest = pc.max(table.column("schema_version")).as_py() if table.num_rows else None
+        if newest is not None and newest > SCHEMA_VERSION:
+            raise DocumentError(
+                f"{self.place.address}: has records of version {newest}, this program reads {SCHEMA_VERSION} and "
+                "older: read it with the fffo-drive that made them, or a later one"
+            )
+        return _first_of_each(table, table.schema).select(wanted)
+
+    def recorded(self) -> set[str]:
+        """Runs that have a record of this version."""
+        table = self._read(
+            lambda: self.place.files(MERGED, PARQUET), RECORD_SCHEMA, ["run"],
+            pc.field("schema_version") >= SCHEMA_VERSION,
+        )  # fmt: skip
+        ending = f"-{SCHEMA_VERSION}{PARQUET}"
+        new = (name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending))
+        return {name.removesuffix(ending) for name in new} | set(table.column("run").to_pylist())
+
+    def _record_files(self) -> dict[str, int]:
+        # new ones first: what is merged between the two listings is then seen twice, never missed
+        return {**self.place.files(NEW, PARQUET), **self.place.files(MERGED, PARQUET)}
+
+    def _read(
+        self, listed: Callable[[], dict[str, int]], schema: pa.Schema, columns: Sequence[str] | None = None,
+        where: pc.Expression | None = None,
+    ) -> pa.Table:  # fmt: skip
+        """Rows of the files that a listing names; listed again where somebody merged them away meanwhile."""
+        for last in (*([False] * (RELISTED - 1)), True):
+            names = [self.place.full(name) for name in listed()]
+            if not names:
+                break
+            try:
+                source = ds.dataset(names, schema=schema, format="parquet", filesystem=self.place.filesystem)
+                return source.to_table(columns=None if columns is None else list(columns), filter=where)
+            except FileNotFoundError:
+                if last:
+                    raise
+        empty = schema.empty_table()
+        return empty if columns is None else empty.select(list(columns))
+
+    # ---- failures
+
+    def begin_attempt(self, run: str, path: str) -> Attempt | None:
+        """Note that a try at a record begins; None where there were enough, which is then noted as a failure."""
+        tried = self.place.files(TRIES, ".json")
+        numbers = [int(name[:-5].rsplit("-", 1)[1]) for name in tried if name.startswith(f"{TRIES}/{run}-")]
+        attempt = Attempt(run, path, max(numbers, default=0) + 1, "its worker died, or was stopped, while on it")
+        if attempt.number > MOST_TRIES:
+            last = json.loads(self.place.read(f"{TRIES}/{run}-{MOST_TRIES}.json"))
+            self._fail(Failure(run, path, MOST_TRIES, str(last["reason"])))
+            return None
+        self._note(attempt)
+        return attempt
+
+    def _note(self, attempt: Attempt) -> None:
+        text = json.dumps(attempt._asdict(), indent=2) + "\n"
+        self.place.write(f"{TRIES}/{attempt.run}-{attempt.number}.json", text.encode())
+
+    def end_attempt(self, attempt: Attempt, reason: str | None) -> None:
+        """A try has ended: well, and nothing is left of it, or badly, with a reason."""
+        if reason is not None and attempt.number >= MOST_TRIES:
+            self._fail(Failure(attempt.run, attempt.path, attempt.number, reason))
+        elif reason is not None:
+            self._note(attempt._replace(reason=reason))
+        else:
+            self._forget(attempt.run)
+
+    def give_back(self, attempt: Attempt) -> None:
+        """A try that was stopped from outside does not count."""
+        self.place.delete([f"{TRIES}/{attempt.run}-{attempt.number}.json"])
+
+    def _fail(self, failure: Failure) -> None:
+        text = json.dumps(failure._asdict(), indent=2) + "\n"
+        self.place.write(f"{FAILED}/{failure.run}.json", text.encode())
+        self._forget(failure.run)
+
+    def _forget(self, run: str) -> None:
+        self.place.delete(f"{TRIES}/{run}-{number}.json" for number in range(1, MOST_TRIES + 1))
+
+    def failures(self) -> list[Failure]:
+        """Runs that make no record, by run."""
+        names = [name for name in self.place.files(FAILED, ".json") if not name.startswith(f"{TRIES}/")]
+        return [Failure(**json.loads(self.place.read(name))) for name in names]
+
+    def has_failed(self, run: str) -> bool:
+        """Whether this run is known to make no record."""
+        return self.place.exists(f"{FAILED}/{run}.json")
+
+    def forgive(self) -> int:
+        """Forget all failures, so that they are tried again; how many there were."""
+        names = list(self.place.files(FAILED, ".json"))
+        self.place.delete(names)
+        return sum(not name.startswith(f"{TRIES}/") for name in names)
+
+    # ---- what is left to do
+
+    def waiting(self) -> list[dict[str, Any]]:
+        """Entries of the index that have neither a record nor failed, by run."""
+        done = self.recorded() | {failure.run for failure in self.failures()}
+        return [entry for entry in self.index().to_pylist() if entry["run"] not in done]
+
+    def status(self) -> StoreStatus:
+        """Counts."""
+        index = self.index()
+        new, merged = self.place.files(NEW, PARQUET), self.place.files(MERGED, PARQUET)
+        known = set(index.column("run").to_pylist())
+        return StoreStatus(
+            runs=index.num_rows,
+            recorded=len(self.recorded() & known),
+            failed=sum(failure.run in known for failure in self.failures()),
+            new_files=len(new),
+            merged_files=len(merged),
+            record_bytes=sum(new.values()) + sum(merged.values()),
+            drives=pc.count_distinct(index.column("drive")).as_py(),
+            models=pc.count_distinct(index.column("model")).as_py(),
+        )
+
+    def drives(self) -> pa.Table:
+        """model, drive, runs, first and last start of each drive of the index."""
+        grouped = self.index().group_by(["model", "drive"])
+        table = grouped.aggregate([("run", "count"), ("start", "min"), ("start", "max")])
+        named = table.select(["model", "drive", "run_count", "start_min", "start_max"])
+        return named.rename_columns(["model", "drive", "runs", "first", "last"]).sort_by(
+            [("model", "ascending"), ("drive", "ascending")]
+        )
+
+    # ---- merging
+
+    def compact(self, keep_days: float | None = None, now: datetime | None = None) -> Compacted:
+        """Merge the records of each month that has new ones, and the index.
+
+        `keep_days`: runs that began longer ago are removed. Writers and readers may go on meanwhile; interrupted, it
+        is done again from where it was. Raises OSError.
+        """
+        oldest = None if keep_days is None else (now or datetime.now(UTC)) - timedelta(days=keep_days)
+        self.place.sweep()
+        self._merge(list(self.place.files(INDEX, PARQUET)), INDEX, INDEX_SCHEMA, oldest)
+        new = self._by_month(list(self.place.files(NEW, PARQUET)))
+        merged: dict[str, list[str]] = {}
+        for name in self.place.files(MERGED, PARQUET):
+            merged.setdefault(name.split("/")[2], []).append(name)
+        records = removed = 0
+        for month in sorted({*new, *merged}):
+            names = [*merged.get(month, []), *new.get(month, [])]
+            kept, gone = self._merge(names, f"{MERGED}/{month}", RECORD_SCHEMA, oldest)
+            records, removed = records + kept, removed + gone
+        return Compacted(records, len(self.place.files(MERGED, PARQUET)), removed)
+
+    def _by_month(self, names: list[str]) -> dict[str, list[str]]:
+        """New records by the month in which their run began."""
+        found: dict[str, list[str]] = {}
+        for name in names:
+            table = self._table(name, RECORD_SCHEMA, ["start"])
+            if table is not None:
+                found.setdefault(f"{table.column('start')[0].as_py():%Y-%m}", []).append(name)
+        return found
+
+    def _table(self, name: str, schema: pa.Schema, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """A file with the columns of today; None where somebody merged it away."""
+        try:
+            table = pq.read_table(pa.BufferReader(self.place.read(name)), columns=columns)
+        except FileNotFoundError:
+            return None
+        wanted = schema if columns is None else pa.schema([schema.field(column) for column in columns])
+        missing = [field for field in wanted if field.name not in table.schema.names]
+        for field in missing:
+            table = table.append_column(field, pa.nulls(table.num_rows, field.type))
+        return table.select(wanted.names).cast(wanted)
+
+    def _merge(self, names: list[str], folder: str, schema: pa.Schema, oldest: datetime | None) -> tuple[int, int]:
+        """Files into one, and only then away with them; rows that are kept, and too old ones."""
+        if len(names) == 1 and names[0].startswith(f"{folder}/"):
+            alone = self._table(names[0], schema, ["start"])
+            if alone is not None and (oldest is None or pc.min(alone.column("start")).as_py() >= oldest):
+                return alone.num_rows, 0  # merged already
+        tables = {name: self._table(name, schema) for name in names}
+        read = {name: table for name, table in tables.items() if table is not None}
+        if not read:
+            return 0, 0
+        whole = _first_of_each(pa.concat_tables(read.values()), schema)
+        kept = (
+            whole if oldest is None else whole.filter(pc.field("start") >= pa.scalar(oldest, pa.timestamp("us", "UTC")))
+        )
+        target = ""
+        if kept.num_rows:
+            order = SORTED_BY if schema is RECORD_SCHEMA else [("run", "ascending")]
+            target = self._put(folder, kept.sort_by(order))
+        self.place.delete(name for name in read if name != target)
+        return kept.num_rows, whole.num_rows - kept.num_rows
+
+
+def _first_of_each(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """One row a run: of the newest version, else of the first path."""
+    if pc.count_distinct(table.column("run")).as_py() == table.num_rows:
+        return table
+    order = [("run", "ascending")]
+    order += [("schema_version", "descending")] if "schema_version" in schema.names else []
+    order += [("path", "ascending")] if "path" in schema.names else []
+    ordered = table.sort_by(order)
+    run = ordered.column("run").combine_chunks()
+    first = pa.concat_arrays([pa.array([True]), pc.not_equal(run[1:], run[:-1])])
+    return ordered.filter(first)

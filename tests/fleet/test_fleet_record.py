@@ -1,0 +1,136 @@
+"""The record of a run: what it says of motion, residual, temperature and ticks, and how small it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from fleet.fleet_rig import FACTS, TRUTH, write_run
+
+import fffo_drive as fd
+from fffo_drive.fleet.measure import measured
+from fffo_drive.fleet.place import digest_of
+from fffo_drive.fleet.regress import PARAMETERS, Balance, balance_columns, balance_of, solve
+from fffo_drive.fleet.schema import BAND_EDGES_HZ, NAMES, RECORD_SCHEMA, file_bytes, table_of
+from fffo_drive.identification.dataset import DataError, load_record
+from fffo_drive.identification.kinematics import DEFAULT_CUTOFF_HZ
+from fffo_drive.identification.rows import delay_between, rows_at, stretches_of
+from fffo_drive.recording.reader import read_run
+from fffo_drive.workflows.recorded_facts import facts_in
+
+AXIS = Path(__file__).resolve().parents[2] / "configs" / "axis_simulated.yaml"
+LARGEST_BYTES = 4096
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Two recordings of the simulated axis, 12 s each."""
+    directory = tmp_path_factory.mktemp("recorded")
+    for seed in (3, 4):
+        profile = directory / f"short{seed}.yaml"
+        profile.write_text(f"profile: {{kind: paper, duration_s: 12, seed: {seed}}}\n")
+        fd.run(AXIS, directory / f"short{seed}.mcap", toggle="ff", profile=profile)
+    return [directory / "short3.mcap", directory / "short4.mcap"]
+
+
+def record(path, facts=FACTS):
+    return measured(path, digest_of(path), facts)
+
+
+def test_records_of_recordings_add_up_to_the_fit_on_their_rows_joined(recordings):
+    total, columns, target = Balance(np.zeros((8, 8)), np.zeros(8), 0.0, 0.0, 0.0), [], []
+    for path in recordings:
+        facts = facts_in(read_run(path))
+        one = load_record(path, facts)
+        cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / one.period_s)
+        stretches, _ = stretches_of([one], cutoff_hz)
+        rows = rows_at(stretches, cutoff_hz, delay_between(stretches, cutoff_hz))
+        columns.append(balance_columns(rows, facts)[rows.sliding])
+        target.append(rows.torque_nm[rows.sliding])
+        made = record(path, None)
+        assert made["rows"] == columns[-1].shape[0]
+        total = total.with_rows_of(balance_of(balance_columns(rows, facts), rows))
+        assert made["energy_nm2"] == pytest.approx(float(target[-1] @ target[-1]), rel=1e-12)
+    wanted, *_ = np.linalg.lstsq(np.concatenate(columns), np.concatenate(target), rcond=None)
+    assert solve(total).theta == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+
+
+def test_every_column_is_filled_and_ticks_are_those_of_the_recording(recordings):
+    run = read_run(recordings[0])
+    made = record(recordings[0], None)
+    given = {"drive", "model", "path", "start"}
+    without = {"temperature_degc", "temperature_low_degc", "temperature_high_degc"}
+    assert set(made) == set(NAMES) - given - without
+    assert made["ticks"] == len(run.rows)
+    assert made["late"] == int(run.rows["late"].sum())
+    assert made["skipped"] == int(run.rows["tick"][-1] - run.rows["tick"][0]) + 1 - len(run.rows)
+    assert made["trip"] == 0
+    assert made["complete"]
+    assert sum(made["speed_share"]) == pytest.approx(1.0)
+    assert sum(made["angle_share"]) == pytest.approx(1.0)
+
+
+def test_estimates_are_those_of_the_axis(tmp_path):
+    made = record(write_run(tmp_path / "run.csv", 1, duration_s=40.0))
+    for name in ("inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "offset_nm"):
+        assert abs(made[name] - TRUTH[name]) < 4.0 * made[f"{name}_sd"] + 0.05 * abs(TRUTH[name]), name
+
+
+def test_a_wave_of_the_angle_stands_at_its_order_with_its_amplitude(tmp_path):
+    made = record(write_run(tmp_path / "run.csv", 1, noise_nm=1e-3, duration_s=40.0, wave=(7.0, 0.008)))
+    assert made["wave_order"] == 7
+    assert made["wave_share"] > 0.6
+    amplitude = np.asarray(made["order_amplitude_nm"])
+    assert amplitude[6] == pytest.approx(0.008, rel=0.1)
+    assert np.isnan(amplitude[99])  # too fast for the filter
+
+
+def test_bands_hold_the_residual(tmp_path):
+    made = record(write_run(tmp_path / "run.csv", 2, noise_nm=5e-3, duration_s=40.0))
+    bands = np.asarray(made["band_rms_nm"])
+    assert bands.size == BAND_EDGES_HZ.size - 1
+    assert float(np.sqrt(np.sum(bands**2))) == pytest.approx(made["rms_nm"], rel=0.05)
+
+
+def test_a_logged_temperature_is_in_the_record(tmp_path):
+    warm = np.linspace(30.0, 40.0, 4000)
+    made = record(write_run(tmp_path / "run.csv", 1, more={"temperature_degc": warm}))
+    assert made["temperature_degc"] == pytest.approx(35.0, abs=0.01)
+    assert (made["temperature_low_degc"], made["temperature_high_degc"]) == (30.0, 40.0)
+
+
+def test_a_table_without_facts_and_a_run_that_hardly_moves_are_refused_with_a_word(tmp_path):
+    path = write_run(tmp_path / "run.csv", 1)
+    with pytest.raises(DataError, match=r"--drive FILE"):
+        record(path, None)
+    still = tmp_path / "still.csv"
+    time_s = np.arange(0.0, 4.0, 2e-3)
+    position = 1e-4 * time_s  # slower than the sensor's counts allow to tell its direction
+    np.savetxt(
+        still, np.stack([time_s, position, np.sin(9.0 * time_s)], axis=1), fmt="%.9g", delimiter=",",
+        header="time_s,position_rev,current_command_a", comments="",
+    )  # fmt: skip
+    with pytest.raises(DataError, match="hardly anything moves"):
+        record(still)
+
+
+def test_a_record_takes_at_most_4_kb(recordings):
+    """Merged, where what describes the columns weighs nothing; every number is of its own."""
+    made = record(recordings[0], None) | {"drive": "d", "model": "m", "path": "/a/run.mcap", "start": 0}
+    draw = np.random.default_rng(1)
+    rows = [_shaken(made, draw, number) for number in range(300)]
+    assert len(file_bytes(table_of(rows))) / len(rows) < LARGEST_BYTES
+    assert pa.types.is_timestamp(RECORD_SCHEMA.field("start").type)
+    assert set(PARAMETERS) < set(NAMES)
+
+
+def _shaken(row, draw, number):
+    shaken = {
+        name: np.asarray(value) * draw.uniform(0.9, 1.1, np.shape(value))
+        if isinstance(value, float | np.ndarray)
+        else value
+        for name, value in row.items()
+    }
+    return shaken | {"run": f"{number:064x}"}
