@@ -194,7 +194,12 @@ def condition_14(plan: Plan) -> Figure:
     axes.plot(gains, phase, color=BLUE)
     axes.axvspan(0.0, least, color=BAD, alpha=0.12, linewidth=0)
     axes.text(
-        least / 2.0, min(phase) + 1.5, "(14) is violated:\nthe estimate may\noscillate", ha="center", color=BAD, fontsize=9
+        least / 2.0,
+        min(phase) + 1.5,
+        "(14) is violated:\nthe estimate may\noscillate",
+        ha="center",
+        color=BAD,
+        fontsize=9,
     )
     chosen = controller.observer.gain_nm_per_rev
     at = loop_margins(axis, controller.proportional_a_per_rps, integral, chosen).phase_deg

@@ -28,7 +28,7 @@ LAW = Law(
     compensable=True,
     regime="fast sliding",
     lookalikes=("viscous_drift", "torque_saturation", "load_dependent_friction"),
-    experiment="constant speeds at four levels and more, up to the highest",
+    experiment="constant speeds at four or more levels, up to the highest",
     motions=("staircase",),
     picture="velocity",
 )

@@ -65,7 +65,7 @@ LAW = Law(
     form=True,
     regime="presliding and slow sliding",
     lookalikes=("presliding_shape", "stribeck_shape", "frictional_lag"),
-    experiment="reversals at two accelerations and more, and constant speeds at eight levels, very slow ones too",
+    experiment="reversals at two or more accelerations, and constant speeds at eight levels, including very slow ones",
     motions=("triangles", "staircase"),
     picture="travel_since_reversal",
 )
