@@ -53,7 +53,7 @@ class Parameter(NamedTuple):
         return self.kind == STRENGTH or self.typical == 0.0
 
     def is_off(self, values: Mapping[str, float]) -> bool:
-        """Whether it has no influence with these shapes: the shape it needs is zero, or it is itself a shape at zero."""
+        """Whether it has no influence with these shapes: the shape it needs is zero, or it is a shape at zero."""
         if self.needs:
             return values.get(self.needs, 0.0) <= 0.0
         return self.kind == SHAPE and values.get(self.name, 0.0) == 0.0

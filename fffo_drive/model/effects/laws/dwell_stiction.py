@@ -75,7 +75,7 @@ LAW = Law(
     regime="break-away after a rest",
     lookalikes=("stribeck_shape", "presliding_shape"),
     experiment=(
-        "four or more dwells of 0.1 to 30 s, each ended by the same torque ramp; then different ramps after equal dwells"
+        "four or more dwells of 0.1 to 30 s, each ended by the same torque ramp; then other ramps after equal dwells"
     ),
     motions=("dwells",),
     picture="dwell",
