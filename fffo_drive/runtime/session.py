@@ -144,7 +144,7 @@ class Session:
 
     @property
     def telling_statusword(self) -> int:
-        """The statusword that explains why the axis stopped: of the tick of the trip, or the last one without a trip."""
+        """The statusword that explains why the axis stopped: of the tick of the trip, else the last one."""
         return self.status(b.STATUSWORD if self.status(b.TRIP) == TRIP_NONE else b.TRIP_STATUSWORD)
 
     def set_model(self, model: ModelNote) -> None:
