@@ -1,7 +1,7 @@
-"""The row: what one tick of the loop leaves behind. Every list of fields in the package is made from `SIGNALS`.
+"""The row: what is recorded of one tick. Every list of fields in the package is generated from `SIGNALS`.
 
-The ring buffer, the MCAP schema, the reader's columns, the live view and the signal table come from here. Fields stand
-in falling order of size, so that the NumPy dtype and the CDR encoding of the row are the same bytes, without padding.
+The ring buffer, the MCAP schema, the reader's columns, the live view and the signal table come from here. Fields are in
+descending order of size, so that the NumPy dtype and the CDR encoding of the row are the same bytes, without padding.
 """
 
 from __future__ import annotations
@@ -21,65 +21,65 @@ class Signal(NamedTuple):
 
 
 SIGNALS: tuple[Signal, ...] = (
-    Signal("tick", "<u8", "-", "number of the control period since the loop began; skipped periods are missing here"),
+    Signal("tick", "<u8", "-", "number of the control period since the loop began; skipped periods have no row"),
     Signal("deadline_ns", "<i8", "ns", "CLOCK_MONOTONIC time at which the tick was due"),
     Signal("lateness_ns", "<i8", "ns", "how long after the deadline the loop woke"),
-    Signal("turnaround_ns", "<i8", "ns", "from SYNC sent to feedback received; -1 when none came before the cut-off"),
+    Signal("turnaround_ns", "<i8", "ns", "from SYNC sent to feedback received; -1 if none arrived before the cut-off"),
     Signal("busy_ns", "<i8", "ns", "from waking to command sent"),
-    Signal("heartbeat_age_ns", "<i8", "ns", "how long ago the drive's last heartbeat came; -1 before the first"),
+    Signal("heartbeat_age_ns", "<i8", "ns", "age of the drive's last heartbeat; -1 before the first"),
     Signal("reference_rps", "<f8", "rps", "velocity reference at the deadline"),
     Signal("reference_rps2", "<f8", "rps2", "its time derivative"),
     Signal("reference_ahead_rps", "<f8", "rps", "reference read ahead, on which feed-forward torque is computed"),
     Signal("reference_ahead_rps2", "<f8", "rps2", "its time derivative"),
-    Signal("expected_rps", "<f8", "rps", "reference as old as the feedback, which the error compares with"),
-    Signal("velocity_rps", "<f8", "rps", "velocity feedback, the drive's own; the error takes it or estimated_rps"),
+    Signal("expected_rps", "<f8", "rps", "reference as old as the feedback, from which the error is computed"),
+    Signal("velocity_rps", "<f8", "rps", "velocity feedback of the drive; the error uses it or estimated_rps"),
     Signal("position_rev", "<f8", "rev", "position feedback, multi-turn"),
     Signal("current_a", "<f8", "A", "torque-forming current as the drive reports it (age: status_age)"),
-    Signal("error_rps", "<f8", "rps", "expected_rps minus velocity_rps, or minus estimated_rps where flags say so"),
-    Signal("filtered_error_rps", "<f8", "rps", "the error after its filter: what drives the law"),
+    Signal("error_rps", "<f8", "rps", "expected_rps minus velocity_rps, or minus estimated_rps, as flags says"),
+    Signal("filtered_error_rps", "<f8", "rps", "the error after its filter: input of the control law"),
     Signal("proportional_a", "<f8", "A", "proportional term of the PI controller"),
     Signal("integral_a", "<f8", "A", "integral term of the PI controller"),
     Signal("friction_nm", "<f8", "Nm", "friction estimate F of the observer, injected through 1/Kt"),
     Signal("inertia_nm", "<f8", "Nm", "inertia torque of the reference, injected through 1/Kt"),
-    Signal("effects_nm", "<f8", "Nm", "torque for the effects of the model in service, injected through 1/Kt"),
+    Signal("effects_nm", "<f8", "Nm", "compensation of the effects in service, injected through 1/Kt"),
     Signal("observation_nm_per_s", "<f8", "Nm/s", "lambda(e), the part of dF/dt that the control error drives"),
     Signal("requested_a", "<f8", "A", "sum of all terms, before the controller's limit and the envelope"),
-    Signal("limited_a", "<f8", "A", "what the envelope let pass, before the wire's resolution"),
-    Signal("current_command_a", "<f8", "A", "command on the wire, quantised; acts at the next SYNC"),
+    Signal("limited_a", "<f8", "A", "current passed by the envelope, before quantisation"),
+    Signal("current_command_a", "<f8", "A", "command on the bus, quantised; acts at the next SYNC"),
     Signal("i2t_a2s", "<f8", "A2s", "I2t: heat above the continuous current, after this command"),
     Signal("set_point_rps", "<f8", "rps", "live set point in force, which the reference approaches; 0 without one"),
     Signal("true_velocity_rps", "<f8", "rps", "shaft velocity (simulated drive in process only, else NaN)"),
     Signal("true_friction_nm", "<f8", "Nm", "friction torque of the plant (simulated drive in process only, else NaN)"),
     Signal("estimated_rps", "<f8", "rps", "velocity from position and torque; 0 where it is not estimated"),
-    Signal("disturbance_nm", "<f8", "Nm", "torque that the axis takes, as the estimate of the velocity has it"),
-    Signal("adapted_nm", "<f8", "Nm", "torque for what was learned in service, injected through 1/Kt"),
-    Signal("adapted_offset_nm", "<f8", "Nm", "what was learned: a constant torque"),
-    Signal("adapted_coulomb_nm", "<f8", "Nm", "... Coulomb friction beside the model's"),
-    Signal("adapted_viscous_nm_per_rps", "<f8", "Nm/rps", "... viscous friction beside the model's"),
-    Signal("velocity_age", "<u4", "ticks", "periods since the velocity was fresh; 0 is this SYNC's answer"),
+    Signal("disturbance_nm", "<f8", "Nm", "disturbance torque, as estimated with the velocity"),
+    Signal("adapted_nm", "<f8", "Nm", "torque of the adaptation, injected through 1/Kt"),
+    Signal("adapted_offset_nm", "<f8", "Nm", "adapted constant torque"),
+    Signal("adapted_coulomb_nm", "<f8", "Nm", "adapted change of Coulomb friction"),
+    Signal("adapted_viscous_nm_per_rps", "<f8", "Nm/rps", "adapted change of viscous friction"),
+    Signal("velocity_age", "<u4", "ticks", "periods since the velocity was fresh; 0: answer to this SYNC"),
     Signal("status_age", "<u4", "ticks", "periods since statusword and current were fresh"),
-    Signal("row_number", "<u4", "-", "number of the row since the session began; one that is missing was lost"),
-    Signal("request_number", "<u4", "-", "last record (its sequence) that was seen when the tick began"),
+    Signal("row_number", "<u4", "-", "number of the row since the session began; a missing number is a lost row"),
+    Signal("request_number", "<u4", "-", "sequence number of the last record seen when the tick began"),
     Signal("parameters_number", "<u4", "-", "record of the controller's parameters in use"),
     Signal("effects_number", "<u4", "-", "record of the table of effects in use"),
-    Signal("profile_number", "<u4", "-", "record of the profile that runs, or ran last"),
-    Signal("set_point_number", "<u4", "-", "record of the live set point that was taken last"),
-    Signal("set_point_sample", "<i4", "-", "ticks since the motion by live set points began; -1 when none runs"),
-    Signal("profile_sample", "<i4", "-", "index into the running profile; -1 when none runs"),
+    Signal("profile_number", "<u4", "-", "record of the present or last profile"),
+    Signal("set_point_number", "<u4", "-", "record of the live set point taken last"),
+    Signal("set_point_sample", "<i4", "-", "ticks since the motion by live set points began; -1 without one"),
+    Signal("profile_sample", "<i4", "-", "index into the running profile; -1 without one"),
     Signal("statusword", "<u2", "-", "CiA 402 statusword 0x6041"),
     Signal("controlword", "<u2", "-", "CiA 402 controlword 0x6040 sent with the command"),
-    Signal("limits", "<u2", "-", "what limited the command: bits of control.envelope.LIMIT_*"),
+    Signal("limits", "<u2", "-", "active limits of the command: bits of control.envelope.LIMIT_*"),
     Signal("trip", "<u2", "-", "latched fault of the envelope or the loop: control.envelope.TRIP_*"),
-    Signal("flags", "<u2", "-", "what the tick began with: bits of runtime.tick.FLAG_*"),
+    Signal("flags", "<u2", "-", "conditions at the start of the tick: bits of runtime.tick.FLAG_*"),
     Signal("toggle", "u1", "-", "friction computed from: 0 off, 1 reference (FF), 2 measured velocity (FB)"),
     Signal("mode", "u1", "-", "0 no torque, 1 velocity loop closed, 2 open-loop current"),
-    Signal("late", "u1", "-", "1 when the tick woke later than the configured share of the period"),
-    Signal("effects", "u1", "-", "effects of the model in service: bits, in the order in which they are compensated"),
-    Signal("goal", "u1", "-", "what the drive was to do, before the reaction to a fault: drive.cia402.GOAL_*"),
-    Signal("resetting", "u1", "ticks", "for how long a fault reset will be asked for, this tick included"),
+    Signal("late", "u1", "-", "1 if the tick woke later than the configured share of the period"),
+    Signal("effects", "u1", "-", "effects in service: bits, in the order in which they are compensated"),
+    Signal("goal", "u1", "-", "goal for the drive, before the reaction to a fault: drive.cia402.GOAL_*"),
+    Signal("resetting", "u1", "ticks", "remaining duration of a fault reset, including this tick"),
 )
 
-# of logs that other programs made: no drive of ours has them
+# in logs of other programs only: no drive of this program reports it
 REFERENCE_POSITION = Signal("reference_position_rev", "<f8", "rev", "position by a reference encoder on the same shaft")
 TEMPERATURE = Signal("temperature_degc", "<f8", "degC", "of the motor, or where friction is; what the log has")
 

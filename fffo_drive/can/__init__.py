@@ -1,1 +1,1 @@
-"""CAN frames and links: the wire below the drive, whether it is AF_CAN or a loopback bus."""
+"""CAN frames and links, on AF_CAN or on a loopback bus."""

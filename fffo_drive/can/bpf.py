@@ -1,4 +1,4 @@
-"""Which frames the kernel hands to a socket: (id, mask) filters as a classic BPF program.
+"""Kernel filter of the frames for a socket: (id, mask) filters as a classic BPF program.
 
 The same program serves AF_CAN and the loopback bus; only the offset of the frame differs. It needs no
 privilege. On AF_CAN it replaces CAN_RAW_FILTER, because that cannot express "these, but not those" and

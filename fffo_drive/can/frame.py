@@ -114,7 +114,7 @@ def _bits(value: int, count: int) -> list[int]:
 
 
 def exact_bits(can_id: int, data: bytes = b"", *, extended: bool = False) -> int:
-    """Bits of this very data frame: CRC computed, stuff bits counted, interframe space included."""
+    """Exact length in bits of this data frame: CRC computed, stuff bits counted, interframe space included."""
     control = [0, *_bits(len(data), 4)]  # r0 and the length
     if extended:  # start, base id, SRR, IDE, rest of the id, RTR, r1
         header = [0, *_bits(can_id >> 18, 11), 1, 1, *_bits(can_id & 0x3FFFF, 18), 0, 0]

@@ -1,9 +1,9 @@
-"""One master on a bus, as far as this machine reaches: who is about to command on a bus takes its lease first.
+"""One master per bus on this machine: before a process commands on a bus it takes the lease of the bus, a lock.
 
 The lease is an abstract Unix socket with the bus in its name. The kernel gives a name to one process and takes it back
-when that process ends, however it ends; the name lives in the network namespace in which the CAN interface and the
-loopback bus live too. Masters on other machines or in other containers, and programs that ask for no lease, are not
-seen by it: they are heard (drive/canopen/listening).
+when that process ends, however it ends; the name is in the same network namespace as the CAN interface and the loopback
+bus. The lease does not cover masters on other machines or in other containers, or programs that take no lease: these
+are detected by listening (drive/canopen/listening).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class BusLease:
 
 
 def bus_holder(bus: str) -> str | None:
-    """`process 1234` that has the lease of the bus, as far as this can be known; None where nobody is known."""
+    """`process 1234` that has the lease of the bus, if this can be determined; else None."""
     try:
         names = _NAMES.read_text(encoding="utf-8", errors="replace")
     except OSError:

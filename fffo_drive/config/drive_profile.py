@@ -1,4 +1,4 @@
-"""Profiles of drive families: what one family needs in the drive section of an axis file, as data.
+"""Profiles of drive families: defaults of the drive section of an axis file for one family, as data.
 
 A profile holds keys of the drive section. They are the defaults of an axis file that names it, so the file can override
 each; entries of `sdo` are joined, and an entry of the file replaces that of the same object, sub-index and phase. What
@@ -52,13 +52,13 @@ class DriveProfile(StrictRecord):
     """A family of drives."""
 
     format: Annotated[str, formats.DRIVE_PROFILE.key] = formats.DRIVE_PROFILE.word
-    family: Annotated[str, Field(description="vendor and series, as people know them")]
+    family: Annotated[str, Field(description="common name of vendor and series")]
     vendor_id: Annotated[int | None, Field(ge=0, lt=1 << 32, description="0x1018:1; null: not known")] = None
     product_codes: Annotated[
-        list[int], Field(description="0x1018:2 of its members; none: every drive of the vendor")
+        list[int], Field(description="0x1018:2 of the family; empty: every drive of the vendor")
     ] = Field(default_factory=list)
-    tried: Annotated[str, Field(min_length=3, description="what was tried on what, and never more")]
-    remarks: Annotated[list[str], Field(description="what whoever wires such a drive must know, one sentence each")] = (
+    tried: Annotated[str, Field(min_length=3, description="what was tested, on which drive, and nothing else")]
+    remarks: Annotated[list[str], Field(description="what to know when wiring such a drive, one sentence each")] = (
         Field(default_factory=list)
     )
     drive: Annotated[ProfileKeys, Field(description="keys of the drive section")]  # type: ignore[valid-type]
@@ -77,7 +77,7 @@ def read_profile(path: Path) -> DriveProfile:
 
 @functools.cache
 def shipped_profiles() -> dict[str, Path]:
-    """Names and files of the profiles that come with the program."""
+    """Names and files of the profiles supplied with the program."""
     try:
         folder = sources()[1] / "drives"
     except FileNotFoundError:
@@ -86,7 +86,7 @@ def shipped_profiles() -> dict[str, Path]:
 
 
 def profile_path(axis_path: Path, name: str) -> Path:
-    """The file of a profile: as named, relative to the axis file, else one that comes with the program.
+    """The file of a profile: as named, relative to the axis file, else one supplied with the program.
 
     Raises DocumentError naming those that there are.
     """
@@ -103,7 +103,7 @@ def profile_path(axis_path: Path, name: str) -> Path:
 
 
 def profile_for(vendor_id: int | None, product_code: int | None) -> tuple[str, DriveProfile] | None:
-    """Name and profile of the family that a drive says it belongs to (0x1018); None where none is known."""
+    """Name and profile of the family that a drive reports (0x1018); None if it is unknown."""
     if not vendor_id:
         return None
     found = None
@@ -154,7 +154,7 @@ def _place(write: Mapping[str, Any]) -> tuple[Any, Any, Any]:
 
 
 def profile_text(family: str, device: Any, fitness: Fitness) -> str:
-    """A profile as a file, of what an EDS tells (`device`: its DeviceInfo); what belongs to one axis is left out."""
+    """A profile file from an EDS (`device`: its DeviceInfo), without what belongs to a single axis."""
     shared = fitness.proposal._replace(
         section={key: value for key, value in fitness.section.items() if key not in OF_ONE_AXIS | OF_THE_MOTOR}
     )

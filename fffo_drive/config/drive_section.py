@@ -31,11 +31,11 @@ RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
 RATED_CURRENT_UNITS = {"mA": 1e-3, "mA_rms": 1e-3 * math.sqrt(2.0)}  # A of the torque constant for one of 0x6075
 
 Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
-DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated one, in process")
+DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated drive, in process")
 
 
 class SimulatedDriveSection(StrictRecord):
-    """The simulated drive, in process: faster than real time, the same run from the same seed."""
+    """The simulated drive, in process: faster than real time, and the same run for the same seed."""
 
     kind: Annotated[Literal["simulated"], DRIVE_KIND]
     file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
@@ -44,9 +44,9 @@ class SimulatedDriveSection(StrictRecord):
 
 
 class SdoWriteSection(StrictRecord):
-    """One object that is written before a drive is enabled, or after it was left."""
+    """An object to write before the drive is enabled, or after it is released."""
 
-    object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, as 0x60A9")]
+    object: Annotated[int, Field(ge=0x1000, le=0xFFFF, description="index, such as 0x60A9")]
     sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
     value: Annotated[int, Field(ge=-(1 << 63), lt=1 << 64, description="value to write")]
     bytes: Annotated[Literal[1, 2, 4, 8], Field(description="size of the object in the drive")]
@@ -55,10 +55,12 @@ class SdoWriteSection(StrictRecord):
         Field(description="before_mapping (and before ratings are compared), before_enable, or after_disable"),
     ] = "before_mapping"
     check: Annotated[bool, Field(description="read it back and compare; false for a command such as 0x1010")] = True
-    aborts: Annotated[list[int], Field(description="abort codes that are expected, and no refusal")] = Field(
+    aborts: Annotated[list[int], Field(description="abort codes that do not count as a refusal")] = Field(
         default_factory=list
     )
-    why: Annotated[str, Field(min_length=3, max_length=200, description="what it is needed for; a refusal says it")]
+    why: Annotated[
+        str, Field(min_length=3, max_length=200, description="what it is needed for; shown if the drive refuses")
+    ]
 
     @model_validator(mode="after")
     def _allowed(self) -> SdoWriteSection:
@@ -71,35 +73,38 @@ class SdoWriteSection(StrictRecord):
         return self
 
     def write(self) -> SdoWrite:
-        """As the bring-up takes it."""
+        """The write for the bring-up."""
         return SdoWrite(
             self.object, self.sub, self.value, self.bytes, self.when, self.check, tuple(self.aborts), self.why
         )
 
 
 class TargetSection(StrictRecord):
-    """The object that is commanded with each SYNC."""
+    """The object that carries the command with each SYNC."""
 
-    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6071")] = TARGET_TORQUE
+    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, such as 0x6071")] = TARGET_TORQUE
     sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
     bits: Annotated[Literal[16, 32], Field(description="size of the object, signed")] = 16
     units_per_a: Annotated[
-        float | None, Field(gt=0, description="of torque-forming current; null: per mille of the rated torque")
+        float | None,
+        Field(gt=0, description="units per ampere of torque-forming current; null: per mille of the rated torque"),
     ] = None
 
 
 class TorqueFeedbackSection(TargetSection):
-    """The object in which torque or current comes back."""
+    """The object that reports the actual torque or current."""
 
-    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, as 0x6077")] = TORQUE
+    object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, such as 0x6077")] = TORQUE
 
 
 class PdoSection(StrictRecord):
     """Numbers of the PDOs that are used; the others are switched off."""
 
     command: Annotated[int, Field(ge=1, le=512, description="RPDO")] = STANDARD_SLOTS.command
-    motion: Annotated[int, Field(ge=1, le=512, description="TPDO with each SYNC")] = STANDARD_SLOTS.motion
-    status: Annotated[int, Field(ge=1, le=512, description="TPDO with every status_every-th")] = STANDARD_SLOTS.status
+    motion: Annotated[int, Field(ge=1, le=512, description="TPDO sent with each SYNC")] = STANDARD_SLOTS.motion
+    status: Annotated[int, Field(ge=1, le=512, description="TPDO sent with every status_every-th SYNC")] = (
+        STANDARD_SLOTS.status
+    )
     event: Annotated[int | None, Field(ge=1, le=512, description="TPDO on a change of the statusword; null: none")] = (
         STANDARD_SLOTS.event
     )
@@ -119,30 +124,33 @@ class CanopenDriveSection(StrictRecord):
     bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
     bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")] = 1_000_000
     node_id: Annotated[int, Field(ge=1, le=127, description="node ID of the drive")]
-    master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
+    master_id: Annotated[int, Field(ge=1, le=127, description="node ID of the master's heartbeat")] = 127
     counts_per_rev: Annotated[
-        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 in a revolution, any number")
+        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 per revolution, any number")
     ] = None
     resolver_bits: Annotated[
-        int | None, Field(ge=8, le=31, description="2^bits counts a revolution, in place of counts_per_rev")
+        int | None, Field(ge=8, le=31, description="2^bits counts per revolution, instead of counts_per_rev")
     ] = None
-    velocity_units_per_rps: Annotated[float, Field(gt=0, description="0x606C for one rev/s")] = 32768.0
+    velocity_units_per_rps: Annotated[float, Field(gt=0, description="value of 0x606C at one rev/s")] = 32768.0
     rated_torque_nm: Annotated[float, Field(gt=0, le=1e5, description="0x6076; compared with the drive's")]
     rated_current_a: Annotated[float | None, Field(gt=0, le=1e4, description="0x6075; compared with the drive's")] = (
         None
     )
     rated_torque_unit: Annotated[
-        Literal["mNm", "uNm"], Field(description="of 0x6076 in this drive; CiA 402 has mNm")
+        Literal["mNm", "uNm"], Field(description="unit of 0x6076 in this drive; mNm in CiA 402")
     ] = "mNm"
     rated_current_unit: Annotated[
         Literal["mA", "mA_rms"],
-        Field(description="of 0x6075 in this drive; mA_rms: the torque constant is for the amplitude of the current"),
+        Field(
+            description="unit of 0x6075 in this drive; with mA_rms the torque constant still refers to the amplitude"
+        ),
     ] = "mA"
     inverted: Annotated[bool, Field(description="reverses the sign of velocity, position and torque together")] = False
     status_every: Annotated[int, Field(ge=1, le=240, description="SYNCs between statuswords")] = 10
-    heartbeat_ms: Annotated[Milliseconds, Field(description="period of our heartbeat, ms")] = 50
+    heartbeat_ms: Annotated[Milliseconds, Field(description="period of the master's heartbeat, ms")] = 50
     heartbeat_timeout_ms: Annotated[
-        Milliseconds, Field(description="the drive reacts when our heartbeat is absent for this long (0x1016), ms")
+        Milliseconds,
+        Field(description="the drive reacts if the master's heartbeat is absent for this long (0x1016), ms"),
     ] = 150
     drive_heartbeat_ms: Annotated[Milliseconds, Field(description="period of the drive's heartbeat (0x1017), ms")] = 50
     command_timeout_ms: Annotated[int, Field(ge=0, le=60_000, description="RPDO deadline in the drive; 0: none")] = 20
@@ -157,24 +165,26 @@ class CanopenDriveSection(StrictRecord):
     ] = None
     sdo: Annotated[
         list[SdoWriteSection],
-        Field(default_factory=list, description="objects that this drive needs written, in order"),
+        Field(default_factory=list, description="objects to write to this drive, in order"),
     ]
     warning_codes: Annotated[
         list[Annotated[int, Field(ge=1, le=0xFFFF)]],
-        Field(description="EMCY codes that only warn, as 0xFF00: reported as an event, no reason to stop"),
+        Field(description="EMCY codes that are only warnings, such as 0xFF00: reported as events, without a stop"),
     ] = Field(default_factory=list)
     unserved_status_bits: Annotated[
         list[Literal[9, 12]],
         Field(description="statusword bits that this drive never sets: 9 remote, 12 follows the target torque"),
     ] = Field(default_factory=list)
     enable_delay_s: Annotated[
-        float, Field(ge=0, le=10, description="from Operation Enabled to the law: a holding brake opens meanwhile")
+        float,
+        Field(ge=0, le=10, description="from Operation Enabled to the start of the law, for a holding brake to open"),
     ] = 0.0
     profile: Annotated[
         str | None,
         Field(
-            description="of the drive's family: a name that `fffo-drive config drives` lists, or a file relative to "
-            "this one; what it says is the default of the keys here"
+            description="profile of the drive's family: a name listed by "
+            "`fffo-drive config drives`, or a file relative "
+            "to this one; its values are the defaults of the keys here"
         ),
     ] = None
     mode: Annotated[
@@ -182,10 +192,12 @@ class CanopenDriveSection(StrictRecord):
         Field(
             ge=-128,
             le=127,
-            description="0x6060: 10 cyclic synchronous torque, 4 profile torque, -1 to -128 the vendor's",
+            description="0x6060: 10 cyclic synchronous torque, 4 profile torque, -1 to -128 vendor-specific",
         ),
     ] = MODE_CYCLIC_SYNCHRONOUS_TORQUE
-    modes_told: Annotated[bool, Field(description="0x6502 names the mode; false: the drive is known to have it")] = True
+    modes_told: Annotated[
+        bool, Field(description="0x6502 lists the mode; false: the drive has it without listing it")
+    ] = True
     mode_display: Annotated[
         ModeDisplay, Field(description="when 0x6061 shows the mode: at_once, with_sync, or not_checked")
     ] = "at_once"
@@ -195,32 +207,41 @@ class CanopenDriveSection(StrictRecord):
         TorqueFeedbackSection()
     )
     torque_slope: Annotated[
-        int | None, Field(ge=1, lt=1 << 32, description="0x6087 in per mille a second; null: the drive's own")
+        int | None, Field(ge=1, lt=1 << 32, description="0x6087 in per mille per second; null: the drive's own")
     ] = None
     pdo: Annotated[PdoSection, Field(description="numbers of the PDOs used")] = PdoSection()
     silence_detection: Annotated[
         Detection,
         Field(
-            description="how the drive notices that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
-            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts that it does not)"
+            description="how the drive detects that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
+            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts a drive that does not)"
         ),
     ] = HEARTBEAT
     silence_reaction: Annotated[
         Reaction,
         Field(
-            description="what says how it stops then: abort_connection (0x6007), error_behaviour (0x1029), vendor "
-            "(set by sdo), none (accepts that nothing does)"
+            description="what determines how it then stops: abort_connection "
+            "(0x6007), error_behaviour (0x1029), vendor "
+            "(set by sdo), none (accepts a drive without)"
         ),
     ] = "abort_connection"
     highest_rate_hz: Annotated[
-        int | None, Field(ge=1, description="that the drive takes commands at; null: not known")
+        int | None, Field(ge=1, description="highest rate at which the drive accepts commands; null: not known")
     ] = None
     eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
-    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
-    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
-    attempts: Annotated[int, Field(ge=1, le=20, description="of an SDO transfer that is not answered")] = 3
-    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
-    turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
+    listen_s: Annotated[
+        float, Field(ge=0.1, le=10, description="time of listening on the bus before anything is sent")
+    ] = LISTEN_S
+    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="timeout of one SDO answer; see attempts")] = (
+        0.3
+    )
+    attempts: Annotated[int, Field(ge=1, le=20, description="attempts of an SDO transfer that is not answered")] = 3
+    start_timeout_s: Annotated[
+        float, Field(ge=0.01, le=60, description="timeout of boot-up and of each change of state")
+    ] = 3.0
+    turnaround_us: Annotated[
+        float, Field(ge=0, le=10_000, description="turnaround of the drive, for the timing budget")
+    ] = 50.0
 
     @model_validator(mode="after")
     def _one_resolution(self) -> CanopenDriveSection:
@@ -240,7 +261,7 @@ class CanopenDriveSection(StrictRecord):
 
     @property
     def served_status_bits(self) -> int:
-        """Mask of the watched bits of the statusword: 12 has its meaning in the cyclic synchronous mode alone."""
+        """Mask of the monitored bits of the statusword: bit 12 has this meaning in the cyclic synchronous mode only."""
         cyclic = self.mode == MODE_CYCLIC_SYNCHRONOUS_TORQUE
         watched = STATUS_REMOTE | (STATUS_FOLLOWS_COMMAND if cyclic else 0)
         return watched & ~sum(1 << bit for bit in set(self.unserved_status_bits))
@@ -253,7 +274,7 @@ class CanopenDriveSection(StrictRecord):
     def drive_config(
         self, torque_constant_nm_per_a: float, period_ns: int, bus: str | None = None
     ) -> CanopenDriveConfig:
-        """What the drive's bring-up and exchange need. Raises MappingError."""
+        """Configuration of the drive's bring-up and exchange. Raises MappingError."""
         return CanopenDriveConfig(
             bus=bus or self.bus,
             node_id=self.node_id,

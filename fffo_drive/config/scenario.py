@@ -1,4 +1,4 @@
-"""Scenario files: what is compared, on which axis, with what reference, noise, delay and wrong model.
+"""Scenario files: the controllers to compare, the axis, the reference, noise, delay and model errors.
 
 A scenario names an axis file (law, envelope, model, simulated drive) and says what is different: keys of the plant,
 factors on the model's numbers, and one entry for each controller.
@@ -50,7 +50,7 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-REPLACED = Field(description="takes the place of the axis file's section; absent: everything in it is off")
+REPLACED = Field(description="replaces this section of the axis file; absent: everything in it is off")
 Gain = Annotated[float | None, Field(ge=0, le=1e6)]
 
 
@@ -60,9 +60,9 @@ def _inherited(section: type[StrictRecord], key: str) -> Any:
 
 
 class ControllerVariant(StrictRecord):
-    """A controller: what differs from the axis file's."""
+    """A controller: differences from that of the axis file."""
 
-    toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")]
+    toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or off")]
     feedforward: Annotated[FeedforwardSection, REPLACED] = FeedforwardSection()
     proportional_a_per_rps: Annotated[Gain, _inherited(ControllerSection, "proportional_a_per_rps")] = None
     integral_a_per_rev: Annotated[Gain, _inherited(ControllerSection, "integral_a_per_rev")] = None
@@ -85,14 +85,14 @@ class ControllerVariant(StrictRecord):
 
 
 class MismatchSection(StrictRecord):
-    """How wrong the model is that the controllers use."""
+    """Errors of the model that the controllers use."""
 
-    friction_share: Annotated[float, Field(ge=0, lt=1, description="each friction parameter is wrong by this")] = 0.0
+    friction_share: Annotated[float, Field(ge=0, lt=1, description="relative error of each friction parameter")] = 0.0
     signs: Annotated[
-        Literal["random", "high", "low"], Field(description="of these errors; random: drawn anew for each seed")
+        Literal["random", "high", "low"], Field(description="signs of these errors; random: drawn for each seed")
     ] = "random"
     factors: Annotated[
-        dict[str, Factor], Field(description=f"on single numbers: {', '.join(FRICTION_KEYS + AXIS_KEYS)}")
+        dict[str, Factor], Field(description=f"factors on single numbers: {', '.join(FRICTION_KEYS + AXIS_KEYS)}")
     ] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -107,26 +107,26 @@ class ScenarioFile(StrictRecord):
     """A comparison."""
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
-    name: Annotated[
-        str, Field(pattern=r"^[\w.-]+$", description="stands in the report's title; letters, digits, _ . -")
-    ]
+    name: Annotated[str, Field(pattern=r"^[\w.-]+$", description="title of the report; letters, digits, _ . -")]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
-    first_seed: Annotated[int, Field(ge=0, le=2**30, description="of noise, phases and signs")] = 1
+    first_seed: Annotated[int, Field(ge=0, le=2**30, description="first seed of noise, phases and signs")] = 1
     reference: Annotated[ProfileSection | None, Field(description="null: as in the axis file")] = None
-    vary_phases: Annotated[bool, Field(description="a multi-sine's phases differ from seed to seed")] = True
+    vary_phases: Annotated[bool, Field(description="the phases of a multi-sine differ between seeds")] = True
     drive: Annotated[str | None, Field(description="file of the simulated drive; null: the axis file's")] = None
     plant: Annotated[
         dict[str, Any], Field(description="keys of the plant that differ: friction, effects, noise, delay")
     ] = Field(default_factory=dict)
     mismatch: MismatchSection = MismatchSection()
-    band_edges_rps: Annotated[list[float], Field(min_length=2, description="of the reference's magnitude")] = Field(
-        default_factory=lambda: [0.0, 0.5, 2.0, 5.0, 1000.0]
-    )
+    band_edges_rps: Annotated[
+        list[float], Field(min_length=2, description="speed bands, by the magnitude of the reference")
+    ] = Field(default_factory=lambda: [0.0, 0.5, 2.0, 5.0, 1000.0])
     histogram_rps: Annotated[float, Field(gt=0, le=1000, description="half width of the error histograms")] = 0.4
-    percent_of: Annotated[str | None, Field(description="controller that is 100 %; null: the smallest")] = None
+    percent_of: Annotated[
+        str | None, Field(description="controller that is 100 %; null: the one with the smallest value")
+    ] = None
     controllers: Annotated[
-        dict[str, ControllerVariant], Field(min_length=1, description="what is compared, each by its name")
+        dict[str, ControllerVariant], Field(min_length=1, description="controllers to compare, by name")
     ]
 
     @field_validator("band_edges_rps")
@@ -138,7 +138,7 @@ class ScenarioFile(StrictRecord):
 
 
 class Scenario(NamedTuple):
-    """A checked scenario with all that it names."""
+    """A checked scenario with all files that it names."""
 
     path: Path
     file: ScenarioFile
@@ -150,7 +150,7 @@ class Scenario(NamedTuple):
 
     @property
     def seeds(self) -> range:
-        """Of all runs."""
+        """Seeds of all runs."""
         return range(self.file.first_seed, self.file.first_seed + self.file.seeds)
 
 
@@ -212,7 +212,7 @@ def toggle_of(scenario: Scenario, name: str) -> int:
 
 
 def law_cautions(scenario: Scenario) -> list[str]:
-    """What speaks against a controller of the scenario: (14) or a margin that is broken."""
+    """Problems of a controller of the scenario: a violation of (14) or of a margin."""
     return [
         f"{name}: {problem.partition(': ')[2]}"
         for name in scenario.file.controllers
@@ -232,7 +232,7 @@ def reference_of(scenario: Scenario, seed: int) -> Profile:
 
 
 def wrong_model(model: ModelFile, mismatch: MismatchSection, seed: int) -> ModelFile:
-    """The model that the controllers of a seed believe in."""
+    """The wrong model that the controllers of a seed use."""
     factors = dict(mismatch.factors)
     if mismatch.friction_share > 0.0:
         signs = {"high": 1.0, "low": -1.0}.get(mismatch.signs)
@@ -252,7 +252,7 @@ def _scaled(quantity: Quantity, factor: float) -> Quantity:
 
 
 def candidates_of(scenario: Scenario, seed: int) -> tuple[Candidate, ...]:
-    """The controllers of a seed, with the model that they believe in."""
+    """The controllers of a seed, with the wrong model that they use."""
     model = wrong_model(scenario.model, scenario.file.mismatch, seed)
     return tuple(
         Candidate(name, toggle_of(scenario, name), controller_config(axis_of(scenario, name), model))
@@ -267,7 +267,7 @@ def yardstick_of(file: ScenarioFile) -> Yardstick:
 
 
 def cutouts_of(duration_s: float) -> tuple[tuple[float, float], ...]:
-    """What is kept of a run of this profile's length to be looked at: begin and end of each piece, s."""
+    """Cut-outs of a run that are kept for plots: begin and end of each, s."""
     length_s = min(CUTOUT_S, 0.1 * duration_s)
     return tuple((place * duration_s, place * duration_s + length_s) for place in CUTOUT_PLACES)
 

@@ -17,7 +17,7 @@ Ordinate = Annotated[float, Field(ge=-1000, le=1000)]
 Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
 Point = Annotated[tuple[Annotated[float, Field(ge=0, le=86_400)], Ordinate], Strict(False)]
 Reaction = Literal["coast", "quick_stop"]
-PROFILE_KIND = Field(description="which profile it is: the other keys are those of this kind")
+PROFILE_KIND = Field(description="kind of profile; it determines the other keys")
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
@@ -26,49 +26,55 @@ LEAST_PERIODS = 2  # of a profile: it has a slope
 class ObserverSection(StrictRecord):
     """Friction observer."""
 
-    toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or not")] = "ff"
+    toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or off")] = "ff"
     gain_nm_per_rev: Annotated[float, Field(ge=0, le=1e4, description="L of lambda(e) = L e")] = 5.0
     learns_in: Annotated[
         Literal["friction", "integral"],
         Field(
-            description="where L e goes: the friction estimate (the paper), or the integral, where it does not decay"
+            description="where L e is added: to the friction estimate (the paper), or to the integral, where it does "
+            "not decay"
         ),
     ] = "friction"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
-        float, Field(ge=0, le=10, description="measured velocity reverses the model only beyond this")
+        float, Field(ge=0, le=10, description="dead band: a smaller measured velocity does not reverse the model")
     ] = 0.1
 
 
 class FeedforwardSection(StrictRecord):
-    """Beyond the paper: each part has its switch and its term in the row."""
+    """Feed-forward beyond the paper: each part has its own switch and its own term in the row."""
 
     inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
     preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = False
-    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
+    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference of the same age")] = False
 
 
 class EffectsSection(StrictRecord):
-    """Feed-forward of the model's effects. One that depends on the angle needs an absolute one."""
+    """Feed-forward of the model's effects. An effect that depends on the angle needs an absolute angle."""
 
-    compensate: Annotated[bool, Field(description="give the torque of the model's effects with the command")] = True
+    compensate: Annotated[bool, Field(description="add the torque of the model's effects to the command")] = True
     out_of_service: Annotated[list[str], Field(description="effects of the model that are not compensated")] = Field(
         default_factory=list
     )
     each_limit_share: Annotated[
-        float, Field(gt=0, le=1, description="bound of an effect's torque, of that at current_limit_a")
+        float,
+        Field(
+            gt=0, le=1, description="bound of the torque of each effect, as a share of the torque at current_limit_a"
+        ),
     ] = 0.25
-    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of their sum")] = 0.4
+    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of the sum of all effects, likewise")] = (
+        0.4
+    )
     monitor: Annotated[
-        bool, Field(description="try windows with and without them, and take them out where tracking gets worse")
+        bool, Field(description="compare windows with and without the effects; remove effects that make tracking worse")
     ] = True
     monitor_window_s: Annotated[
-        float, Field(ge=0.05, le=60, description="of such a window: long enough for what the axis does again and again")
+        float, Field(ge=0.05, le=60, description="length of such a window: at least one cycle of a repetitive motion")
     ] = 1.0
 
 
 class RestSection(StrictRecord):
-    """While the reference stands at zero."""
+    """Behaviour while the reference is zero."""
 
     gain_share: Annotated[float, Field(gt=0, le=1, description="share of Kp and Ki that acts at rest")] = 1.0
     release_friction: Annotated[
@@ -78,13 +84,13 @@ class RestSection(StrictRecord):
 
 
 class VelocitySection(StrictRecord):
-    """The velocity that the error takes."""
+    """The velocity from which the error is computed."""
 
     source: Annotated[
         Literal["drive", "estimated"],
         Field(
-            description="drive: as it measures it; estimated: from position and torque, without the lag of the drive's "
-            "tracking loop. The row and the envelope keep the drive's"
+            description="drive: measured by the drive; estimated: from position and torque, without the lag of the "
+            "drive's tracking loop. The row and the envelope always use the drive's velocity"
         ),
     ] = "drive"
     bandwidth_hz: Annotated[
@@ -92,14 +98,14 @@ class VelocitySection(StrictRecord):
         Field(
             gt=1,
             le=400,
-            description="of the estimate: (q / (J^2 r T))^(1/6) / (2 pi), q the disturbance's density (Nm^2/s), r the "
-            "variance of the position; higher: more noise, lower: smaller margins",
+            description="bandwidth of the estimate: (q / (J^2 r T))^(1/6) / (2 pi), with q the disturbance's density "
+            "(Nm^2/s) and r the variance of the position; higher: more noise, lower: smaller margins",
         ),
     ] = 200.0
 
     @property
     def estimated(self) -> bool:
-        """The error takes the estimate."""
+        """Whether the error uses the estimate."""
         return self.source == "estimated"
 
 
@@ -126,7 +132,7 @@ class AdaptationSection(StrictRecord):
 
 
 def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSection) -> None:
-    """Raise ValueError where the P and I terms hold less than what the model lacks, or more."""
+    """Raise ValueError if the P and I terms do not equal the torque that the model lacks."""
     if learns_in != "integral":
         raise ValueError(
             "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the "
@@ -147,16 +153,18 @@ class ControllerSection(StrictRecord):
     integral_a_per_rev: Annotated[float, Field(ge=0, le=1e6, description="Ki = Kp / Ti")]
     current_limit_a: Annotated[Amperes, Field(description="bound of the controller's command, A")]
     error_filter_s: Annotated[
-        float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins count it")
+        float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins include it")
     ] = 0.0
     observer: Annotated[ObserverSection, Field(description="the friction observer")] = ObserverSection()
     at_rest: Annotated[RestSection, Field(description="gains and friction term at standstill")] = RestSection()
     feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
     effects: Annotated[EffectsSection, Field(description="compensation of the model's effects")] = EffectsSection()
-    phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
-    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
+    phase_margin_deg: Annotated[
+        float, Field(ge=0, le=90, description="smallest accepted, with the delay in the loop")
+    ] = 35.0
+    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest accepted")] = 2.0
     accept_unproven: Annotated[
-        bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
+        bool, Field(description="run although (14) or a margin is violated; row and file record this")
     ] = False
     velocity: Annotated[VelocitySection, Field(description="velocity feedback of the error")] = VelocitySection()
     adaptation: Annotated[AdaptationSection, Field(description="adaptation to slow change")] = AdaptationSection()
@@ -169,22 +177,20 @@ class ControllerSection(StrictRecord):
 
 
 class EnvelopeSection(StrictRecord):
-    """Limits that stand last before the wire."""
+    """Limits applied last before the bus."""
 
     current_limit_a: Annotated[Amperes, Field(description="largest command, A")]
     slew_a_per_s: Annotated[float, Field(gt=0, le=1e7, description="largest slew rate of the command, A/s")] = 20_000.0
     speed_limit_rps: Annotated[Rps, Field(description="trips above this speed, rev/s")]
-    continuous_current_a: Annotated[Amperes, Field(description="largest current that may flow indefinitely (I2t), A")]
-    i2t_time_s: Annotated[float, Field(gt=0, le=600, description="how long current_limit_a may flow from cold, s")] = (
-        2.0
-    )
+    continuous_current_a: Annotated[Amperes, Field(description="largest permanent current (I2t), A")]
+    i2t_time_s: Annotated[
+        float, Field(gt=0, le=600, description="how long current_limit_a is allowed from cold, s")
+    ] = 2.0
     i2t_action: Annotated[
         Literal["trip", "limit"],
         Field(description="when the I2t budget is used up: trip, or limit to continuous_current_a"),
     ] = "trip"
-    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
-        None
-    )
+    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: unlimited rotation")] = None
     following_error_rps: Annotated[
         Rps, Field(description="trips when the velocity error exceeds this for longer than following_error_s, rev/s")
     ]
@@ -197,7 +203,9 @@ class EnvelopeSection(StrictRecord):
     status_missing_ticks: Annotated[
         int, Field(ge=1, le=100_000, description="trips after this many ticks without a statusword")
     ] = 100
-    heartbeat_timeout_s: Annotated[float, Field(ge=0, le=60, description="of the drive; 0: not watched")] = 0.5
+    heartbeat_timeout_s: Annotated[
+        float, Field(ge=0, le=60, description="for the drive's heartbeat; 0: not monitored")
+    ] = 0.5
     reactions: Annotated[dict[str, Reaction], Field(description="overrides, by the name of the trip")] = Field(
         default_factory=dict
     )
@@ -214,10 +222,16 @@ class EnvelopeSection(StrictRecord):
 class LoopSection(StrictRecord):
     """The tick: its rate, its cut-off, and what counts as late."""
 
-    rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
-    cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
-    late_share: Annotated[float, Field(gt=0, le=1, description="lateness of a late tick, of the period")] = 0.2
-    minimum_gap_share: Annotated[float, Field(ge=0.5, le=1, description="no two SYNCs are closer")] = 0.8
+    rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tested")] = 2000
+    cutoff_share: Annotated[
+        float, Field(gt=0.05, le=0.9, description="time from SYNC to the cut-off, as a share of the period")
+    ] = 0.6
+    late_share: Annotated[
+        float, Field(gt=0, le=1, description="lateness from which a tick is late, as a share of the period")
+    ] = 0.2
+    minimum_gap_share: Annotated[
+        float, Field(ge=0.5, le=1, description="smallest distance of two SYNCs, as a share of the period")
+    ] = 0.8
     tail_s: Annotated[float, Field(ge=0, le=60, description="standstill under control after a profile")] = 0.25
     longest_profile_s: Annotated[float, Field(gt=0, le=86_400, description="a longer profile is refused, s")] = 600.0
 
@@ -233,29 +247,36 @@ class RealtimeSection(StrictRecord):
     priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
     cpu: Annotated[int | Literal["last", "any"], Field(description="CPU of the loop")] = "last"
     lock_memory: Annotated[
-        bool, Field(description="keep the memory of the whole process in RAM (mlockall): the loop waits for no page")
+        bool,
+        Field(
+            description="lock the memory of the whole process in RAM (mlockall), so that the loop has no page faults"
+        ),
     ] = True
-    required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
+    required: Annotated[
+        bool, Field(description="false: continue without rights that the system refuses, with a warning")
+    ] = True
 
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
 
 
 class RecordingSection(StrictRecord):
-    """Where runs are written, in files of what size, and how much of them is kept."""
+    """Where runs are recorded, the size of the files, and how much is kept."""
 
     directory: Annotated[str, Field(description="where recordings are written")] = "runs"
-    compression: Annotated[Literal["zstd", "none"], Field(description="of the recording's chunks")] = "zstd"
-    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
+    compression: Annotated[Literal["zstd", "none"], Field(description="compression of the chunks")] = "zstd"
+    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="largest loss if the process is killed")] = 1.0
     fsync_interval_s: Annotated[
-        float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
+        float | None,
+        Field(ge=0.1, le=3600, description="largest loss at a power failure; null: when the kernel writes"),
     ] = None
-    rotate_bytes: Annotated[Bytes | None, Field(description="a new file from this size on; null: no limit")] = None
+    rotate_bytes: Annotated[Bytes | None, Field(description="size at which a new file begins; null: no limit")] = None
     rotate_s: Annotated[
-        float | None, Field(ge=1, le=86_400, description="a new file after this time; null: no limit")
+        float | None, Field(ge=1, le=86_400, description="time after which a new file begins; null: no limit")
     ] = None
     quota_bytes: Annotated[
-        Bytes | None, Field(description="of the recordings in the directory: the oldest finished ones are deleted")
+        Bytes | None,
+        Field(description="limit of all recordings in the directory: the oldest finished files are deleted"),
     ] = None
 
     @model_validator(mode="after")
@@ -348,10 +369,10 @@ def _require_sweep(lowest_hz: float, highest_hz: float) -> None:
 
 
 class PartsProfile(StrictRecord):
-    """What is made of parts of the recipe."""
+    """A profile that consists of parts of the recipe."""
 
     high_rps: Annotated[Rps, Field(description="highest speed; some parts use a share of it")] = 14.0
-    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="the highest one")] = 150.0
+    acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="highest acceleration")] = 150.0
 
 
 class RecipeProfile(PartsProfile):
@@ -362,11 +383,11 @@ class RecipeProfile(PartsProfile):
 
 
 class DecideProfile(PartsProfile):
-    """What tells one effect from its lookalikes: parts of the recipe, or a chirp of current."""
+    """The motion that separates one effect from similar ones: parts of the recipe, or a chirp of current."""
 
     kind: Annotated[Literal["decide"], PROFILE_KIND]
-    effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
-    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
+    effect: Annotated[str, Field(description="name of the effect, as reported by `fffo-drive diagnose`")]
+    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="amplitude of a chirp")] = 0.5
 
     @field_validator("effect")
     @classmethod
@@ -386,7 +407,7 @@ ProfileSection = Annotated[
 
 
 def duration_s(section: ProfileSection) -> float:
-    """How long a profile lasts, by arithmetic alone: no sample of it is made."""
+    """Duration of a profile, without computing its samples."""
     if isinstance(section, PointsProfile):
         return section.points[-1][0]
     if isinstance(section, RecipeProfile | DecideProfile):
@@ -400,7 +421,7 @@ def duration_s(section: ProfileSection) -> float:
 
 
 def length_problems(section: ProfileSection, loop: LoopSection) -> list[str]:
-    """What speaks against the length of a profile; to be asked before its samples are made."""
+    """Problems with the length of a profile; to be checked before its samples are computed."""
     length_s = duration_s(section)
     if length_s > loop.longest_profile_s:
         return [f"profile: lasts {length_s:g} s, loop.longest_profile_s is {loop.longest_profile_s:g}"]
@@ -411,48 +432,55 @@ def length_problems(section: ProfileSection, loop: LoopSection) -> list[str]:
 
 
 class SetPointSection(StrictRecord):
-    """Live set points (`ctl jog`, `velocity`, `step`): how the reference gets there."""
+    """Live set points (`ctl jog`, `velocity`, `step`) and how the reference approaches them."""
 
     largest_rps: Annotated[
-        Rps | None, Field(description="a set point beyond it is refused; null: envelope.speed_limit_rps")
+        Rps | None, Field(description="a larger set point is refused; null: envelope.speed_limit_rps")
     ] = None
     acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="bound of the reference's acceleration")] = 50.0
     jerk_rps3: Annotated[
-        float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; of stops and of a lapsed jog too")
+        float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; also for stops and a lapsed jog")
     ] = 1000.0
     jog_timeout_s: Annotated[
-        float, Field(ge=0.05, le=10, description="a jog that is not renewed within it ends at standstill")
+        float, Field(ge=0.05, le=10, description="a jog that is not renewed within this time ends at standstill")
     ] = 0.5
     window_margin_rev: Annotated[
         float,
-        Field(gt=0, le=1000, description="standstill before envelope.position_window_rev; at most a tenth of it"),
+        Field(
+            gt=0,
+            le=1000,
+            description="distance from the edge of envelope.position_window_rev at which the axis stops; at most a "
+            "tenth of the window",
+        ),
     ] = 0.05
 
 
 class DaemonSection(StrictRecord):
-    """`fffo-drive serve`: who may do what, how it stops, what it records."""
+    """`fffo-drive serve`: clients and their rights, stops, recording."""
 
     control_group: Annotated[str | None, Field(description="group of the control socket; null: the process's own")] = (
         None
     )
-    clients: Annotated[int, Field(ge=1, le=256, description="of each socket, at a time")] = 32
+    clients: Annotated[int, Field(ge=1, le=256, description="largest number at a time, for each socket")] = 32
     in_charge: Annotated[
         Literal["anyone", "connection"],
         Field(description="connection: only a client that stays connected (ctl enable --hold) may enable"),
     ] = "anyone"
     client_loss: Annotated[
         Literal["stop", "quick_stop", "go_on"],
-        Field(description="what happens when the client that holds the axis goes away"),
+        Field(description="reaction when the connection of the client in charge ends"),
     ] = "stop"
-    stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
+    stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of a controlled stop")] = 100.0
     set_points: Annotated[SetPointSection, Field(description="limits of live set points and jogs")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
-        float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")
+        float,
+        Field(gt=0, le=60, description="a controlled stop that takes longer becomes a quick stop, and that a fault"),
     ] = 3.0
     retry_s: Annotated[float, Field(ge=0.05, le=600, description="between attempts to reach the drive")] = 2.0
     supervisor_timeout_s: Annotated[
-        float, Field(ge=0.1, le=60, description="a supervisor silent for so long: the loop quick-stops and ends")
+        float,
+        Field(ge=0.1, le=60, description="if the supervisor is silent for this time, the loop quick-stops and ends"),
     ] = 1.0
     scope: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the scope page; HOST is 127.0.0.1; null: none (extra `live`)")
@@ -461,7 +489,7 @@ class DaemonSection(StrictRecord):
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
     record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
-    record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
+    record_required: Annotated[bool, Field(description="true: the axis is stopped if its recording fails")] = False
     profiles: Annotated[
         dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")
     ] = Field(default_factory=dict)

@@ -1,6 +1,6 @@
-"""Slow change in service: offset, Coulomb and viscous friction, learned from what the feedback has to add.
+"""Adaptation to slow change: offset, Coulomb and viscous friction, learned from the torque of the feedback.
 
-Lubricant warms up, and the model that was identified in the morning is wrong at noon. What is fed forward for it is
+As lubricant warms up, a model that was identified in the morning is wrong at noon. The torque fed forward for it is
 
     A = p_0 + p_1 c(t) + p_2 w_r(t),    c = F (1 - sigma |w_r| / |S(w_r)|) / Fc
 
@@ -11,12 +11,12 @@ R. Suzuki, 1987; J. Nakanishi and S. Schaal, 2004). The step is that of least sq
 
     dp/dt = R^-1 g / 2T,    R = mean of phi phi',    g = mean of phi Kt (P + I),    phi = (1, c, w_r)
 
-so that all three settle alike whatever the motion's amplitude is, with a damping of 0.7. T is far longer than any time
-of the loop, and each p has a bound, and the bound over T for its rate: A is, for the loop, a bounded input that changes
-slowly, and (11) and (14) hold unchanged.
+so that all three settle alike at any amplitude of the motion, with a damping of 0.7. T is far longer than any time
+constant of the loop, and each p is bounded, as is its rate (bound over T). For the loop, A is therefore a bounded input
+that changes slowly, and (11) and (14) remain valid.
 
 Offset and Coulomb friction cannot be distinguished on an axis that turns one way, nor viscous from Coulomb friction at
-one speed. What the motion of the last T does not excite is not adapted.
+one speed. A parameter that the motion of the last T does not excite is not adapted.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ NO_ADAPTATION = AdaptationConfig(False, 0.0, 0.0, 0.0)
 
 
 class AdaptationState(NamedTuple):
-    """Memory: what was learned, and the motion of the last T."""
+    """Memory: learned parameters, and moments of the motion of the last T."""
 
     offset_nm: float
     coulomb_nm: float
@@ -67,10 +67,10 @@ class AdaptationState(NamedTuple):
 
 
 class Adapted(NamedTuple):
-    """What a tick gives."""
+    """Output of a tick."""
 
     contact: float  # c
-    torque_nm: float  # A; 0 where the law is not on the reference
+    torque_nm: float  # A; 0 unless friction is computed on the reference
 
 
 NOTHING_ADAPTED = Adapted(0.0, 0.0)
@@ -78,7 +78,7 @@ NOTHING_ADAPTED = Adapted(0.0, 0.0)
 
 @njit
 def adaptation_at_start() -> AdaptationState:
-    """Nothing learned: at the begin of a loop, and with another model."""
+    """Memory with nothing learned: at the start of a loop, and with a new model."""
     return AdaptationState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -96,7 +96,7 @@ def adapted_torque(
 
 @njit
 def _moved(value: float, way: float, bound: float, step_share: float) -> float:
-    """A parameter after a step: no faster than by its bound in T, and no further than it."""
+    """A parameter after a step, limited to its bound, and in rate to its bound over T."""
     moved = value + step_share * min(max(way / FOLLOWS_IN, -bound), bound)
     return min(max(moved, -bound), bound)
 
@@ -105,7 +105,7 @@ def _moved(value: float, way: float, bound: float, step_share: float) -> float:
 def adaptation_step(
     config: AdaptationConfig, state: AdaptationState, contact: float, velocity_rps: float, lacking_nm: float
 ) -> tuple[bool, AdaptationState]:
-    """One tick in motion, with c and w_r. `lacking_nm`: torque of P and I. Returns (whether it was learned, state)."""
+    """One tick in motion, with c and w_r. `lacking_nm`: torque of P and I. Return (whether it was learned, state)."""
     weight = state.weight + config.step_share * (1.0 - state.weight)
     share = config.step_share / weight  # of this tick in the means: they begin with it, not with zero
     c = state.c + share * (contact - state.c)
@@ -133,7 +133,7 @@ def adaptation_step(
 
 @njit
 def bounds_reached(config: AdaptationConfig, state: AdaptationState) -> int:
-    """Bits: the axis has changed by more than was allowed for. 0 where nothing is adapted."""
+    """Bits of the parameters at their bounds: the axis has changed by more than allowed. 0 without adaptation."""
     if not config.used:
         return 0
     bits = OFFSET_AT_BOUND if abs(state.offset_nm) >= config.torque_bound_nm else 0

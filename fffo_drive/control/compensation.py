@@ -1,19 +1,19 @@
-"""Feed-forward of effects: what the model says they take away, given with the command.
+"""Feed-forward of effects: the torque that they take according to the model, added to the command.
 
 E(t + Td) is computed by the model's own kernels on signals that are known when the command is computed:
 
-    speed, acceleration, friction, travel   of the reference read ahead, on a 2SEP friction of its own without lambda(e)
+    speed, acceleration, friction, travel   of the reference read ahead, with a separate 2SEP friction without lambda(e)
     torque                                   what inertia, friction and the effects before it in the list need
     motor angle                              measured, extrapolated by the delay along the reference
 
-Each effect is bounded by a limit of its own and their sum by another. Everything but the angle is a bounded function of
-the reference: an exogenous bounded input, under which (11) and (14) hold unchanged. The angle is feedback through a
-bounded function with slope q = |dE/d(angle)| in Nm/rev, which stands beside the integral gain: Ki Kt + L - q must
+Each effect has its own limit, and their sum another. Everything but the angle is a bounded function of
+the reference: an exogenous bounded input, under which (11) and (14) remain valid. The angle is feedback through a
+bounded function with slope q = |dE/d(angle)| in Nm/rev, which acts like the integral gain: Ki Kt + L - q must
 satisfy (14), and Ki Kt + L + q the margins. That is checked on the model before anything moves (config/effects); it is
-the worst case, in which the axis lacks what is compensated. Where the axis has it, the two slopes cancel.
+the worst case, in which the axis does not have the effect. If it does, the two slopes cancel.
 
-An effect comes into service and leaves it on a ramp. The table and its memory are flat arrays of float64, so that they
-can change between two ticks; without effects nothing but the first number is looked at.
+An effect is switched on and off with a ramp. The table and its memory are flat arrays of float64, so that they
+can change between two ticks; without effects only the first number is read.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ MEMORY_SIZE = FIRST_MEMORY + MOST_EFFECTS * s.MEMORY_SLOTS
 
 
 class Limits(NamedTuple):
-    """Bounds of what is added."""
+    """Bounds of the added torque."""
 
     each_nm: float
     total_nm: float
@@ -80,7 +80,7 @@ def new_memory() -> Floats:
 
 
 def order_of_service(terms: Sequence[Term]) -> list[int]:
-    """Positions of the terms in the order in which they are computed: what depends on torque comes last."""
+    """Positions of the terms in the order of computation: those that depend on torque come last."""
     return sorted(range(len(terms)), key=lambda k: law_of(terms[k].name).feedforward is not None)
 
 
@@ -108,7 +108,7 @@ def effect_names(table: Floats) -> list[str]:
 
 
 def table_numbers(table: Floats) -> tuple[list[str], Floats]:
-    """(names, numbers): what of a table means the same in every process, without addresses and unused parameters."""
+    """(names, numbers): the process-independent part of a table, without addresses and unused parameters."""
     names = ["count", "total_limit_nm", "lead_s", *(f"friction.{name}" for name in FrictionConfig._fields)]
     names += [f"signal.{name}" for name in s.SIGNAL_NAMES]
     parts = [table[:FIRST_EFFECT]]
@@ -144,7 +144,7 @@ def _part(table: Floats, effect: int) -> Floats:
 
 @njit
 def compensation_rest(memory: Floats) -> None:
-    """Forget everything, where there is something to forget: the law does not act, or the table is a new one."""
+    """Clear the memory if it is not clear: the law does not act, or the table is new."""
     if memory[RUNNING] != 0.0:
         for k in range(memory.size):
             memory[k] = 0.0
@@ -152,7 +152,7 @@ def compensation_rest(memory: Floats) -> None:
 
 @njit
 def _path_friction(table: Floats, memory: Floats, velocity_rps: float, period_s: float) -> FrictionState:
-    """Friction of the reference, which knows nothing of the error."""
+    """Friction on the reference, independent of the error."""
     c = FRICTION
     config = FrictionConfig(
         table[c], table[c + 1], table[c + 2], table[c + 3], table[c + 4], table[c + 5], table[c + 6], int(table[c + 7])
@@ -224,5 +224,5 @@ def compensation_step(
 
 @njit
 def effects_in_service(table: Floats, in_service: int) -> int:
-    """The bits of those effects that the table has."""
+    """The bits of the effects that are in the table."""
     return in_service & ((1 << int(table[COUNT])) - 1)

@@ -29,10 +29,10 @@ from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 
 
 class RestConfig(NamedTuple):
-    """What changes while the reference stands at zero; all of it ends with the first tick of motion."""
+    """Changes while the reference is zero; they end with the first tick of motion."""
 
     gain_share: float  # of Kp and Ki at rest, where the contact is a spring on the inertia; 1: as in motion
-    fade_share: float  # of the way there that is made in a tick
+    fade_share: float  # part of the remaining change made in a tick
     release_share: float  # of the friction estimate that is let go in a tick; 0: it is held
 
 
@@ -82,7 +82,7 @@ class ControllerTerms(NamedTuple):
 
 @njit
 def controller_at_rest() -> ControllerState:
-    """Memory before the first step, and whenever the drive gives no torque."""
+    """Memory before the first step, and whenever the drive has no torque."""
     return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0)
 
 
@@ -90,7 +90,7 @@ def controller_at_rest() -> ControllerState:
 def _hand_over(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
-    """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
+    """Bumpless switch of the observer: the integrator takes over what the estimate loses."""
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
         nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
@@ -109,8 +109,8 @@ def _hand_over(
 def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: float) -> float:
     """The error through a first-order low-pass.
 
-    Noise and quantisation of the feedback are filtered with it, the reference is not: what feed-forward does is
-    untouched, and where the axis follows there is nothing to delay.
+    It filters noise and quantisation of the feedback but not the reference: feed-forward is unaffected, and if the axis
+    follows exactly there is nothing to delay.
     """
     if config.error_share >= 1.0:
         return error_rps
@@ -122,15 +122,15 @@ def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
     added_nm: float, followed_rps: float,
 ) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
-    """One period of the law; `added_nm` is fed forward beside friction and inertia: effects, and what was adapted.
+    """One period of the law; `added_nm` is fed forward in addition to friction and inertia: effects and adaptation.
 
-    `velocity_rps` is the drive's own, which a friction model on feedback is driven by; the error takes `followed_rps`,
-    which is the same or an estimate (control.velocity_estimator).
+    `velocity_rps` is the drive's own velocity, the input of a friction model on feedback; the error uses
+    `followed_rps`, which is the same or an estimate (control.velocity_estimator).
 
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
-    While the reference stands at zero lambda would be a second integrator, several times as strong as the PI's, and an
-    axis with stiction would hunt. What the axis needs at rest the PI's integral finds, with the gains at rest.
+    While the reference is zero, lambda would be a second integrator, several times as strong as that of the PI, and an
+    axis with stiction would hunt. At rest the PI's integral alone acts, with the gains at rest.
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
@@ -187,14 +187,14 @@ def controller_step(
 
 @njit
 def with_limited(state: ControllerState, limited: bool) -> ControllerState:
-    """The same memory, told whether the envelope cut the command as well."""
+    """The same memory, noting whether the envelope limited the command as well."""
     either = state.limited or limited
     return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest)
 
 
 @njit
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
-    """What the proportional term loses by new gains the integrator gains, so that the command does not jump."""
+    """Bumpless change of gains: the integrator takes over what the proportional term loses."""
     change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
     return ControllerState(
         state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
@@ -203,13 +203,13 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
 
 @njit
 def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> bool:
-    """What was learned beside one model means nothing beside another, nor in other bounds."""
+    """Whether the adaptation has to restart: what was learned with one model or bound is invalid with another."""
     return before.adaptation != after.adaptation or before.observer.friction != after.observer.friction
 
 
 @njit
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
-    """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
+    """Bumpless end of a feed-forward torque: the integrator takes it over."""
     integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
         integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest

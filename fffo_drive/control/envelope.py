@@ -1,6 +1,6 @@
-"""The last word before the wire: clamp the command, or latch a trip. It knows nothing of the controller.
+"""The envelope, last stage before the bus: clamp the command, or latch a trip. Independent of the controller.
 
-Limits act on numbers of the wire alone: command, feedback, ages, what the drive says. A trip stays until it is reset;
+Limits act on the data on the bus only: command, feedback, ages, status of the drive. A trip stays until it is reset;
 each has a reaction (coast or quick stop) in the configuration.
 """
 
@@ -71,7 +71,7 @@ REACTION_QUICK_STOP = 1
 
 _BRAKES = "the drive still obeys, and brakes by itself: what we compute or measure is not needed for it"
 _IN_CASE = "nothing is lost where the drive does not hear or obey it; where it does, it brakes"
-# reaction to each trip where envelope.reactions names none, and why
+# reaction to each trip unless envelope.reactions overrides it, and the reason
 DEFAULT_REACTIONS = {
     TRIP_NOT_A_NUMBER: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_OVERSPEED: (REACTION_QUICK_STOP, _BRAKES),
@@ -97,7 +97,7 @@ DEFAULT_REACTIONS = {
     TRIP_NOT_FOLLOWING: (REACTION_QUICK_STOP, "the target is ignored, the controlword is not"),
 }  # fmt: skip
 
-UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 so much later than the state that they belong to
+UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 this much later than the state to which they belong
 
 STATUS_INTERNAL_LIMIT = 1 << 11  # CiA 402, 0x6041
 STATUS_FAULT = 1 << 3
@@ -109,8 +109,8 @@ class EnvelopeConfig(NamedTuple):
     current_limit_a: float
     slew_a_per_s: float
     speed_limit_rps: float
-    continuous_current_a: float  # I2t: what may flow for ever
-    i2t_time_s: float  # how long current_limit_a may flow from cold
+    continuous_current_a: float  # I2t: largest permanent current
+    i2t_time_s: float  # how long current_limit_a is allowed from cold
     i2t_trips: bool  # False: cut to the continuous current instead
     position_low_rev: float
     position_high_rev: float
@@ -118,7 +118,7 @@ class EnvelopeConfig(NamedTuple):
     following_error_s: float
     feedback_missing_ticks: int
     status_missing_ticks: int
-    heartbeat_timeout_ns: int  # 0: the drive's heartbeat is not watched
+    heartbeat_timeout_ns: int  # 0: the drive's heartbeat is not monitored
     period_s: float
     reactions: Any
 
@@ -130,11 +130,11 @@ class EnvelopeState(NamedTuple):
     i2t_a2s: float  # heat above the continuous current, A^2 s; a reset does not cool the motor
     following_s: float  # how long the velocity error has been too large
     was_enabled: bool
-    unheeded_s: float  # how long the drive has said that it ignores controlword or target
+    unheeded_s: float  # how long the drive has reported that it ignores controlword or target
 
 
 class EnvelopeInputs(NamedTuple):
-    """What the envelope sees of one tick."""
+    """Inputs of the envelope in one tick."""
 
     requested_a: float
     velocity_rps: float
@@ -148,12 +148,12 @@ class EnvelopeInputs(NamedTuple):
     not_operational: bool  # a heartbeat says that the drive is not in NMT state OPERATIONAL, or was not for a while
     bus_off: bool
     foreign_syncs: int  # SYNC frames of another producer since the loop began
-    heartbeat_age_ns: int  # -1: none has come yet
+    heartbeat_age_ns: int  # -1: none received yet
     wanted: bool  # torque is wanted in this tick
     enabled: bool  # the drive is in Operation Enabled
-    closed_loop: bool  # the error means something
-    local_control: bool  # the drive says that it ignores the controlword
-    ignores_target: bool  # it says that it ignores 0x6071 while it is commanded
+    closed_loop: bool  # the velocity loop is closed, so the error is meaningful
+    local_control: bool  # the drive reports that it ignores the controlword
+    ignores_target: bool  # it reports that it ignores 0x6071 while it is commanded
     skipped_ticks: int  # since the last step: deadlines missed, with the last command held
 
 
@@ -165,16 +165,16 @@ def envelope_at_rest() -> EnvelopeState:
 
 @njit
 def envelope_after_reset(state: EnvelopeState) -> EnvelopeState:
-    """Memory after a reset: at rest, but as warm as it was, or peak current could be had again with every reset."""
+    """Memory after a reset: at rest, but with the I2t heat kept, or each reset would allow peak current again."""
     return EnvelopeState(0.0, state.i2t_a2s, 0.0, False, 0.0)
 
 
 @njit
 def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs) -> int:
-    """The first reason to stop, in the order of what is most certain; TRIP_NONE when there is none."""
+    """The first reason to trip, the most certain first; TRIP_NONE if there is none."""
     if seen.bus_off:
         return TRIP_BUS_OFF
-    if seen.foreign_syncs > 0:  # before what another master makes of the drive: the cause is to be named
+    if seen.foreign_syncs > 0:  # before the effects of another master on the drive: the cause is reported
         return TRIP_FOREIGN_SYNC
     if seen.reboots > 0:
         return TRIP_REBOOT
@@ -188,7 +188,7 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
         return TRIP_HEARTBEAT
     if not seen.wanted:
         return TRIP_NONE
-    # from here on: reasons that only a driven axis has
+    # from here on: reasons that apply only with torque
     if state.was_enabled and not seen.enabled:
         return TRIP_DRIVE_LEFT
     if not (math.isfinite(seen.requested_a) and math.isfinite(seen.error_rps)):
@@ -214,7 +214,7 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
 
 @njit
 def i2t_capacity_a2s(config: EnvelopeConfig) -> float:
-    """Heat that may gather above the continuous current, A^2 s: the current limit for `i2t_time_s` from cold."""
+    """I2t budget above the continuous current, A^2 s: the current limit for `i2t_time_s` from cold."""
     continuous_a2 = config.continuous_current_a * config.continuous_current_a
     return (config.current_limit_a * config.current_limit_a - continuous_a2) * config.i2t_time_s
 
@@ -223,7 +223,7 @@ def i2t_capacity_a2s(config: EnvelopeConfig) -> float:
 def clamp_command(config: EnvelopeConfig, state: EnvelopeState, requested_a: float) -> tuple[float, int]:
     """Current, I2t and slew limits. Returns (command_a, LIMIT_* bits).
 
-    The current limit is the last word: one that has been lowered while running acts at once, however slow the slew.
+    The current limit is applied last: a limit lowered while running acts at once, however slow the slew.
     """
     limits = 0
     limit_a = config.current_limit_a
@@ -243,7 +243,7 @@ def clamp_command(config: EnvelopeConfig, state: EnvelopeState, requested_a: flo
 
 @njit
 def heat_after(config: EnvelopeConfig, heat_a2s: float, current_a: float, time_s: float) -> float:
-    """Heat above the continuous current after a current has flown for a time, A^2 s; below it the motor cools."""
+    """Heat above the continuous current after a current has flowed for a time, A^2 s; below it the motor cools."""
     excess_a2 = current_a * current_a - config.continuous_current_a * config.continuous_current_a
     return max(0.0, heat_a2s + excess_a2 * time_s)
 
@@ -252,7 +252,7 @@ def heat_after(config: EnvelopeConfig, heat_a2s: float, current_a: float, time_s
 def envelope_step(
     config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
 ) -> tuple[float, int, int, EnvelopeState]:
-    """Returns (command_a, limits, trip, state). With a trip, or when no torque is wanted, the command is 0."""
+    """Return (command_a, limits, trip, state). With a trip, or if no torque is requested, the command is 0."""
     held_s = seen.skipped_ticks * config.period_s
     heat_a2s = heat_after(config, state.i2t_a2s, state.last_command_a, held_s)
     following_s = 0.0

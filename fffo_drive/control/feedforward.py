@@ -1,12 +1,12 @@
-"""Feed-forward on a reference that is known ahead: torque that arrives on time, and an error that knows the delay.
+"""Feed-forward on a reference known ahead: torque that arrives on time, and an error that accounts for the delay.
 
-A command computed at t makes its torque later and its velocity is seen later still. With the end-to-end delay Td (hold
-included) and the sensor's share of it Ts:
+A command computed at t produces its torque later, and its velocity is measured later still. With the end-to-end delay
+Td (hold included) and the sensor's share of it Ts:
 
     friction and inertia torque at t are those of w_r(t + Td - Ts), so that the shaft follows w_r on time
     the error at t is w_r(t - Ts) - w(t): the reference as old as the feedback, so that no delay is learned as friction
 
-Both only shift the reference, which stays a bounded input: (11) and its condition (14) hold unchanged.
+Both only shift the reference, which remains a bounded input: (11) and its condition (14) remain valid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class FeedforwardConfig(NamedTuple):
 
     inertia_nm_s2_per_rev: float  # 0: no inertia torque
     ahead_ticks: float  # how far ahead the reference is read for torque
-    behind_ticks: float  # how old the reference is that the error compares with
+    behind_ticks: float  # age of the reference from which the error is computed
 
     @property
     def preview_ticks(self) -> int:
@@ -31,13 +31,13 @@ class FeedforwardConfig(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A reference at one tick, as the parts of the law see it."""
+    """The reference at one tick, for each part of the law."""
 
     value: float  # at the deadline: rps, or A for a current profile
     derivative: float  # per second
     ahead: float  # the value that torque of this tick will meet
     ahead_derivative: float
-    expected: float  # the value that the feedback of this tick shows if all is well
+    expected: float  # the value that the feedback of this tick has if the axis follows exactly
 
 
 NO_FEEDFORWARD = FeedforwardConfig(0.0, 0.0, 0.0)
@@ -51,13 +51,13 @@ def steady_reference(value: float) -> Reference:
 
 @njit
 def stands_still(reference: Reference) -> bool:
-    """The reference is zero, now and where torque is computed."""
+    """Whether the reference is zero, now and at the time for which torque is computed."""
     return reference.value == 0.0 and reference.ahead == 0.0
 
 
 @njit
 def read_samples(samples: Any, length: int, position: float) -> float:
-    """Samples (n,) at a position between them, straight lines in between; 0 before the first and after the last."""
+    """Samples (n,) at a fractional position, by linear interpolation; 0 before the first and after the last."""
     below = math.floor(position)
     share = position - below
     first = samples[below] if 0 <= below < length else 0.0

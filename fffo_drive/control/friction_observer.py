@@ -1,6 +1,6 @@
 """Friction observer: the 2SEP model driven by a velocity and by the control error (6), lambda(e) = L e.
 
-Feed-forward (FFFO) computes it on the reference, feedback (FBFO) on the measured velocity; the error drives both.
+Feed-forward (FFFO) computes it on the reference, feedback (FBFO) on the measured velocity; the error corrects both.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class ObserverConfig(NamedTuple):
     friction: FrictionConfig
     gain_nm_per_rev: float  # L
     clamp_nm: float  # bound of the estimate's magnitude; a multiple of Fs
-    feedback_band_rps: float  # measured velocity reverses the model only beyond this: a few counts of the sensor
+    feedback_band_rps: float  # a smaller measured velocity does not reverse the model: a few counts of the sensor
     learns_in_integral: bool = False  # lambda(e) goes to the controller's integral, where it does not decay
 
 
@@ -30,7 +30,7 @@ class ObserverConfig(NamedTuple):
 def observer_velocity_rps(
     config: ObserverConfig, state: FrictionState, toggle: int, reference_rps: float, velocity_rps: float
 ) -> float:
-    """The velocity that the friction is computed on."""
+    """The velocity on which the friction is computed."""
     if toggle == TOGGLE_FEEDFORWARD:
         return reference_rps
     if abs(velocity_rps) <= config.feedback_band_rps and velocity_rps * state.direction <= 0.0:
@@ -50,17 +50,18 @@ def observer_step(
 
 @njit
 def observer_release(state: FrictionState, share: float) -> FrictionState:
-    """Estimate at rest after a tick in which `share` of its torque is let go.
+    """Estimate at rest after a tick in which `share` of its torque is released.
 
-    A contact that stands carries what the motor gives it. When the torque goes, its spring unloads, and the next motion
-    begins with an unloaded contact, in either direction: that is the model at a reversal, with F as it is by then.
+    A contact at rest carries the torque that the motor applies. When the torque goes, its spring unloads, and the next
+    motion begins with an unloaded contact, in either direction: that is the model at a reversal, with F as it is by
+    then.
     """
     return FrictionState((1.0 - share) * state.torque_nm, 0.0, 0.0, 0.0)
 
 
 @njit
 def observer_start(config: ObserverConfig, velocity_rps: float) -> FrictionState:
-    """Where the estimate begins when it is switched on in motion: the settled friction of this velocity, clamped."""
+    """Initial estimate when switched on in motion: the steady friction at this velocity, clamped."""
     settled = settled_friction(config.friction, velocity_rps)
     torque_nm = min(max(settled.torque_nm, -config.clamp_nm), config.clamp_nm)
     return FrictionState(torque_nm, settled.travel_rev, settled.omega_nm, settled.direction)

@@ -1,4 +1,4 @@
-"""PI velocity controller (9): u = Kp e + Ki int(e), with conditional integration against wind-up."""
+"""PI velocity controller (9): u = Kp e + Ki int(e), with conditional integration as anti-windup."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def pi_step(
     config: PiConfig, integral_a: float, error_rps: float, feedforward_a: float, limit_a: float, limited: bool,
     period_s: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Returns (proportional_a, new integral_a).
+    """Return (proportional_a, new integral_a).
 
-    The integral stands still while the sum with `feedforward_a` is beyond +-`limit_a` (or the envelope `limited` the
-    last command) and the error would drive it further out.
+    Conditional integration: the integral is held while the sum with `feedforward_a` exceeds +-`limit_a` (or the
+    envelope `limited` the last command) and the error would increase the excess.
     """
     proportional_a = config.proportional_a_per_rps * error_rps
     candidate_a = integral_a + config.integral_a_per_rev * error_rps * period_s

@@ -1,4 +1,4 @@
-"""Profiles: what the axis is to do, sampled at the loop's rate before anything moves.
+"""Profiles: the motion of a run, sampled at the loop's rate before anything moves.
 
 A profile is velocity (rps, loop closed) or current (A, open loop) with its time derivative. The paper's reference is a
 multi-sine under a biased sigmoid envelope: low and high speeds in one record, changing direction all the time (Fig. 7).
@@ -82,7 +82,7 @@ def sine(name: str, mode: int, duration_s: float, period_s: float, amplitude: fl
 
 
 def piecewise_linear(name: str, mode: int, period_s: float, times_s: Floats, levels: Floats) -> Profile:
-    """Straight lines between (time, level) points: staircases, ramps, triangles, dwells."""
+    """Linear interpolation between (time, level) points: staircases, ramps, triangles, dwells."""
     n = round(float(times_s[-1]) / period_s)
     time_s = np.arange(n) * period_s
     values = np.interp(time_s, times_s, levels)

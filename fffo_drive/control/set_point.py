@@ -1,14 +1,14 @@
-"""Live set points: a velocity that nobody knew before, as a reference that is known ahead all the same.
+"""Live set points: a velocity not known in advance, turned into a reference that is nevertheless known ahead.
 
-A set point passes a generator with bounds on acceleration and jerk, which runs ahead of the tick by as much as
-feed-forward reads ahead (control/feedforward). So value, torque's reference and what the error compares with come from
-one trajectory, as they do of a profile. A new set point changes the trajectory from its newest sample on: it acts as
-many periods later as the generator is ahead.
+A generator with bounds on acceleration and jerk runs ahead of the tick by as much as feed-forward reads ahead
+(control/feedforward). So the reference, its previewed value and the value in the error come from one trajectory, as
+with a profile. A new set point changes the trajectory from its newest sample on: it acts as many periods later as the
+generator is ahead.
 
 The generator goes from any velocity and acceleration to a constant velocity in the shortest time (Biagiotti and
 Melchiorri, Trajectory Planning, 3.4, in velocity): jerk at its bound towards a peak acceleration, that acceleration for
-a while if it is the bound, jerk at its bound back to zero. It is planned again in each period from where it is, so that
-a set point may change at any time.
+a while if it is the bound, jerk at its bound back to zero. The ramp is replanned in each period from the present state,
+so a set point can change at any time.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from .feedforward import FeedforwardConfig, Reference
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
-HISTORY = 1024  # samples of a trajectory that are kept, a power of two: twice the longest delay of a model and more
+HISTORY = 1024  # samples of a trajectory that are kept, a power of two: more than twice the longest delay of a model
 _KEPT = HISTORY - 1
-ARRIVED_SHARE = 1e-5  # of a step: a ramp that would end so little after it has arrived, or rounding would cost a period
+ARRIVED_SHARE = 1e-5  # of a step: a ramp that would end this little later has arrived, or rounding would cost a period
 
 
 class SetPoint(NamedTuple):
-    """What is asked for, with the bounds on the way there."""
+    """A set point, with the bounds of the motion towards it."""
 
     target_rps: float
     acceleration_rps2: float
     jerk_rps3: float
-    hold_ticks: int  # so long it holds, from the tick that takes it; 0: until another one comes
-    after_rps: float  # the target when it holds no more
+    hold_ticks: int  # duration, from the tick that takes it; 0: until the next set point
+    after_rps: float  # the target after that
     after_acceleration_rps2: float
-    low_rev: float  # the way ends at standstill before these positions; infinite: nowhere
+    low_rev: float  # the motion ends at standstill before these positions; infinite: no limit
     high_rev: float
     lag_s: float  # from the position that the feedback shows to the newest sample of the trajectory
 
@@ -49,14 +49,14 @@ unpack_set_point = njit(reader(SetPoint, "unpack_set_point"))
 
 
 class GeneratorState(NamedTuple):
-    """Where the generator is."""
+    """State of the generator."""
 
     velocity_rps: float
     acceleration_rps2: float
 
 
 class Ramp(NamedTuple):
-    """The shortest way to a target: three stretches of constant jerk, the middle one of none."""
+    """The shortest ramp to a target: three phases of constant jerk, zero in the middle one."""
 
     direction: float  # of the acceleration in the middle: 1 or -1
     begin_s: float
@@ -72,20 +72,20 @@ class LiveMotion(NamedTuple):
     start_tick: int  # -1: none runs
     taken_tick: int  # of the last set point
     head: int  # newest sample of the trajectory
-    resting: int  # how many of the newest samples stand at zero, to stay there
+    resting: int  # number of the newest samples that are zero for good
     blocked: int  # 1 or -1: the set point leads out of its window above or below, and is not followed
     generator: GeneratorState
 
 
 @njit
 def no_motion(number: int) -> LiveMotion:
-    """None runs, the last one was driven by set point `number`."""
+    """No motion; the last one was by set point `number`."""
     return LiveMotion(number, -1, -1, -1, 0, 0, GeneratorState(0.0, 0.0))
 
 
 @njit
 def shortest_ramp(state: GeneratorState, target_rps: float, acceleration_rps2: float, jerk_rps3: float) -> Ramp:
-    """The plan from here to `target_rps` at no acceleration. Bounds above zero; a state beyond them comes back first.
+    """The ramp from here to `target_rps` at zero acceleration. Bounds > 0; a state beyond them returns inside first.
 
     Velocity v, acceleration a, bounds A and J, in the direction in which v has to go once a is zero:
     dv = (p^2 - a^2) / 2J + p^2 / 2J with the peak p of the acceleration, or A for longer.
@@ -106,7 +106,7 @@ def shortest_ramp(state: GeneratorState, target_rps: float, acceleration_rps2: f
 
 @njit
 def ramp_s(ramp: Ramp) -> float:
-    """How long a ramp takes."""
+    """Duration of a ramp, s."""
     return ramp.begin_s + ramp.middle_s + ramp.end_s
 
 
@@ -120,7 +120,7 @@ def _moved(state: GeneratorState, jerk_rps3: float, time_s: float) -> GeneratorS
 def set_point_step(
     state: GeneratorState, target_rps: float, acceleration_rps2: float, jerk_rps3: float, time_s: float
 ) -> GeneratorState:
-    """Where the generator is after `time_s`. It arrives exactly, and stays."""
+    """State of the generator after `time_s`. It arrives exactly, and stays."""
     ramp = shortest_ramp(state, target_rps, acceleration_rps2, jerk_rps3)
     left_s = time_s
     if left_s * (1.0 + ARRIVED_SHARE) >= ramp_s(ramp):
@@ -144,7 +144,7 @@ def _way_rev(velocity_rps: float, acceleration_rps2: float, jerk_rps3: float, ti
 
 @njit
 def stopping_rev(state: GeneratorState, acceleration_rps2: float, jerk_rps3: float) -> float:
-    """How far it still goes on the shortest way to standstill."""
+    """Travel of the shortest ramp to standstill, rev."""
     ramp = shortest_ramp(state, 0.0, acceleration_rps2, jerk_rps3)
     way_rev = _way_rev(state.velocity_rps, state.acceleration_rps2, ramp.begin_jerk_rps3, ramp.begin_s)
     state = _moved(state, ramp.begin_jerk_rps3, ramp.begin_s)
@@ -159,9 +159,9 @@ def leads_out(
     set_point: SetPoint, state: GeneratorState, following: GeneratorState, position_rev: float, velocity_rps: float,
     time_s: float,
 ) -> int:  # fmt: skip
-    """1 or -1 where a step to the state `following` leaves no way to stop inside the window, by its side; else 0.
+    """1 or -1, by side, if the axis could not stop inside the window after a step to the state `following`; else 0.
 
-    An axis that is faster than its reference (`velocity_rps` is the feedback) needs a longer way.
+    An axis that is faster than its reference (`velocity_rps` is the feedback) needs more travel.
     """
     outwards = 1 if following.velocity_rps > 0.0 else -1
     edge_rev = set_point.high_rev if outwards == 1 else set_point.low_rev
@@ -177,7 +177,7 @@ def leads_out(
 
 @njit
 def read_trajectory(samples: Any, position: float) -> float:
-    """Samples of a trajectory at a position between them, as `feedforward.read_samples` reads those of a profile."""
+    """Samples of a trajectory at a fractional position, as `feedforward.read_samples` for a profile."""
     below = math.floor(position)
     share = position - below
     first = samples[below & _KEPT] if below >= 0 else 0.0
@@ -189,26 +189,26 @@ def read_trajectory(samples: Any, position: float) -> float:
 
 @njit
 def preview_ticks(config: FeedforwardConfig) -> int:
-    """How many periods the generator is ahead of the tick: so much later a set point acts."""
+    """Periods by which the generator is ahead of the tick, which is how much later a set point acts."""
     return max(0, math.ceil(config.ahead_ticks))
 
 
 @njit
 def has_lapsed(set_point: SetPoint, motion: LiveMotion, tick: int) -> bool:
-    """It was to hold for a time, and nobody has renewed it."""
+    """Whether its duration has ended without a renewal."""
     return set_point.hold_ticks > 0 and tick - motion.taken_tick >= set_point.hold_ticks
 
 
 @njit
 def begin_motion(trajectory: Floats, number: int, tick: int) -> LiveMotion:
-    """From standstill: nothing of an earlier trajectory is left."""
+    """Start of a motion from standstill: the earlier trajectory is cleared."""
     trajectory[:] = 0.0
     return LiveMotion(number, tick, tick, -1, 0, 0, GeneratorState(0.0, 0.0))
 
 
 @njit
 def with_set_point(motion: LiveMotion, number: int, tick: int) -> LiveMotion:
-    """Another set point, in the same motion, however long it has stood still."""
+    """Another set point in the same motion, even after a standstill."""
     return LiveMotion(number, motion.start_tick, tick, motion.head, 0, motion.blocked, motion.generator)
 
 
@@ -219,7 +219,7 @@ def advance_motion(
 ) -> tuple[LiveMotion, float, Reference]:  # fmt: skip
     """The motion at a tick: (memory, target in force, reference). `trajectory` (2, HISTORY): velocity, acceleration.
 
-    Periods that were skipped are samples all the same, as they are of a profile. A way that would leave the window is
+    Skipped periods count as samples, as they do for a profile. A way that would leave the window is
     braked to standstill before its edge; it stays there until a set point leads back.
     """
     target_rps, acceleration_rps2 = set_point.target_rps, set_point.acceleration_rps2
@@ -231,10 +231,10 @@ def advance_motion(
     blocked = motion.blocked if target_rps * motion.blocked > 0.0 else 0
     if blocked != 0:
         target_rps, acceleration_rps2 = 0.0, set_point.after_acceleration_rps2
-    if head < 0:  # the samples until it can act are known already: standstill
+    if head < 0:  # the samples until it can act are already determined: standstill
         head = last - 1
     while head < last:
-        samples = max(1, last - head - HISTORY)  # what nobody can read any more is gone through in one
+        samples = max(1, last - head - HISTORY)  # samples that can no longer be read are skipped in one step
         time_s = samples * period_s
         following = set_point_step(state, target_rps, acceleration_rps2, set_point.jerk_rps3, time_s)
         side = leads_out(set_point, state, following, position_rev, velocity_rps, time_s)
@@ -263,5 +263,5 @@ def advance_motion(
 
 @njit
 def has_ended(config: FeedforwardConfig, motion: LiveMotion, tail_ticks: int) -> bool:
-    """Everything that can be read of it stands at zero, and has done so for `tail_ticks`."""
+    """Whether all readable samples are zero, and have been for `tail_ticks`."""
     return motion.resting > preview_ticks(config) + math.ceil(config.behind_ticks) + tail_ticks

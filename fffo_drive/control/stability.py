@@ -40,7 +40,7 @@ SWEEP_POINTS = 20_000
 
 
 class ElasticLoad(NamedTuple):
-    """A part of the inertia behind a damped spring; none of it: a rigid axis."""
+    """Part of the inertia behind a damped spring; share 0: a rigid axis."""
 
     share: float = 0.0  # of the inertia
     frequency_hz: float = 0.0  # resonance of motor against load
@@ -57,13 +57,13 @@ class LinearAxis(NamedTuple):
     damping_nm_per_rps: float  # D of (17); the smallest one, sigma, is the worst case
     delay_s: float
     torque_constant_nm_per_a: float
-    contact_nm_per_rev: float = 0.0  # a contact that sticks: a spring on the inertia; 0: it slides
+    contact_nm_per_rev: float = 0.0  # stiffness of a sticking contact, a spring on the inertia; 0: sliding
     elastic: ElasticLoad = RIGID
-    estimator: VelocityEstimatorConfig | None = None  # of the velocity that the error takes; None: the drive's own
+    estimator: VelocityEstimatorConfig | None = None  # of the velocity in the error; None: the drive's own
 
 
 class Margins(NamedTuple):
-    """Margins of the open loop; infinite where there is no crossing."""
+    """Margins of the open loop; infinite without a crossing."""
 
     phase_deg: float
     gain: float
@@ -74,12 +74,12 @@ def condition_14_nm_per_rev(
     integral_a_per_rev: float, torque_constant_nm_per_a: float, observer_gain_nm_per_rev: float,
     attraction_nm_per_rev: float,
 ) -> float:  # fmt: skip
-    """Ki Kt + L - 2 B in Nm/rev: not negative where (14) holds."""
+    """Ki Kt + L - 2 B in Nm/rev: not negative if (14) holds."""
     return integral_a_per_rev * torque_constant_nm_per_a + observer_gain_nm_per_rev - 2.0 * attraction_nm_per_rev
 
 
 def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
-    """Torque over velocity of the motor shaft, without the delay; s and the answer (n,)."""
+    """Torque over velocity of the motor shaft, without the delay; s and the result (n,)."""
     share, frequency_hz, damping_ratio = axis.elastic
     inertia = (1.0 - share) * axis.inertia_nm_s2_per_rev * s
     impedance = inertia + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
@@ -121,13 +121,13 @@ def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
     return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
 
 
-@functools.lru_cache(maxsize=8)  # a design asks for one filter some hundred times
+@functools.lru_cache(maxsize=8)  # a design evaluates the same filter some hundred times
 def _response(estimator: VelocityEstimatorConfig) -> EstimatorResponse:
     return estimator_response(estimator, sweep_rad_per_s(estimator))
 
 
 def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
-    """Margins of an open loop over angular frequencies, arrays (n,), with a delay on top of it."""
+    """Margins of an open loop over angular frequencies, arrays (n,), with an additional delay."""
     magnitude = np.abs(rational)
     phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * delay_s)
 
@@ -141,23 +141,24 @@ def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
 
 
 def feedback_lag_s(model: ModelFile, estimated: bool) -> float:
-    """How far the velocity that the error takes lags behind the position: an estimate does not."""
+    """Lag of the velocity in the error behind the position, s; zero for an estimate."""
     return 0.0 if estimated else model.sensor_delay_s.value
 
 
 def loop_delay_s(model: ModelFile, period_s: float, estimated: bool = False) -> float:
-    """The whole delay: command to torque, lag of the velocity that the error takes, and half a period of hold.
+    """The total delay: command to torque, lag of the velocity in the error, and half a period of hold.
 
-    A command acts with the SYNC after the one it answers to: less than a period to the position is an error of a fit.
+    A command acts one SYNC after the feedback from which it was computed, so a fit of less than a period to the
+    position is an error.
     """
     to_position_s = max(period_s, model.delay_s.value - model.sensor_delay_s.value)
     return to_position_s + feedback_lag_s(model, estimated) + 0.5 * period_s
 
 
 def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorConfig | None = None) -> LinearAxis:
-    """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load where one was found.
+    """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load if the model has one.
 
-    `estimator`: of the velocity that the error takes; None, or one that is not used: the drive's own.
+    `estimator`: of the velocity in the error; None or unused: the drive's own velocity.
     """
     if estimator is not None and not estimator.used:
         estimator = None
@@ -175,7 +176,7 @@ def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorC
 
 
 def stuck_axis(sliding: LinearAxis, model: ModelFile) -> LinearAxis:
-    """The same axis at rest, on a contact that was unloaded: dF/dx of (2) and (3) at F = 0 is Fc K + B."""
+    """The same axis at rest, on an unloaded contact: dF/dx of (2) and (3) at F = 0 is Fc K + B."""
     friction = model.friction_config()
     stiffness = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
     return sliding._replace(contact_nm_per_rev=stiffness)

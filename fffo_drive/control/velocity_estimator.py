@@ -2,14 +2,14 @@
 
     d/dt position = velocity,    J d/dt velocity = Kt i - disturbance,    d/dt disturbance = white noise
 
-The drive's own velocity comes out of a tracking loop and lags behind its position; this one does not, since the torque
-that the axis is given is known. What is not known (friction, load, a wrong J) is the disturbance. The commands are
-those on the wire, read back by the delay from command to torque, so that each acts on the position that shows it.
+The drive's own velocity comes from a tracking loop and lags behind its position; the estimate does not, because the
+commanded torque is known. What is not known (friction, load, an error of J) is the disturbance. The commands are those
+on the bus, delayed by the delay from command to torque, so that each acts on the position in which it shows.
 
-With one noise ratio the poles are those of a Butterworth filter (R. E. Kalman and R. S. Bucy, 1961; closed form in
+With a single noise ratio the poles are those of a Butterworth filter (R. E. Kalman and R. S. Bucy, 1961; closed form in
 `steady_state_gains`): one bandwidth sets everything. The filter is computed when a file is read, never in the tick.
 
-Until the filter has settled, and when it cannot be trusted, the drive's own velocity is followed: the row says which.
+Until the filter has settled, and when it is not trusted, the error uses the drive's own velocity; the row says which.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from ..units import NS_PER_S
 
 Floats = npt.NDArray[np.float64]
 
-COMMANDS = 1024  # last commands that are kept, a power of two: twice the longest delay of a model and more
+COMMANDS = 1024  # last commands that are kept, a power of two: more than twice the longest delay of a model
 _KEPT = COMMANDS - 1
-BRIDGED_TICKS = 4  # without feedback for so long the estimate is predicted; 2 ms at 2 kHz, as old as a drive's own
+BRIDGED_TICKS = 4  # prediction without feedback for this long; 2 ms at 2 kHz, the age of a drive's own velocity
 SETTLING_TIMES = 8.0  # of 1 / (2 pi bandwidth): the slowest pair, at half of it, has decayed to exp(-4), 2 %
-JUMP_PERIODS = 4.0  # at the speed limit: what the position is off by more than this was no motion
+JUMP_PERIODS = 4.0  # at the speed limit: a larger deviation of the position was not motion
 
 
 class VelocityEstimatorConfig(NamedTuple):
     """Constants of the filter."""
 
-    used: bool  # False: the error takes the drive's own velocity, and nothing is estimated
+    used: bool  # False: the error uses the drive's own velocity, and nothing is estimated
     position_gain: float  # rev per rev of innovation, in a period
     velocity_gain_per_s: float
     disturbance_gain_nm_per_rev: float
@@ -53,28 +53,28 @@ DRIVE_VELOCITY = VelocityEstimatorConfig(False, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0,
 
 
 class VelocityEstimatorState(NamedTuple):
-    """Memory of the filter, beside the last commands."""
+    """Memory of the filter, in addition to the last commands."""
 
     position_rev: float
     velocity_rps: float
-    disturbance_nm: float  # what the axis takes from the motor's torque
-    tick: int  # of the last step; -1: nothing is known
+    disturbance_nm: float  # torque lost between motor torque and acceleration
+    tick: int  # of the last step; -1: not started
     first_tick: int  # of the first one
     fresh_tick: int  # of the last feedback
     woke_ns: int  # of the last step
 
 
 class VelocityEstimatorTerms(NamedTuple):
-    """What one step found, for the row."""
+    """Results of one step, for the row."""
 
-    estimated_rps: float  # 0 where nothing is known
+    estimated_rps: float  # 0 without an estimate
     disturbance_nm: float
-    followed_rps: float  # what the error takes
-    estimated: bool  # that is the estimate
+    followed_rps: float  # velocity in the error
+    estimated: bool  # whether that is the estimate
 
 
 class Measured(NamedTuple):
-    """What the filter sees of a tick."""
+    """Inputs of the filter in one tick."""
 
     tick: int
     woke_ns: int  # SYNC follows at once: the drive latched the position then
@@ -85,25 +85,25 @@ class Measured(NamedTuple):
 
 @njit
 def estimator_at_rest() -> VelocityEstimatorState:
-    """Memory before the first step, and whenever the velocity law does not act."""
+    """Memory before the first step, and whenever the velocity loop is open."""
     return VelocityEstimatorState(0.0, 0.0, 0.0, -1, -1, -1, 0)
 
 
 @njit
 def keep_command(commands_a: Any, tick: int, current_a: float) -> None:
-    """Remember the command of a tick, as it went over the wire. `commands_a` (COMMANDS,)."""
+    """Store the command of a tick as sent. `commands_a` (COMMANDS,)."""
     commands_a[tick & _KEPT] = current_a
 
 
 @njit
 def _command_of(commands_a: Any, state: VelocityEstimatorState, tick: int) -> float:
-    """The command of a tick; before the filter began there was none."""
+    """The command of a tick; 0 before the filter began."""
     return float(commands_a[tick & _KEPT]) if tick >= state.first_tick else 0.0
 
 
 @njit
 def _hold_skipped(commands_a: Any, state: VelocityEstimatorState, tick: int) -> None:
-    """In skipped periods there was no SYNC: the drive held what it had, and took the last command behind them."""
+    """Fill in skipped periods: without SYNC the drive held its command, and took the last one after them."""
     last_a, held_a = _command_of(commands_a, state, state.tick), _command_of(commands_a, state, state.tick - 1)
     for k in range(state.tick, tick - 1):
         commands_a[k & _KEPT] = held_a
@@ -114,9 +114,9 @@ def _hold_skipped(commands_a: Any, state: VelocityEstimatorState, tick: int) -> 
 def _predicted(
     config: VelocityEstimatorConfig, state: VelocityEstimatorState, commands_a: Any, measured: Measured
 ) -> VelocityEstimatorState:
-    """The state at this SYNC, by the torque that acted since the last one."""
+    """The state predicted at this SYNC from the torque since the last one."""
     periods = measured.tick - state.tick
-    # the time that passed, not the period: at 10 rps a SYNC 10 us late is 3 counts of 15 bits
+    # elapsed time, not the period: at 10 rps, 10 us of lateness are 3 counts of 15 bits
     step_s = (measured.woke_ns - state.woke_ns) / NS_PER_S / periods
     position_rev, velocity_rps = state.position_rev, state.velocity_rps
     for k in range(state.tick, measured.tick):
@@ -150,7 +150,7 @@ def _corrected(
 
 @njit
 def _begun(measured: Measured) -> VelocityEstimatorState:
-    """A filter that starts where the drive says that the axis is; nothing without feedback."""
+    """A filter that starts at the drive's position and velocity; not started without feedback."""
     if not (measured.fresh and math.isfinite(measured.position_rev) and math.isfinite(measured.velocity_rps)):
         return estimator_at_rest()
     tick = measured.tick
@@ -159,7 +159,7 @@ def _begun(measured: Measured) -> VelocityEstimatorState:
 
 @njit
 def _trusted(config: VelocityEstimatorConfig, state: VelocityEstimatorState, drive_rps: float) -> bool:
-    """Finite, and near what the drive says: a position that stands still while the axis turns is not followed."""
+    """Whether the estimate is finite and close to the drive's velocity: a frozen position is not trusted."""
     if not (math.isfinite(state.position_rev) and math.isfinite(state.disturbance_nm)):
         return False
     return abs(state.velocity_rps - drive_rps) <= config.disagreement_rps  # not so for NaN
@@ -169,9 +169,9 @@ def _trusted(config: VelocityEstimatorConfig, state: VelocityEstimatorState, dri
 def velocity_estimator_step(
     config: VelocityEstimatorConfig, state: VelocityEstimatorState, commands_a: Any, measured: Measured
 ) -> tuple[VelocityEstimatorTerms, VelocityEstimatorState]:
-    """One tick: predict by the torque, correct by the position. `commands_a` (COMMANDS,): `keep_command`.
+    """One tick: predict with the torque, correct with the position. `commands_a` (COMMANDS,): `keep_command`.
 
-    The filter begins anew behind a jump of the position, more than BRIDGED_TICKS without feedback, a number that is
+    The filter restarts after a jump of the position, more than BRIDGED_TICKS without feedback, a number that is
     not finite, or an estimate that the drive's velocity contradicts; until it has settled the drive's is followed.
     """
     if not config.used:
@@ -196,7 +196,7 @@ def velocity_estimator_step(
     return VelocityEstimatorTerms(state.velocity_rps, state.disturbance_nm, followed_rps, settled), state
 
 
-# ---- design: when a file is read
+# ---- design, when a file is read
 
 
 class EstimatorGains(NamedTuple):
@@ -255,7 +255,7 @@ def velocity_noise_rps(bandwidth_hz: float, position_noise_rev: float, period_s:
 
 
 class EstimatorResponse(NamedTuple):
-    """The estimate as a linear function of what the filter is given; both (n,)."""
+    """The estimate as a linear function of the inputs of the filter; both (n,)."""
 
     of_position_per_s: npt.NDArray[np.complexfloating[Any, Any]]  # rps per rev
     of_command_rps_per_a: npt.NDArray[np.complexfloating[Any, Any]]

@@ -1,7 +1,7 @@
-"""The methods of the API: one table that the server dispatches on, and from which schema and `ctl` are made.
+"""The methods of the API: one table that the server dispatches on, and from which schema and `ctl` are generated.
 
-Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) and, for the methods that only look, on
-`watch.sock`. Parameters are objects with names (`parameters.py`). What a method answers:
+Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) and, for the methods that only read, on
+`watch.sock`. Parameters are objects with names (`parameters.py`). Answers of the methods:
 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
 status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
@@ -12,23 +12,23 @@ status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, 
             nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
             friction_nm, mode, age}; null where there is none
 enable, disable, start, stop, quick_stop, reset_fault
-            {"state": ..., "reached": true, "epoch": ...}; error -32004 when it does not come about within wait_s. A
-            stop succeeds in every state and says what is: in a fault the axis may coast. Once it is acknowledged, no
-            start or enable that was sent before is carried out: each is bound to the epoch in which it arrived, or
-            which its parameter `epoch` names
+            {"state": ..., "reached": true, "epoch": ...}; error -32004 if the state is not reached within wait_s. A
+            stop succeeds in every state and reports the state: in a fault the axis may coast. Once it is acknowledged,
+            no start or enable sent before it is carried out: each is bound to the epoch in which it arrived, or to the
+            one given by its parameter `epoch`
 jog, velocity, step
             {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
             "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of
-            daemon.set_points. Bound to an epoch as a start is. A jog that is not renewed in time ends at standstill,
-            and so does what would leave envelope.position_window_rev
+            daemon.set_points. Bound to an epoch, as a start is. A jog that is not renewed in time ends at standstill,
+            and so does a motion that would leave envelope.position_window_rev
 toggle, model, set, reload
-            what is in use now
+            the values now in use
 record      {"on": ..., "file": ..., "files": [...]}
 events      {"events": [{number, time, kind, level, text, data}, ...], "last": number}
 subscribe   {"status_hz": ..., "events": ...}; then notifications `status` (as above) and `event` on this connection
 schema      JSON schemas of all parameters
 
-Errors of ours: -32000 not possible in this state (data: state, allowed), -32001 this socket is for watching, -32002
+Error codes: -32000 not possible in this state (data: state, allowed), -32001 this socket is read-only, -32002 error of
 the drive, -32003 a profile, model, key or file that cannot be used, -32004 not reached in time, -32005 a limit.
 """
 
@@ -54,7 +54,7 @@ from .worker import Worker
 
 
 class Caller(Protocol):
-    """Who asks: one connection."""
+    """The client that makes a request: one connection."""
 
     @property
     def name(self) -> str:
@@ -67,7 +67,7 @@ class Caller(Protocol):
         ...
 
     def subscribe(self, status_hz: float, events: bool) -> None:
-        """What it wants to hear from now on."""
+        """What to send to it from now on."""
         ...
 
 

@@ -1,6 +1,6 @@
 """The methods of the API and their parameters as records: the server checks them, `schema` and `ctl --help` show them.
 
-Imported by `ctl`, which is to answer quickly: nothing of the loop is imported here.
+`ctl` imports this module and has to start quickly, so nothing of the loop is imported here.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..config.sections import ProfileSection
 from ..documents import DocumentError, StrictRecord
 from ..roles import Role
 
-PROTOCOLS = (1,)  # versions of this API that are spoken, the newest at the end
+PROTOCOLS = (1,)  # supported versions of this API, the newest last
 
 Seconds = Annotated[float, Field(ge=0, le=600)]
 
@@ -27,14 +27,12 @@ class Info(StrictRecord):
 
     protocol: Annotated[
         int | Annotated[list[int], Field(min_length=1, max_length=100)] | None,
-        Field(
-            description="version of this API that the client speaks, or a list of them: one that both speak is chosen"
-        ),
+        Field(description="version of this API that the client supports, or a list; one that both support is chosen"),
     ] = None
 
 
 class Commanded(StrictRecord):
-    """Parameters of everything that does more than look."""
+    """Parameters of every request that does more than look."""
 
     who: Annotated[
         str | None,
@@ -43,10 +41,10 @@ class Commanded(StrictRecord):
 
 
 class Bound(Commanded):
-    """Parameters of what asks for torque or motion."""
+    """Parameters of requests for torque or motion."""
 
     epoch: Annotated[
-        int | None, Field(ge=1, description="as a status reported it: refused when another one has begun since")
+        int | None, Field(ge=1, description="epoch from a status: refused if another epoch has begun since")
     ] = None
 
 
@@ -54,15 +52,15 @@ class Enable(Bound):
     """Parameters of `enable`."""
 
     hold: Annotated[
-        bool, Field(description="this connection is in charge: daemon.client_loss happens when it closes")
+        bool, Field(description="put this connection in charge: daemon.client_loss applies when it closes")
     ] = False
-    wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: not")] = 10.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: do not wait")] = 10.0
 
 
 class Ending(Commanded):
-    """Parameters of what ends a motion or a fault."""
+    """Parameters of requests that end a motion or a fault."""
 
-    wait_s: Annotated[Seconds, Field(description="how long to wait until it is done; 0: not")] = 10.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait for completion; 0: do not wait")] = 10.0
 
 
 class Start(Bound):
@@ -75,7 +73,7 @@ class Start(Bound):
             json_schema_extra={"cli": "profile"},
         ),
     ]
-    wait_s: Annotated[Seconds, Field(description="how long to wait for its end; 0: not")] = 0.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait for its end; 0: do not wait")] = 0.0
 
 
 Velocity = Annotated[float, Field(ge=-1000, le=1000)]
@@ -84,33 +82,39 @@ Velocity = Annotated[float, Field(ge=-1000, le=1000)]
 class Jog(Bound):
     """Parameters of `jog`."""
 
-    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends it")]
+    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends the jog")]
     renews: Annotated[
         int | None,
-        Field(ge=1, description="number of the jog that this renews (answer: set_point): refused when it has lapsed"),
+        Field(ge=1, description="number of the jog to renew (set_point of its answer): refused when it has lapsed"),
     ] = None
 
 
 class SetVelocity(Bound):
     """Parameters of `velocity`."""
 
-    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends at standstill")]
-    for_s: Annotated[Seconds, Field(description="for so long, then standstill; 0: until another one comes")] = 0.0
-    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
+    to_rps: Annotated[Velocity, Field(description="velocity; 0: standstill")]
+    for_s: Annotated[Seconds, Field(description="duration, then standstill; 0: until the next set point")] = 0.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference reaches it; 0: do not wait")] = (
+        0.0
+    )
 
 
 class Step(Bound):
     """Parameters of `step`."""
 
-    by_rps: Annotated[Velocity, Field(description="change of the velocity set point in force")]
-    for_s: Annotated[Seconds, Field(description="for so long, then back to what was before; 0: for good")] = 0.0
-    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference is there; 0: not")] = 0.0
+    by_rps: Annotated[Velocity, Field(description="change of the present velocity set point")]
+    for_s: Annotated[Seconds, Field(description="duration, then back to the value before; 0: permanent")] = 0.0
+    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference reaches it; 0: do not wait")] = (
+        0.0
+    )
 
 
 class Toggle(Commanded):
     """Parameters of `toggle`."""
 
-    to: Annotated[Literal["ff", "fb", "off"], Field(description="friction from reference, feedback, or not")]
+    to: Annotated[
+        Literal["ff", "fb", "off"], Field(description="friction from the reference, from the feedback, or off")
+    ]
 
 
 class Model(Commanded):
@@ -138,21 +142,21 @@ class RecordSwitch(Commanded):
 class Events(StrictRecord):
     """Parameters of `events`."""
 
-    since: Annotated[int, Field(ge=0, description="number of the last event that is known already")] = 0
-    limit: Annotated[int, Field(ge=1, le=1000, description="at most so many, the newest")] = 100
+    since: Annotated[int, Field(ge=0, description="number of the last event already known")] = 0
+    limit: Annotated[int, Field(ge=1, le=1000, description="largest number of events, the newest ones")] = 100
 
 
 class Subscribe(StrictRecord):
-    """Parameters of `subscribe`; it replaces what was subscribed before."""
+    """Parameters of `subscribe`; it replaces an earlier subscription."""
 
-    status_hz: Annotated[float, Field(ge=0, le=50, description="statuses a second; 0: none")] = 0.0
-    events: Annotated[bool, Field(description="every event as it happens")] = True
+    status_hz: Annotated[float, Field(ge=0, le=50, description="statuses per second; 0: none")] = 0.0
+    events: Annotated[bool, Field(description="send every event as it happens")] = True
 
 
 def agreed_protocol(spoken: int | list[int] | None) -> int:
-    """The newest version of the API that client and daemon speak; the daemon's newest where the client says none.
+    """The newest version of the API that client and daemon support; the daemon's newest if the client names none.
 
-    Raises DocumentError where there is none.
+    Raises DocumentError if there is no common version.
     """
     theirs = PROTOCOLS if spoken is None else [spoken] if isinstance(spoken, int) else spoken
     both = [version for version in PROTOCOLS if version in theirs]
@@ -178,23 +182,23 @@ class Method(NamedTuple):
 
 
 METHODS: dict[str, Method] = {
-    "info": Method(Info, "look", "protocol version, axis, what may be asked for"),
-    "status": Method(Nothing, "look", "the status of this moment"),
-    "enable": Method(Enable, "move", "torque; the axis is held at standstill"),
+    "info": Method(Info, "look", "protocol version, axis, drive, profiles, keys, states"),
+    "status": Method(Nothing, "look", "the present status"),
+    "enable": Method(Enable, "move", "torque on; the axis is held at standstill"),
     "disable": Method(Ending, "stop", "brake to standstill, then no torque"),
     "start": Method(Start, "move", "run a profile"),
-    "jog": Method(Jog, "move", "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
-    "velocity": Method(SetVelocity, "move", "turn at a velocity, which may be changed at any time"),
-    "step": Method(Step, "move", "change the velocity set point by so much"),
-    "toggle": Method(Toggle, "tune", "friction from the reference, the feedback, or not"),
+    "jog": Method(Jog, "move", "turn at a velocity for as long as the jog is renewed (ctl renews it until Ctrl-C)"),
+    "velocity": Method(SetVelocity, "move", "turn at a velocity, which can be changed at any time"),
+    "step": Method(Step, "move", "change the velocity set point by an amount"),
+    "toggle": Method(Toggle, "tune", "friction from the reference, from the feedback, or off"),
     "stop": Method(Ending, "stop", "brake to standstill and stay enabled"),
     "quick_stop": Method(Ending, "stop", "the drive's quick stop, then no torque"),
     "reset_fault": Method(Ending, "move", "leave a latched fault"),
-    "model": Method(Model, "tune", "use another model file, while there is no torque"),
+    "model": Method(Model, "tune", "use another model file; only without torque"),
     "set": Method(Set, "tune", "change one gain or switch until the next reload"),
     "reload": Method(Commanded, "tune", "read the axis file again, as SIGHUP does"),
     "record": Method(RecordSwitch, "move", "begin or end a recording"),
-    "events": Method(Events, "look", "what happened last"),
-    "subscribe": Method(Subscribe, "look", "statuses at a rate, and events, on this connection"),
+    "events": Method(Events, "look", "the latest events"),
+    "subscribe": Method(Subscribe, "look", "receive statuses at a rate, and events, on this connection"),
     "schema": Method(Nothing, "look", "JSON schemas of all parameters"),
 }

@@ -1,12 +1,12 @@
-"""The daemon's state machine as one table: the code interprets it, `tools/daemon_states` prints it, a test explores it.
+"""The daemon's state machine as one table: the code executes it, `tools/daemon_states` prints it, a test explores it.
 
-A row says: in this state, on this event, go there and do that. What has no row is refused when somebody asks for it
-and passed over when it is an observation. Torque is asked for by ENABLE alone, and every row that leads from a fault
-needs a reset: there is no way from a fault to torque without a reset and another enable.
+Each row gives the next state and the actions for one event in one state. A request without a row is refused; an
+observation without a row is ignored. Only ENABLE requests torque, and every row that leads out of a fault needs a
+reset: there is no way from a fault to torque without a reset and another enable.
 
-A request for torque or motion holds in the epoch in which it was asked, and in no other. Every stop, disable, quick
-stop, fault and reset raises the epoch, and so does a change of who is in charge: what was asked before is refused,
-however late it comes to be carried out.
+A request for torque or motion is valid only in the epoch in which it was made. Every stop, disable, quick stop, fault
+and reset begins a new epoch, and so does a change of the client in charge: earlier requests are refused, however late
+they are processed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 
 class State(StrEnum):
-    """Where the axis is, as the daemon has it."""
+    """State of the axis."""
 
     OFFLINE = "offline"
     CONNECTED = "connected"
@@ -31,22 +31,22 @@ class State(StrEnum):
 
 
 MEANINGS = {
-    State.OFFLINE: "no drive: the bus is away or nobody answers; tried again and again",
-    State.CONNECTED: "the drive is brought up and the loop runs without torque; something forbids to enable it",
-    State.READY: "may be enabled",
-    State.ENABLED: "torque is asked for, the axis is held at standstill",
-    State.PREPARING: "as enabled, and the profile of a start is being computed and checked",
-    State.RUNNING: "a profile runs, or is braked to standstill",
-    State.FOLLOWING: "live set points are followed (jog, velocity, step), or braked to standstill",
-    State.STOPPING: "torque is on its way out",
-    State.FAULT: "latched; no torque until somebody resets it",
+    State.OFFLINE: "no drive: the bus is down or no node answers; the service keeps trying",
+    State.CONNECTED: "the drive is brought up and the loop runs without torque; an obstacle prevents enabling",
+    State.READY: "the drive can be enabled",
+    State.ENABLED: "torque is requested, the axis is held at standstill",
+    State.PREPARING: "as enabled, while the profile of a start is computed and checked",
+    State.RUNNING: "a profile runs, or the axis is being braked to standstill",
+    State.FOLLOWING: "live set points are followed (jog, velocity, step), or the axis is being braked to standstill",
+    State.STOPPING: "torque is being removed",
+    State.FAULT: "latched; no torque until a reset",
 }
 
 
 class StateEvent(StrEnum):
-    """What somebody asks for, and what is observed."""
+    """Requests by clients, and observations."""
 
-    # asked for
+    # requested
     ENABLE = "enable"
     DISABLE = "disable"
     START = "start"
@@ -72,32 +72,32 @@ class StateEvent(StrEnum):
 
 
 class Happening(NamedTuple):
-    """What an event is: asked for (else refused) or observed (else passed over), in words."""
+    """An event in words. A request without a row is refused, an observation without a row is ignored."""
 
-    asked: bool
+    asked: bool  # a request, as opposed to an observation
     text: str
-    raises: bool = False  # the epoch: what was asked for before is refused from here on
-    bound: bool = False  # to the epoch in which it was asked
+    raises: bool = False  # begins a new epoch: earlier requests are refused from here on
+    bound: bool = False  # valid only in the epoch in which it was made
 
 
 EVENTS = {
-    StateEvent.ENABLE: Happening(True, "somebody asks for torque", bound=True),
-    StateEvent.DISABLE: Happening(True, "somebody asks for no torque, in order", raises=True),
-    StateEvent.START: Happening(True, "somebody starts a profile", bound=True),
+    StateEvent.ENABLE: Happening(True, "request for torque", bound=True),
+    StateEvent.DISABLE: Happening(True, "request to brake, then remove torque", raises=True),
+    StateEvent.START: Happening(True, "request to run a profile", bound=True),
     StateEvent.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
     StateEvent.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
-    StateEvent.SET_POINT: Happening(True, "somebody gives a live set point", bound=True),
-    StateEvent.STOP: Happening(True, "somebody ends the motion, in order", raises=True),
-    StateEvent.QUICK_STOP: Happening(True, "somebody wants the drive's quick stop", raises=True),
-    StateEvent.RESET: Happening(True, "somebody resets a fault, the drive still answers", raises=True),
-    StateEvent.RESET_AWAY: Happening(True, "somebody resets a fault, the drive or the loop is gone", raises=True),
+    StateEvent.SET_POINT: Happening(True, "request with a live set point", bound=True),
+    StateEvent.STOP: Happening(True, "request to brake to standstill", raises=True),
+    StateEvent.QUICK_STOP: Happening(True, "request for the drive's quick stop", raises=True),
+    StateEvent.RESET: Happening(True, "request to reset a fault; the drive answers", raises=True),
+    StateEvent.RESET_AWAY: Happening(True, "request to reset a fault; the drive or the loop is gone", raises=True),
     StateEvent.FOUND: Happening(False, "the drive is brought up, the loop runs"),
-    StateEvent.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record in order"),
-    StateEvent.FORBIDDEN: Happening(False, "one of these no longer holds"),
-    StateEvent.PROFILE_ENDED: Happening(False, "the profile, the motion by set points, or what brakes it, has ended"),
-    StateEvent.TORQUE_OFF: Happening(False, "the drive says that its power stage is off"),
+    StateEvent.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record valid"),
+    StateEvent.FORBIDDEN: Happening(False, "one of these conditions no longer holds"),
+    StateEvent.PROFILE_ENDED: Happening(False, "the profile, the motion by set points or the braking has ended"),
+    StateEvent.TORQUE_OFF: Happening(False, "the drive reports that its power stage is off"),
     StateEvent.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
-    StateEvent.STOP_TIMEOUT: Happening(False, "the ordered stop takes too long", raises=True),
+    StateEvent.STOP_TIMEOUT: Happening(False, "the controlled stop takes too long", raises=True),
     StateEvent.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
     StateEvent.DRIVE_LOST: Happening(
         False,
@@ -106,28 +106,28 @@ EVENTS = {
         raises=True,
     ),
     StateEvent.TRIPPED: Happening(
-        False, "any other trip of the envelope, the drive's own faults among them", raises=True
+        False, "any other trip of the envelope, including faults of the drive", raises=True
     ),
-    StateEvent.LOOP_ENDED: Happening(False, "the loop's thread is gone", raises=True),
+    StateEvent.LOOP_ENDED: Happening(False, "the loop's thread has ended", raises=True),
 }  # fmt: skip
 
 
 class Action(StrEnum):
-    """What the supervisor does on the way."""
+    """What the supervisor does in a transition."""
 
-    ENABLE = "ask for torque"
+    ENABLE = "request torque"
     DISABLE = "switch the power stage off"
     QUICK_STOP = "quick stop"
     START = "hand the profile to the loop"
     FOLLOW = "hand the set point to the loop"
     BRAKE = "brake the reference to standstill"
-    FORGET = "ask for nothing, drop profile and set point"
+    FORGET = "request no torque, drop profile and set point"
     CLEAR = "clear the trip and the drive's fault"
     RELEASE = "end the loop, leave the drive, try again"
 
 
 class StateTransition(NamedTuple):
-    """Where to, and what to do on the way, in this order."""
+    """Next state, and the actions in this order."""
 
     to: State
     actions: tuple[Action, ...] = ()
@@ -142,7 +142,7 @@ _LOST_AT_REST = StateTransition(_S.OFFLINE, (_A.FORGET, _A.RELEASE))
 
 
 def _stays(state: State) -> dict[tuple[State, StateEvent], StateTransition]:
-    """Where there is no motion to end, every stop succeeds and changes nothing."""
+    """Without motion to end, every stop succeeds and changes nothing."""
     return {(state, event): StateTransition(state) for event in (_E.STOP, _E.DISABLE, _E.QUICK_STOP)}
 
 
@@ -218,7 +218,7 @@ AT_REST = frozenset(State) - TORQUE_STATES
 
 
 class Change(StrEnum):
-    """What may be changed, as far as the state lets it."""
+    """What can be changed live, if the state allows it."""
 
     MODEL = "model"
     LAW = "feed-forward switches"
@@ -239,7 +239,7 @@ CHANGES: dict[Change, frozenset[State]] = {
 
 
 class RefusedError(Exception):
-    """What was asked for is not possible in this state."""
+    """The request is not possible in this state."""
 
     def __init__(self, text: str, state: State, allowed: tuple[State, ...]) -> None:
         super().__init__(text)
@@ -253,9 +253,9 @@ def states_with(event: StateEvent) -> tuple[State, ...]:
 
 
 def step(state: State, event: StateEvent) -> StateTransition | None:
-    """The row for this state and event; None for an observation that means nothing here.
+    """The row for this state and event; None for an observation that is ignored in this state.
 
-    Raises RefusedError for something asked for that has no row.
+    Raises RefusedError for a request without a row.
     """
     row = TABLE.get((state, event))
     if row is None and EVENTS[event].asked:
@@ -266,7 +266,7 @@ def step(state: State, event: StateEvent) -> StateTransition | None:
 
 
 class Epoch:
-    """A number that only grows, and whether a stop is on its way to its acknowledgement. For any thread."""
+    """A number that only increases, and whether a stop awaits its acknowledgement. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -275,42 +275,42 @@ class Epoch:
 
     @property
     def value(self) -> int:
-        """The present one."""
+        """The present epoch."""
         return self._value
 
     @property
     def stopping(self) -> bool:
-        """A stop has arrived and is not acknowledged yet."""
+        """Whether a stop has arrived and is not yet acknowledged."""
         return self._stops > 0
 
     def advance(self) -> int:
-        """Begin a new one: what was asked for before is refused from here on. Returns it."""
+        """Begin a new epoch and return it: earlier requests are refused from here on."""
         with self._lock:
             self._value += 1
             return self._value
 
     def stop_arrived(self) -> None:
-        """From here to `stop_answered` nothing that is bound to an epoch is carried out."""
+        """Until `stop_answered`, no request that is bound to an epoch is carried out."""
         with self._lock:
             self._stops += 1
 
     def stop_answered(self) -> None:
-        """Once for each stop that arrived."""
+        """Call once for each stop that arrived."""
         with self._lock:
             self._stops -= 1
 
 
 class Machine:
-    """The state and its epoch, moved by the table. Nothing else decides whether a request still holds."""
+    """The state and its epoch, changed by the table only. Nothing else decides whether a request is still valid."""
 
     def __init__(self) -> None:
         self.state = State.OFFLINE
         self.epoch = Epoch()
 
     def take(self, event: StateEvent, asked_in: int | None = None) -> StateTransition | None:
-        """Go where the table says. Returns its row; None for an observation that means nothing here.
+        """Move to the next state. Returns the row; None for an observation that is ignored in this state.
 
-        `asked_in`: the epoch in which it was asked; None: in this one. Raises RefusedError.
+        `asked_in`: the epoch in which the request was made; None: the present one. Raises RefusedError.
         """
         happening = EVENTS[event]
         if happening.bound:
@@ -347,17 +347,17 @@ def require_change(state: State, change: Change) -> None:
 
 
 def markdown() -> str:
-    """The tables for people."""
+    """The tables as Markdown."""
     lines = [
         "# States of the daemon", "",
-        "Made by `tools/daemon_states` from `fffo_drive/daemon/states.py`, which the daemon interprets. What is asked "
-        "for without a row is refused with the state and the states that allow it.", "",
+        "Made by `tools/daemon_states` from `fffo_drive/daemon/states.py`, the table that the daemon executes. A "
+        "request without a row in the present state is refused, and the answer names the states that allow it.", "",
         "| state | meaning |", "| --- | --- |",
         *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",
-        "The epoch is a number that only grows. What is bound to it is refused when it was asked for in an earlier "
-        "one, at whatever moment it comes to be carried out. A change of who is in charge (enable with hold, and its "
-        "end) raises it too, and so does the acknowledgement of a stop.", "",
-        "| event | what it is | epoch |", "| --- | --- | --- |",
+        "The epoch is a number that only increases. A request bound to it is refused if it was made in an earlier "
+        "epoch, whenever it is processed. A change of the client in charge (enable with hold, and its end) and the "
+        "acknowledgement of a stop raise it too.", "",
+        "| event | meaning | epoch |", "| --- | --- | --- |",
         *(
             f"| {event.value} | {happening.text} | {'raises it' if happening.raises else ''}"
             f"{'bound to it' if happening.bound else ''} |"

@@ -97,9 +97,7 @@ class Stack(NamedTuple):
         cut = {name: getattr(self, name)[runs] for name in _BY_RUN}
         bounds = np.concatenate([[0], np.cumsum(ends - begins)]).astype(np.int64)
         names = tuple(self.drives[k] for k in drives)
-        return self._replace(
-            drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut
-        )
+        return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut)
 
 
 _BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "run")
@@ -198,9 +196,12 @@ def _scales(bounds: Integers, theta: Floats, information: Floats, columns: Seque
     summed = np.concatenate([np.zeros((1, moment.shape[1])), np.cumsum(moment, axis=0)])
     sizes = np.sqrt(np.maximum(np.einsum("dii->di", total), 1e-300))
     scaled = total / (sizes[:, :, None] * sizes[:, None, :])
-    mean = np.linalg.solve(
-        scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
-    )[:, :, 0] / sizes
+    mean = (
+        np.linalg.solve(
+            scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
+        )[:, :, 0]
+        / sizes
+    )
     found = np.ones_like(mean)
     for k, name in enumerate(columns):
         scale = COLUMNS[name][1]

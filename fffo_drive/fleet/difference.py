@@ -55,9 +55,7 @@ class Difference(NamedTuple):
         return {**self._asdict(), "laws": [law._asdict() for law in self.laws], "temperature_degc": degc}
 
 
-def difference(
-    first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHistory] | None = None
-) -> Difference:
+def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHistory] | None = None) -> Difference:
     """Compare two sets of runs of one drive, or of two drives of one model.
 
     `fleet`: what scatter and slopes are learned from; None: from these runs themselves. Raises ValueError for a set
@@ -79,9 +77,7 @@ def difference(
     kept = [(c, one) for c, one in enumerate(found) if one is not None]
     corrected = _holm([one[2] for _, one in kept])
     share = 1.0 - (1.0 - CONFIDENCE) / max(len(kept), 1)
-    laws = [
-        _law(stack, channels, c, one, p, share) for (c, one), p in zip(kept, corrected, strict=True)
-    ]
+    laws = [_law(stack, channels, c, one, p, share) for (c, one), p in zip(kept, corrected, strict=True)]
     laws.sort(key=lambda law: (not law.differs, law.p))
     remarks = []
     unlogged = not stack.logged[0]

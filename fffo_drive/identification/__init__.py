@@ -1,1 +1,1 @@
-"""From logs of an axis to its model and its gains: excitation, fit with honest uncertainties, residuals, tuning."""
+"""From logs of an axis to its model and its gains: excitation, fit with uncertainties, residuals, tuning."""

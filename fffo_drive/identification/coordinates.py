@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 PARAMETERS = tuple(SYMBOLS)  # the order of all vectors and matrices of the fit
 MODEL_PARAMETERS = ("inertia_nm_s2_per_rev", "delay_s", *FRICTION)
 NUISANCES = tuple(name for name in PARAMETERS if name not in MODEL_PARAMETERS)
-# positive ones, whose logarithm is fitted
+# positive parameters, fitted as logarithms
 LOGARITHMIC = frozenset(PARAMETERS).difference(("delay_s", "stribeck_exponent", *NUISANCES))
 LOG_SPAN = math.log(1e3)  # a positive parameter stays within this factor of its start
 STRIBECK_EXPONENTS = (0.3, 3.0)
@@ -45,7 +45,7 @@ def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per
 
 
 def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False) -> Coordinates:
-    """Coordinates around a start. `free` names what is fitted; the rest stays as it is."""
+    """Coordinates around a start. `free`: the fitted parameters; the others are held."""
     names = PARAMETERS
     torque_nm = float(physical[names.index("coulomb_nm")])
     scale = np.ones(len(names))
@@ -93,7 +93,7 @@ def physical_slope(values: Floats, scale: Floats) -> Floats:
 
 
 def _logarithmic(size: int) -> list[bool]:
-    """Which of the parameters of a fit are logarithms: of those of effects none is."""
+    """Which parameters of a fit are logarithms; those of effects are not."""
     own = [name in LOGARITHMIC for name in PARAMETERS]
     return own + [False] * (size - len(own))
 

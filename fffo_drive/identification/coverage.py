@@ -1,5 +1,6 @@
-"""What a set of logs can show, told before any fit: speeds, accelerations, reversals, dwells, angle, orders; and what
-to record next."""
+"""What a set of logs can determine, reported before any fit: speeds, accelerations, reversals, dwells, angle, orders;
+and what to record next.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +19,21 @@ Floats = npt.NDArray[np.float64]
 
 SLOW_QUANTILE = 0.1  # of the speeds of the motion: waves are seen there
 REST_SHARE = 0.005  # of the highest speed: slower is rest ...
-REST_COUNTS_PER_S = 50.0  # ... and so is what a sensor's count a twentieth of a second makes
+REST_COUNTS_PER_S = 50.0  # ... and so is one count of the sensor in a twentieth of a second
 DWELL_S = 0.1  # shorter rests are reversals
 LEAST_REVERSALS = 8
 LEAST_DWELLS = 3
 LEAST_OTHER_WAY = 0.02  # of the motion
-LEAST_LEVELS = 3  # speeds between which viscous and Coulomb friction are told apart
+LEAST_LEVELS = 3  # range of speed needed to separate viscous and Coulomb friction
 SLOW_SHARE = 0.05  # of the highest speed: the Stribeck curve is below
 LEAST_SLOW_S = 1.0
 LEAST_TURNS = 1.0
-FAST_SHARE = 0.1  # of the highest acceleration: what is more speeds up or brakes ...
+FAST_SHARE = 0.1  # of the highest acceleration: above it the axis accelerates or brakes ...
 LEAST_FAST_S = 1.0  # ... and for so long
 
 
 class Coverage(NamedTuple):
-    """What all logs together hold. For a linear axis revolutions stand for m."""
+    """Coverage of all logs together. For a linear axis, revolutions stand for m."""
 
     runs: int
     duration_s: float
@@ -40,21 +41,21 @@ class Coverage(NamedTuple):
     rate_hz: float
     cutoff_hz: float  # of what a fit sees
     highest_rps: float
-    slow_rps: float  # a tenth of the motion is slower
+    slow_rps: float  # 10 % quantile of the speed in motion
     slow_s: float  # time below SLOW_SHARE of the highest speed
     highest_rps2: float
-    speeding_s: float  # time at FAST_SHARE of the highest acceleration and more
+    speeding_s: float  # time at or above FAST_SHARE of the highest acceleration
     backward_share: float
     reversals: int
     dwells: int
     longest_dwell_s: float
     travel_rev: float  # between the ends
     levels: int  # of eight equal classes of speed, those with a twentieth of the motion
-    highest_order: float  # periods a revolution that the slow part shows
+    highest_order: float  # highest order (periods per revolution) that the slow part resolves
 
 
 def coverage_of(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Coverage:
-    """Look over all stretches of the records. Raises DataError where there is none."""
+    """Evaluate all segments of the records. Raises DataError if there is none."""
     cutoff_hz = min(cutoff_hz, 0.1 / records[0].period_s)
     speeds, accelerations, travels = [], [], []
     reversals, dwells, longest_s = 0, 0, 0.0
@@ -108,7 +109,7 @@ def _lengths(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
 
 
 def shown(coverage: Coverage, linear: bool = False) -> list[str]:
-    """What the data can show, one sentence each."""
+    """What the data can determine, one sentence each."""
     turn, speed, acceleration = (unit_on(unit, linear) for unit in ("rev", "rps", "rps2"))
     ways = "one way only" if coverage.backward_share < LEAST_OTHER_WAY else "both ways"
     waves = f"{coverage.highest_order:.3g} periods a {'metre' if linear else 'turn'}"
@@ -131,7 +132,7 @@ def coverage_lines(coverage: Coverage, linear: bool = False) -> list[str]:
 
 
 def to_record(coverage: Coverage, linear: bool = False) -> list[str]:
-    """What the data cannot tell, and the part of the `recipe` profile that would; the most important first."""
+    """What the data do not determine, and the part of the `recipe` profile that would; the most important first."""
     found = []
     if coverage.backward_share < LEAST_OTHER_WAY:
         found.append(

@@ -1,9 +1,9 @@
-"""The one criterion by which an effect is kept: what it explains of rows that the fit did not see.
+"""The only criterion by which an effect is kept: cross-validated gain, on rows that were not in the fit.
 
-Rows are dealt in blocks into folds; the loss of each fold comes from a fit of the others. The gain G is its fall
-by an effect, its standard deviation comes from the blocks, because neighbouring rows are not independent. Whether an
-effect is there at all is asked of the windows' scores by Hotelling's T2 (Hotelling, 1931): no surrogates, which grow
-with the effect that is there.
+Rows are assigned to folds in blocks; the loss of each fold comes from a fit to the others. The gain G of an effect is
+the decrease of the loss; its standard deviation comes from the blocks, because neighbouring rows are not independent.
+The significance of an effect is tested on the windows' scores by Hotelling's T2 (Hotelling, 1931), without surrogates,
+whose spread would grow with the effect itself.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 FOLDS = 5
-BLOCK_S = 2.0  # blocks are independent pieces of evidence; two in a row go into one fold ...
-BLOCKS = 50  # ... and a short log has at least so many
+BLOCK_S = 2.0  # blocks are taken as independent; two neighbours go into one fold ...
+BLOCKS = 50  # ... and a short log has at least this many
 SHORTEST_BLOCK_S = 0.2
 WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
-RIDGE = 1e-4  # of a column's squared norm: what the other folds hardly determine stays where all rows have it
-LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in so many
+# of a column's squared norm: a coefficient that the other folds hardly determine stays at the value of all rows
+RIDGE = 1e-4
+LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in this many
 ROBUST_STEPS = 4  # of reweighted least squares
-SMALLEST_P = 1e-12  # nothing is known of a tail beyond
-LEAST_IN_LEVEL = 200  # rows of a class that has a level of noise of its own
+SMALLEST_P = 1e-12  # smallest p: the tail beyond it is not known
+LEAST_IN_LEVEL = 200  # rows of a class with its own noise level
 
 
 class Folds(NamedTuple):
-    """Which fold, block and window each row belongs to, (m,) each."""
+    """Fold, block and window of each row, (m,) each."""
 
     fold: Integers
     block: Integers
@@ -41,7 +42,7 @@ class Folds(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What an effect explains of rows that the fit did not see, in nats."""
+    """Gain of an effect on rows that were not in the fit, in nats."""
 
     value: float
     sd: float
@@ -49,7 +50,7 @@ class Gain(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether it is more than chance, and not that of a few blocks: none counts for more than one in so many."""
+        """Whether it is significant, and not due to a few blocks: the weight of a block is limited."""
         if not np.isfinite(self.sd):
             return False
         most = float(np.abs(self.blocks).sum()) / LEVERAGE_WINDOWS
@@ -58,7 +59,7 @@ class Gain(NamedTuple):
 
 
 def folds_of(bounds: Sequence[tuple[int, int]], row_period_s: float) -> Folds:
-    """Deal the rows of stretches (begin, end) into folds."""
+    """Assign the rows of segments (begin, end) to folds."""
     size = bounds[-1][1] if bounds else 0
     block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, size * row_period_s / BLOCKS))
     window = max(1, round(block_s / WINDOWS_A_BLOCK / row_period_s))
@@ -69,13 +70,13 @@ def folds_of(bounds: Sequence[tuple[int, int]], row_period_s: float) -> Folds:
         windows[begin:end] = own + blocks * WINDOWS_A_BLOCK
         block[begin:end] = own // WINDOWS_A_BLOCK + blocks
         blocks = int(block[end - 1]) + 1 if end > begin else blocks
-        blocks += blocks % 2  # a fold's two blocks are of one stretch
+        blocks += blocks % 2  # both blocks of a fold are from one segment
     fold[:] = block // 2 % FOLDS
     return Folds(fold, block, windows)
 
 
 def levels(residual: Floats, kept: npt.NDArray[np.bool_], classes: Integers) -> Floats:
-    """Weight of each row: one over the robust level of noise of its class; 0 where it is not kept. (m,)"""
+    """Weight of each row: one over the robust noise level of its class; 0 if it is not used. (m,)"""
     weight = np.zeros(residual.size)
     for number in np.unique(classes):
         inside = kept & (classes == number)
@@ -93,14 +94,14 @@ def huber(white: Floats) -> Floats:
 
 
 def clipped(white: Floats) -> Floats:
-    """The score of `huber`: residuals pulled in to HUBER."""
+    """The score of `huber`: residuals clipped at HUBER."""
     return np.asarray(np.clip(white, -HUBER, HUBER))
 
 
 def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | float = 0.0) -> Floats:
-    """Loss of each row (m,) by least squares of `target` on `columns` (m, p), both white, on the other folds.
+    """Loss of each row (m,) by least squares of `target` on `columns` (m, p), both whitened, on the other folds.
 
-    `ridge` (p,) or scalar: prior, as a share of each column's squared norm, on top of RIDGE. Outliers are pulled in
+    `ridge` (p,) or scalar: prior, as a share of each column's squared norm, on top of RIDGE. Outliers are clipped
     before the fit.
     """
     if not columns.shape[1]:
@@ -121,7 +122,7 @@ def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | f
 
 
 def robust_residual(target: Floats, columns: Floats) -> Floats:
-    """What `columns` (m, p) leave of `target` (m,), both white, by the loss of `huber`."""
+    """Residual of `target` (m,) after the fit of `columns` (m, p), both whitened, with the loss of `huber`."""
     left = target
     norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     scaled = columns / np.where(norms > 0.0, norms, 1.0)
@@ -133,7 +134,7 @@ def robust_residual(target: Floats, columns: Floats) -> Floats:
 
 
 def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bool_] | None = None) -> Gain:
-    """G from the losses of the rows (m,) of two models, each fitted on the other folds."""
+    """G from the losses of the rows (m,) of two models, each fitted to the other folds."""
     fall = without - with_it
     used = np.ones(fall.size, bool) if kept is None else kept
     sums = np.asarray(np.bincount(folds.block[used], fall[used]), dtype=np.float64)
@@ -150,7 +151,7 @@ def _sd_of_sum(values: Floats) -> float:
 
 
 def hotelling_p(scores: Floats, tried: int = 1) -> float:
-    """Chance that noise alone has windows' scores (W, k) of this mean, times the number of candidates tried."""
+    """Probability that noise alone gives windows' scores (W, k) with this mean, times the number of candidates."""
     scores = scores[np.any(scores != 0.0, axis=1)]
     count, rank = scores.shape
     if count <= rank + 2:
@@ -166,16 +167,16 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
 
 
 def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: float = 0.0) -> float:
-    """Chance that noise alone gives an effect its windows' scores `with_it` (W, k), by those `beside` it (W, k).
+    """Probability that noise alone gives an effect its windows' scores `with_it`, given those `beside` it, (W, k) each.
 
-    `negligible`: share of its square that is too small to matter. With it the chance is that noise beside an effect
-    of that size looks like this (a minimum-effect test: Murphy and Myors, 1999): no sensor and no model is perfect,
-    and in a long log anything is beyond noise.
+    `negligible`: share of its square that is too small to matter. It makes this the probability under noise plus an
+    effect of that size (a minimum-effect test: Murphy and Myors, 1999): no sensor and no model is perfect, and in a
+    long log anything is significant against noise alone.
 
-    `beside` is what the residual with the effect fitted has of the same columns: the variance is that of the windows
-    (White, 1980). `leverage` (W,): how much of the columns lies in each window; the degrees of freedom are the number
-    of windows that it is spread over, and no window counts for more than one in LEVERAGE_WINDOWS. An effect that is
-    rare, but far above the noise wherever it is, is no chance: the T2 of the means takes rareness for noise.
+    `beside` are the scores of the same columns on the residual with the effect fitted; they give the variance over the
+    windows (White, 1980). `leverage` (W,): share of the columns in each window; the degrees of freedom are the
+    effective number of windows, and no window counts for more than one in LEVERAGE_WINDOWS. An effect that is rare but
+    far above the noise is significant, whereas the T2 of the means would take its rareness for noise.
     """
     rank = with_it.shape[1]
     most = leverage.sum() / LEVERAGE_WINDOWS

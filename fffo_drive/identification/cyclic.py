@@ -1,10 +1,10 @@
-"""Cyclic error of the position sensor, by order, from a reference encoder on the same shaft: no torque is needed.
+"""Cyclic error of the position sensor, by order, from a reference encoder on the same shaft; torque is not needed.
 
     position - reference = offset of the run + lag * velocity + sum over k of a_k cos(2 pi k x) + b_k sin(2 pi k x)
 
 with x the sensor's own angle: a resolver errs once and twice a turn (eccentricity, unequal windings), and at its poles.
 Each sample is the error at its own angle, so that no order aliases. Standard deviations are by the sandwich over
-windows (White, 1980), because neighbouring samples err alike.
+windows (White, 1980), because errors of neighbouring samples are correlated.
 """
 
 from __future__ import annotations
@@ -44,29 +44,29 @@ class Order(NamedTuple):
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is more than noise."""
+        """Whether it is significant."""
         return self.amplitude_rev > SURE_SDS * self.sd_rev
 
 
 class CyclicError(NamedTuple):
-    """What a position sensor adds to the angle."""
+    """Cyclic error of a position sensor."""
 
     orders: tuple[Order, ...]  # every order that was fitted, 1 first
     lag_s: float  # of the sensor behind the reference
     lag_sd_s: float
-    peak_to_peak_rev: float  # of the sure orders together
+    peak_to_peak_rev: float  # of the significant orders together
     left_rms_rev: float
     samples: int
     angle_rev: Floats  # (n,) classes over a turn ...
-    mean_rev: Floats  # (n,) ... and the mean error in each; NaN where nothing was measured
+    mean_rev: Floats  # (n,) ... and the mean error in each; NaN without data
 
     @property
     def sure(self) -> tuple[Order, ...]:
-        """Orders that are more than noise, the largest first."""
+        """Significant orders, the largest first."""
         return tuple(sorted((one for one in self.orders if one.is_sure), key=lambda one: -one.amplitude_rev))
 
     def error_rev(self, angle_rev: Floats) -> Floats:
-        """Error by the sure orders at angles (n,) of the sensor: what to take off its position."""
+        """Error of the significant orders at angles (n,) of the sensor, to be subtracted from its position."""
         found = np.zeros_like(angle_rev)
         for one in self.sure:
             found += one.amplitude_rev * np.cos(TWO_PI * (one.order * angle_rev - one.phase_rev))
@@ -84,7 +84,7 @@ class CyclicError(NamedTuple):
 def cyclic_error(records: Sequence[Record]) -> CyclicError | None:
     """Of the records with a reference encoder; None where none has one.
 
-    Raises DataError where the two sensors are not of one shaft, or less than a turn was travelled.
+    Raises DataError if the two sensors are not on one shaft, or the travel is less than a turn.
     """
     able = [record for record in records if record.reference_position_rev is not None]
     if not able:

@@ -1,4 +1,4 @@
-"""Logs into records: clean arrays at one rate, with what is wrong with them said before anything is fitted."""
+"""Logs into records: clean arrays at one rate, with all problems reported before anything is fitted."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
-LEAST_RATE_HZ = 50.0  # below it the filters leave hardly a hertz: no acceleration, no break-away, no delay
-SHORTEST_STRETCH_S = 0.1  # between gaps: what is shorter than the filters' memory tells nothing
+LEAST_RATE_HZ = 50.0  # below it the filters leave hardly 1 Hz: acceleration, break-away and delay cannot be seen
+SHORTEST_STRETCH_S = 0.1  # between gaps: data shorter than the filters' memory are useless
 SHORTEST_STRETCH_SAMPLES = 20
 SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate
-LARGEST_RATE_RATIO = 10.0  # a log that is slower than this would cost the others what they know
+LARGEST_RATE_RATIO = 10.0  # a slower log would degrade the others too far
 RECORDINGS = (".mcap", ".mcap.part")
-LEAST_MOTION_LSB = 50.0  # a record that never goes this far tells nothing
+LEAST_MOTION_LSB = 50.0  # a record with less travel is useless
 SCALE_TOLERANCE = 0.05  # of the velocity against the derivative of the position
 KNOWN_FACTORS = {
     60.0: "rpm given as rps",
@@ -63,7 +63,7 @@ class Record:
     path: Path
     period_s: float
     torque_constant_nm_per_a: float
-    current_a: Floats  # the command: known without error, and what acts Td later
+    current_a: Floats  # the command: known without error; it acts Td later
     position_rev: Floats
     velocity_rps: Floats | None  # the drive's own estimate: late and filtered
     reference_rps: Floats | None  # None: open loop
@@ -88,7 +88,7 @@ class Record:
 
     @property
     def closed_loop(self) -> bool:
-        """True where the command came from a velocity loop."""
+        """Whether the command came from a velocity loop."""
         return self.reference_rps is not None
 
     def segments(self) -> list[slice]:
@@ -101,7 +101,7 @@ class Record:
 def load_record(path: str | Path, facts: DriveFacts) -> Record:
     """Read one log (MCAP, CSV, MAT) by the declared facts, on a uniform grid (`timebase`).
 
-    Raises DataError with everything that speaks against a fit, RecordingError for a file that cannot be read.
+    Raises DataError with all reasons against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -138,7 +138,7 @@ def record_of_columns(
 
 
 def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
-    """`load_record` for several logs, all at one rate; all problems of all of them in one DataError."""
+    """`load_record` for several logs, all at one rate; the problems of all logs in one DataError."""
     records, problems = [], []
     for path in paths:
         try:
@@ -152,9 +152,9 @@ def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]
 
 
 def one_rate(records: Sequence[Record]) -> list[Record]:
-    """The records at the lowest rate among them, as they are where they have one rate.
+    """The records at the lowest rate among them; unchanged if they have the same rate.
 
-    Raises DataError where a log is so slow that the others would lose what they know.
+    Raises DataError if a log is so slow that the others would be degraded too far.
     """
     if not records:
         return []
@@ -169,7 +169,7 @@ def one_rate(records: Sequence[Record]) -> list[Record]:
 
 
 def _slowed(record: Record, period_s: float) -> Record:
-    """The record at a longer period; as it is where that is its own."""
+    """The record resampled to a longer period; unchanged if the period is its own."""
     ratio = period_s / record.period_s
     if ratio < 1.0 + SAME_RATE:
         return record
@@ -212,9 +212,9 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floats], Mask | None, str]:
-    """The part of a recording in which the loop applied torque, with a closed loop told from an open one.
+    """The part of a recording in which the loop applied torque, with closed and open loop distinguished.
 
-    What the bus did to it is mended; which samples those are (None: none), and how much that was in words.
+    Bus disturbances are repaired; also returns the repaired samples (None: none) and a summary in words.
     """
     mode = np.asarray(run.column("mode"))
     active = np.flatnonzero(mode)
@@ -304,7 +304,7 @@ def _resolution(position_rev: Floats) -> float:
 
 
 def check_record(record: Record) -> tuple[list[str], list[str]]:
-    """What speaks against a fit on this record, and what is odd: (problems, warnings), one sentence each."""
+    """Reasons against a fit to this record, and anomalies: (problems, warnings), one sentence each."""
     problems: list[str] = []
     warnings: list[str] = []
     place = record.path
@@ -342,7 +342,7 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
 
 
 def _velocity_scale_problem(record: Record) -> str | None:
-    """The drive's velocity against the derivative of the position: a wrong unit or sign shows as a factor."""
+    """Compare the drive's velocity with the derivative of the position: a wrong unit or sign appears as a factor."""
     assert record.velocity_rps is not None
     span = max(1, round(0.01 / record.period_s))
     parts = record.segments()

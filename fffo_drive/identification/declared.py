@@ -1,4 +1,4 @@
-"""What is declared about a load, against what the data show of it."""
+"""Comparison of the declared load with the data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .ladder import GRAVITY_PERIODS
 Fitted = tuple[str, float, float | None]  # name of a number, value, standard deviation
 WEIGHT = "unbalance"  # the law of it ...
 WEIGHT_PARTS = ("cos_nm", "sin_nm")  # ... and its numbers
-DECLARED_TOLERANCE = 0.1  # of a declared weight: masses and lever arms are hardly known better
+DECLARED_TOLERANCE = 0.1  # of a declared weight: masses and lever arms are rarely known better
 
 
 def wave_size(cos: float, sin: float, cos_sd: float | None, sin_sd: float | None) -> tuple[float, float]:
@@ -36,7 +36,7 @@ def weight_remarks(facts: DriveFacts, found: Iterable[tuple[str, Sequence[Fitted
 
 
 def gravity_remark(facts: DriveFacts, found_nm: tuple[float, float] | None, travel_rev: float) -> str:
-    """Where the declared weight of the load is not what the data show: one sentence, else nothing.
+    """One sentence if the declared weight of the load contradicts the data; else empty.
 
     `found_nm`: amplitude of the fitted weight at the motor shaft and its standard deviation; None where none was found.
     """

@@ -1,7 +1,7 @@
-"""The refit of everything together: the model's own parameters and those of its effects, shared or for each run.
+"""Joint refit of all parameters: those of the model and those of its effects, shared or per run.
 
-An effect that is added changes what the others mean: Coulomb friction takes the mean of a drift, J the slope of an
-elasticity. So nothing is held that the data can move.
+Adding an effect changes the other parameters: without it, Coulomb friction absorbs the mean of a drift, J the slope of
+an elasticity. So nothing is held that the data determine.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Floats = npt.NDArray[np.float64]
 BASE = len(PARAMETERS)
 ITERATIONS = 12
 COULOMB, STATIC, VISCOUS = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm", "viscous_nm_per_rps"))
-# a fit without the effect may have driven a part of friction to nothing, and a logarithm comes back slowly from there
+# a fit without the effect may have driven a friction parameter to zero, and a logarithm returns slowly from there
 LEAST_SHARE = 0.1  # of the larger of Fc and Fs; of what viscous friction has of it at the highest speed
 
 
 class FittedEffect(NamedTuple):
-    """An effect as a fit left it; standard deviations by the same names, without those that were held."""
+    """A fitted effect; standard deviations under the same names, without held parameters."""
 
     name: str
     values: Mapping[str, float]
@@ -39,7 +39,7 @@ class FittedEffect(NamedTuple):
     per_run_sd: Mapping[str, tuple[float, ...]]
 
     def term(self, run: int = 0) -> Term:
-        """As it acts in a run."""
+        """The effect in one run."""
         return Term(self.name, {**self.values, **{key: values[run] for key, values in self.per_run.items()}})
 
     def start(self) -> EffectStart:
@@ -56,12 +56,12 @@ class FittedEffect(NamedTuple):
 
 
 class EffectsFit(NamedTuple):
-    """Where the refit stopped."""
+    """Result of the refit."""
 
     physical: Floats  # (parameters,): of coordinates.PARAMETERS, then of the layout
     effects: tuple[FittedEffect, ...]
     errors: Floats  # (rows,) prediction errors, counts of the sensor
-    jacobian: Floats  # (rows, free), by coordinates; empty where it was not asked for
+    jacobian: Floats  # (rows, free), by coordinates; empty if not requested
     free: npt.NDArray[np.int64]  # positions of the columns in the vector
     problem: Problem  # with the layout
     space: Coordinates
@@ -119,10 +119,10 @@ def fit_effects(
     free: Sequence[str] = (*MODEL_PARAMETERS, NUISANCES[0]), iterations: int = ITERATIONS,
     check: Problem | None = None, with_jacobian: bool = True, progress: Callable[[int], None] | None = None,
 ) -> EffectsFit:  # fmt: skip
-    """Refit the model's own parameters `free` and all that is free of the effects, from `physical` (PARAMETERS, ...).
+    """Refit the parameters `free` of the model and all free ones of the effects, from `physical` (PARAMETERS, ...).
 
-    With `check`, a problem of the same records at a second bandwidth (prediction.make_problem), standard deviations are
-    made, the shift between the two in them. Without effects it is the refit of the model alone.
+    With `check`, a problem of the same records at a second bandwidth (prediction.make_problem), standard deviations
+    are computed and include the shift between the two. Without effects it refits the model alone.
     """
     joint, start = with_effects(problem, physical, effects)
     assert joint.layout is not None
@@ -148,7 +148,7 @@ def fit_effects(
 
 
 def _revived(start: Floats, scales: EffectScales) -> Floats:
-    """The start with friction that a fit without the effects had driven out."""
+    """The start, with the friction restored that a fit without the effects had driven to zero."""
     revived = start.copy()
     least_nm = LEAST_SHARE * scales.torque_nm
     revived[COULOMB] = max(start[COULOMB], least_nm)

@@ -1,9 +1,9 @@
-"""Excitation: profiles that make an axis show its parameters.
+"""Excitation: profiles from which the parameters of an axis can be identified.
 
 Three of them: the paper's current sequence (section IV-B, Fig. 3), its chirp for the frequency response (IV-C), and a
 velocity recipe that separates effects which one motion alone confuses. All are `Profile`s, sampled before anything
-moves; `predict_motion` simulates what an open-loop current will do on the believed axis, so that speed and travel can
-be bounded as well as current.
+moves; `predict_motion` simulates an open-loop current on the axis model, so that speed and travel can be bounded as
+well as current.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..model.friction import REST
 Floats = npt.NDArray[np.float64]
 
 STAIRCASE_SHARES = (0.01, 0.03, 0.07, 0.15, 0.3, 0.5, 0.75, 1.0)  # of the highest speed: eight levels both ways
-DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six lengths of standstill, left at one and the same rate
+DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six dwell times, each ended at the same torque rate
 CHIRP, CHIRP_S, CHIRP_HZ = "chirp", 60.0, (1.0, 100.0)  # of current, instead of parts
 CREEP_SHARES, CREEP_REV = (0.05, 0.1), 5.0  # of the highest speed; travel at each of them
 BIASED_SINE_S, BIASED_SINES_HZ = 4.0, (1.0, 5.0)  # of each, either way
@@ -58,9 +58,9 @@ def frequency_response_chirp(
 
 
 def separating_recipe(period_s: float, high_rps: float, acceleration_rps2: float, repeats: int = 2) -> Profile:
-    """Velocity reference that separates effects: see the parts below. The first two parts come again at the end.
+    """Velocity reference that separates effects: see the parts below. The first two parts are repeated at the end.
 
-    About 100 s with 2 repeats. `acceleration_rps2` is the highest; the accelerate/brake pairs use 1/4, 1/2 and all.
+    About 100 s with 2 repeats. `acceleration_rps2` is the highest; the accelerate/brake pairs use 1/4, 1/2 and 1 of it.
     """
     return motion_of("recipe", recipe_parts(repeats), period_s, high_rps, acceleration_rps2)
 
@@ -78,7 +78,7 @@ def motion_of(name: str, parts: Sequence[str], period_s: float, high_rps: float,
 
 
 def motion_s(parts: Sequence[str], high_rps: float, acceleration_rps2: float) -> float:
-    """How long `motion_of` these parts lasts, to a period each, before a sample of it is made. Raises KeyError."""
+    """Duration of `motion_of` these parts, to one period each, without computing samples. Raises KeyError."""
     return sum(PARTS[part].duration_s(high_rps, acceleration_rps2) for part in parts)
 
 
@@ -90,13 +90,13 @@ Legs = tuple[list[float], list[float]]  # durations and the levels reached after
 
 
 def _lines(period_s: float, durations_s: list[float], levels: list[float]) -> Floats:
-    """Straight lines from 0 through `levels`, each reached after its duration."""
+    """Linear segments from 0 through `levels`, each reached after its duration."""
     times = np.concatenate([[0.0], np.cumsum(durations_s)])
     return piecewise_linear("", MODE_VELOCITY, period_s, times, np.array([0.0, *levels])).values
 
 
 def _staircase(high_rps: float, acceleration_rps2: float) -> Legs:
-    """Constant speeds, upwards one way and then the other: the steady friction curve on both sides."""
+    """Constant speeds, rising in one direction and then the other: the steady friction curve on both sides."""
     durations: list[float] = []
     levels: list[float] = []
     for sign in (1.0, -1.0):
@@ -110,7 +110,7 @@ def _staircase(high_rps: float, acceleration_rps2: float) -> Legs:
 
 
 def _dwells(high_rps: float, acceleration_rps2: float) -> Legs:
-    """Standstills of six lengths, each left by the same slow ramp: break-away against dwell time, torque rate fixed."""
+    """Dwells of six lengths, each ended by the same slow ramp: break-away over dwell time at a fixed torque rate."""
     durations: list[float] = []
     levels: list[float] = []
     for number, dwell_s in enumerate(DWELLS_S):
@@ -122,7 +122,7 @@ def _dwells(high_rps: float, acceleration_rps2: float) -> Legs:
 
 
 def _triangles(high_rps: float, acceleration_rps2: float) -> Legs:
-    """Slow reversals at two accelerations: presliding in distance (the same) against lag in time (not the same)."""
+    """Slow reversals at two accelerations: separates presliding (same in travel) from a lag (not the same)."""
     durations: list[float] = []
     levels: list[float] = []
     for share, quarter_s in ((0.02, 0.5), (0.02, 0.15), (0.07, 0.5), (0.07, 0.15)):
@@ -133,7 +133,9 @@ def _triangles(high_rps: float, acceleration_rps2: float) -> Legs:
 
 
 def _pairs(high_rps: float, acceleration_rps2: float) -> Legs:
-    """Accelerate and brake alike at three torques, both ways: inertia and torque against friction, sign by sign."""
+    """Equal acceleration and braking at three torques, both ways: separates inertia and torque from friction by
+    sign.
+    """
     durations: list[float] = []
     levels: list[float] = []
     for share in (0.25, 0.5, 1.0):
@@ -156,7 +158,7 @@ def _biased_sines(period_s: float, high_rps: float, acceleration_rps2: float) ->
 
 
 def _coast_downs(period_s: float, high_rps: float, acceleration_rps2: float) -> Floats:
-    """Speed that dies away by itself: next to no torque at all speeds, so no effect of the torque can hide in it."""
+    """Coast-down: hardly any torque at all speeds, so no effect of the torque appears in it."""
     rise = _lines(period_s, *_coast_rise(high_rps, acceleration_rps2))
     time_s = np.arange(round(COAST_S / period_s)) * period_s
     fall = high_rps * (np.exp(-time_s / COAST_TIME_S) - math.exp(-5.0) * time_s / time_s[-1])
@@ -169,7 +171,7 @@ def _coast_rise(high_rps: float, acceleration_rps2: float) -> Legs:
 
 
 def _creep(high_rps: float, acceleration_rps2: float) -> Legs:
-    """Slow constant speed over five turns both ways, at two speeds: what lives on the angle, and its sign."""
+    """Slow constant speed over five turns both ways, at two speeds: effects over the angle, and their sign."""
     durations: list[float] = []
     levels: list[float] = []
     for share in CREEP_SHARES:
@@ -206,10 +208,10 @@ PARTS: dict[str, Part] = {
 def deciding_motion(
     effect: str, period_s: float, high_rps: float, acceleration_rps2: float, amplitude_a: float
 ) -> Profile:
-    """What tells an effect of the library from its lookalikes, as far as a motion can.
+    """The motion that separates an effect of the library from similar effects, as far as a motion can.
 
-    A velocity reference of at most `high_rps`; for what shows in the frequency response a chirp of current at
-    `amplitude_a`. Raises KeyError for a name that is no effect.
+    A velocity reference of at most `high_rps`; for effects that appear in the frequency response, a chirp of current at
+    `amplitude_a`. Raises KeyError for an unknown effect.
     """
     motions = law_of(effect).motions
     if motions == (CHIRP,):
@@ -218,13 +220,13 @@ def deciding_motion(
 
 
 def deciding_motion_s(effect: str, high_rps: float, acceleration_rps2: float) -> float:
-    """How long `deciding_motion` lasts. Raises KeyError for a name that is no effect."""
+    """Duration of `deciding_motion`. Raises KeyError for an unknown effect."""
     motions = law_of(effect).motions
     return CHIRP_S if motions == (CHIRP,) else motion_s(motions, high_rps, acceleration_rps2)
 
 
 class MotionForecast(NamedTuple):
-    """What the believed axis does under an open-loop current."""
+    """Predicted motion under an open-loop current."""
 
     speed_rps: float  # highest
     lowest_rev: float  # extremes of travel from the start
@@ -232,7 +234,7 @@ class MotionForecast(NamedTuple):
 
 
 def predict_motion(profile: Profile, axis: AxisConfig) -> MotionForecast:
-    """Simulate a current profile on the believed axis from rest: its highest speed and how far it goes."""
+    """Simulate a current profile on the axis model from rest: highest speed and travel."""
     if profile.mode != MODE_CURRENT:
         travel = np.cumsum(profile.values) * profile.period_s
         return MotionForecast(float(np.abs(profile.values).max()), float(travel.min()), float(travel.max()))

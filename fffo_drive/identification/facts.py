@@ -1,4 +1,4 @@
-"""Declared facts about a drive: what no log tells, and how a foreign log is to be read.
+"""Declared facts about a drive: what no log contains, and how to read a log of another program.
 
 A YAML file; only the torque constant is needed. For a linear axis (`units: linear`) revolutions, rps and Nm stand for
 m, m/s and N throughout, and the torque constant is a force constant (N per unit of command).
@@ -23,28 +23,30 @@ class ColumnFact(StrictRecord):
 
     column: Annotated[str, Field(description="its name in the file")]
     unit: Annotated[str | None, Field(description="its unit there; default: the signal's own")] = None
-    scale: Annotated[float, Field(description="times which it is the signal in `unit`")] = 1.0
+    scale: Annotated[float, Field(description="factor from the column to the signal in `unit`")] = 1.0
     offset: Annotated[float, Field(description="added after the scale")] = 0.0
 
 
 class DriveFacts(StrictRecord):
-    """What is declared about the drive."""
+    """Declared facts about a drive."""
 
     format: Annotated[str, formats.FACTS.key] = formats.FACTS.word
 
-    name: Annotated[str, Field(description="of the axis or drive: titles of pages say it")] = ""
+    name: Annotated[str, Field(description="name of the axis or drive, for the titles of pages")] = ""
     torque_constant_nm_per_a: Annotated[float, Field(gt=0, le=1e6, description="declared, never fitted")]
     rated_current_a: Annotated[
-        float | None, Field(gt=0, le=1e4, description="what it cannot accelerate is refused as an inertia")
+        float | None, Field(gt=0, le=1e4, description="an inertia that this current cannot accelerate is refused")
     ] = None
     gear_ratio: Annotated[float | None, Field(gt=0, le=1e5, description="motor speed over output speed")] = None
     resolver_bits: Annotated[
-        int | None, Field(ge=8, le=32, description="2^bits counts a turn; default: from the data")
+        int | None, Field(ge=8, le=32, description="2^bits counts per turn; default: from the data")
     ] = None
-    position_lsb_rev: Annotated[float | None, Field(gt=0, description="one count, in place of resolver_bits")] = None
-    sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="needed where a log has no time")] = None
-    pole_pairs: Annotated[Count | None, Field(description="electrical turns a revolution")] = None
-    slots: Annotated[Count | None, Field(description="of the stator: cogging has its multiples")] = None
+    position_lsb_rev: Annotated[float | None, Field(gt=0, description="one count, instead of resolver_bits")] = None
+    sample_rate_hz: Annotated[float | None, Field(gt=0, le=1e5, description="required if a log has no time column")] = (
+        None
+    )
+    pole_pairs: Annotated[Count | None, Field(description="electrical periods per revolution")] = None
+    slots: Annotated[Count | None, Field(description="slots of the stator: cogging occurs at their multiples")] = None
     load_gravity_nm: Annotated[
         float | None,
         Field(
@@ -52,11 +54,12 @@ class DriveFacts(StrictRecord):
         ),
     ] = None
     nominal_delay_s: Annotated[
-        float | None, Field(ge=0, le=0.1, description="command to torque, as it should be; more is a finding")
+        float | None,
+        Field(ge=0, le=0.1, description="nominal delay from command to torque; a longer delay is reported"),
     ] = None
-    absolute_angle: Annotated[bool, Field(description="the angle's zero is the same in every run")] = False
+    absolute_angle: Annotated[bool, Field(description="the zero of the angle is the same in every run")] = False
     units: Annotated[
-        Literal["rotary", "linear"], Field(description="linear: m, m/s, N and kg in place of rev, rps, Nm and kg m2")
+        Literal["rotary", "linear"], Field(description="linear: m, m/s, N and kg instead of rev, rps, Nm and kg m2")
     ] = "rotary"
     columns: Annotated[
         dict[str, str | ColumnFact] | None, Field(description="signal: column of the file; default: by name")
@@ -64,13 +67,13 @@ class DriveFacts(StrictRecord):
 
     @property
     def lsb_rev(self) -> float | None:
-        """Resolution of the position; None where nothing is declared."""
+        """Resolution of the position; None if it is not declared."""
         if self.position_lsb_rev is not None:
             return self.position_lsb_rev
         return None if self.resolver_bits is None else 1.0 / (1 << self.resolver_bits)
 
     def column_map(self) -> ColumnMap | None:
-        """How a table is read; None to read it by the names of its columns."""
+        """How to read a table; None: by the names of its columns."""
         if self.columns is None:
             return None
         entries = [

@@ -51,10 +51,10 @@ OFFSET_PLACE = PARAMETERS.index("offset_nm")
 
 
 class FitSettings(NamedTuple):
-    """What is fitted, and how."""
+    """Options of a fit."""
 
     bandwidth_hz: float = BANDWIDTH_HZ
-    effects: tuple[EffectStart, ...] | None = None  # beside the model; None: those that `ladder.climb` accepts
+    effects: tuple[EffectStart, ...] | None = None  # in addition to the model; None: those accepted by `ladder.climb`
     compare_literal: bool = True  # try the rising Stribeck curve too
     starts: int = STARTS
 
@@ -62,7 +62,7 @@ class FitSettings(NamedTuple):
 class Fit(NamedTuple):
     """A fitted model of one axis."""
 
-    physical: Floats  # all of coordinates.PARAMETERS; those of effects stand behind them in `solution`
+    physical: Floats  # all of coordinates.PARAMETERS; those of effects follow them in `solution`
     uncertainty: Uncertainty
     space: Coordinates
     problem: Problem
@@ -76,7 +76,7 @@ class Fit(NamedTuple):
     ladder: Ladder | None = None  # None: the effects were given
 
     def terms(self, run: int) -> list[Term]:
-        """The effects as they act in a run, without the constant torque: that is in `physical`."""
+        """The effects in one run, without the constant torque, which is in `physical`."""
         return [effect.term(run) for effect in self.effects if effect.name != OFFSET]
 
     def value(self, name: str) -> float:
@@ -90,7 +90,7 @@ def fit_records(
 ) -> Fit:  # fmt: skip
     """Fit one axis, with the effects of the first rungs, to one or several records of it.
 
-    Raises DataError where the data cannot carry a fit.
+    Raises DataError if the data do not permit a fit.
     """
     settings = settings or FitSettings()
     tell = progress or (lambda share, text: None)
@@ -147,13 +147,13 @@ def fit_records(
 
 
 class _Frame(NamedTuple):
-    """What a fit moves: which of the model's own parameters, and the effects beside them."""
+    """Free parameters of a fit: those of the model, and the effects."""
 
     free: tuple[str, ...]
     layout: EffectLayout
 
     def of(self, problem: Problem) -> Problem:
-        """A problem with the effects; as it is where there are none."""
+        """A problem with the effects; unchanged without effects."""
         return problem._replace(layout=self.layout) if self.layout.parameters else problem
 
     def vector(self, physical: Floats) -> Floats:
@@ -167,7 +167,7 @@ class _Frame(NamedTuple):
 
 
 def _constant(physical: Floats, uncertainty: Uncertainty) -> FittedEffect:
-    """The constant torque, which the kernels have a parameter for, as the effect that it is."""
+    """The constant torque, a parameter of the kernels, as an effect."""
     sd = float(uncertainty.sd[OFFSET_PLACE])
     return FittedEffect(
         OFFSET, {"torque_nm": float(physical[OFFSET_PLACE])}, {"torque_nm": sd} if sd > 0.0 else {}, {}, {}
@@ -192,7 +192,9 @@ def _between(tell: Progress, low: float, high: float) -> Callable[[int], None]:
 def _best_start(
     records: Sequence[Record], start: TorqueStart, constant_nm: float, bandwidth_hz: float, frame: _Frame, starts: int
 ) -> Floats:
-    """Presliding and lag are not in the regression: a grid of them on a part of the data, the best few improved."""
+    """Starts for presliding and lag, which are not in the regression: a grid on part of the data, the best few
+    refined.
+    """
     part = frame.of(make_problem(records, bandwidth_hz, START_S))
     candidates = [
         start_vector(start, 1.0 / (counts * part.lsb_rev), start.static_nm / (ratio * counts * part.lsb_rev))
@@ -216,11 +218,11 @@ def _best_start(
 def mean_of_fits(
     problem: Problem, space: Coordinates, solution: Solution, others: Sequence[Floats]
 ) -> tuple[Solution, Disagreement]:
-    """The mean of fits with observers of several bandwidths, and how much they disagree.
+    """Mean of fits with observers of several bandwidths, and their disagreement.
 
-    A fast observer lets more of the sensor's noise into the reversals (stiffness comes out low), a slow one sees less
-    of what is fast: the mean is nearer to the truth than each. Where the loss speaks against the mean, as it does when
-    the data leave a valley open, the solution stays and the largest shift stands for what it may be wrong by.
+    A fast observer lets more sensor noise into the reversals (stiffness comes out low), a slow one attenuates fast
+    motion: the mean is closer to the true value than either. If the loss is clearly higher at the mean, as in a flat
+    valley, the solution is kept and the largest shift is taken as its uncertainty.
     """
     fits = np.array([solution.values, *others])
     mean = np.clip(fits.mean(axis=0), space.low, space.high)
@@ -240,7 +242,7 @@ def _literal(problem: Problem, space: Coordinates, solution: Solution, period_s:
     physical[exponent] = -physical[exponent]
     physical[coulomb], physical[static] = physical[static], physical[coulomb]
     rising = frame.space(physical, period_s, rising=True)
-    # the falling curve written with the other sign is not the question: this one has to rise
+    # the falling curve with the other sign is excluded: this one has to rise
     start = to_coordinates(physical, rising.scale)
     if start[static] < start[coulomb]:
         start[static] = start[coulomb]
@@ -253,9 +255,9 @@ def _literal(problem: Problem, space: Coordinates, solution: Solution, period_s:
 
 
 def sensor_delay(records: Sequence[Record]) -> tuple[float | None, float | None]:
-    """How late the drive's velocity is behind the derivative of its position, and its standard deviation, in seconds.
+    """Lag of the drive's velocity behind the derivative of its position, and its standard deviation, in seconds.
 
-    Regression of their difference on the slope of the velocity; blocks of a second are resampled. (None, None) where no
+    Regression of their difference on the slope of the velocity; bootstrap over blocks of a second. (None, None) if no
     log has a velocity.
     """
     products: list[float] = []

@@ -24,8 +24,8 @@ SEGMENTS_S = (
     8.0,
     2.0,
     0.5,
-)  # long segments for low frequencies, short ones for high: each gives two octaves or so
-CYCLES = 6.0  # a segment is used from so many cycles of it on
+)  # long segments for low frequencies, short ones for high: each covers about two octaves
+CYCLES = 6.0  # cycles in a segment from which on it is used
 LINES = 40
 LEAST_COHERENCE = 0.6
 POSITION_HZ = 150.0  # the position is differentiated below this
@@ -57,7 +57,9 @@ class DampingPoint(NamedTuple):
 
 
 def frequency_response(record: Record) -> FrequencyResponse:
-    """Welch estimates with segments that suit each frequency. Raises DataError for a record that is too short."""
+    """Welch estimates with a segment length for each frequency range. Raises DataError for a record that is too
+    short.
+    """
     period_s = record.period_s
     part = max(record.segments(), key=lambda s: s.stop - s.start)
     velocity = motion_of(record, part, min(POSITION_HZ, 0.2 / period_s)).velocity_rps
@@ -91,7 +93,7 @@ def _cross_density(
 
 
 def _thinned(rows: list[tuple[float, complex, float]]) -> FrequencyResponse:
-    """About LINES points, evenly spread over the logarithm of the frequency; each an average of what is near."""
+    """About LINES points, evenly spaced in log frequency; each is a local average."""
     frequency = np.array([row[0] for row in rows])
     response = np.array([row[1] for row in rows])
     coherence = np.array([row[2] for row in rows])

@@ -1,4 +1,4 @@
-"""What a bus does to the record of a loop, and its mending: late ticks, ticks without an answer, skipped ticks.
+"""Repair of bus disturbances in the record of a loop: late ticks, ticks without an answer, skipped ticks.
 
 - The drive latches at SYNC, which leaves when the loop wakes: the position of a late tick is younger than its deadline.
 - A tick without an answer holds the last feedback.
@@ -25,7 +25,7 @@ LONGEST_FILL_S = 0.01
 
 
 class LogTiming(NamedTuple):
-    """How the ticks of a record went, (n,) each."""
+    """Timing of the ticks of a record, (n,) each."""
 
     tick: Integers  # number of the period, rising
     age: Integers  # periods since the feedback was fresh
@@ -33,7 +33,7 @@ class LogTiming(NamedTuple):
 
 
 class Mended(NamedTuple):
-    """A record without what the bus did to it."""
+    """A repaired record."""
 
     columns: dict[str, Floats]
     fresh: npt.NDArray[np.bool_]  # (n,) False where the motion was filled in
@@ -41,12 +41,13 @@ class Mended(NamedTuple):
 
     @property
     def filled(self) -> int:
-        """Ticks whose motion was filled in."""
+        """Number of ticks whose motion was filled in."""
         return int(np.count_nonzero(~self.fresh))
 
 
 def mended(columns: dict[str, Floats], timing: LogTiming, period_s: float) -> Mended:
-    """The columns (n,) each on whole periods, `time_s` with a step where a gap stays. A sound record stays as it is.
+    """The columns (n,) on whole periods, `time_s` with a step at each remaining gap. A record without faults is
+    unchanged.
 
     `time_s`, `current_command_a`, `position_rev` and `velocity_rps` are needed; other columns are interpolated.
     """
@@ -59,7 +60,7 @@ def mended(columns: dict[str, Floats], timing: LogTiming, period_s: float) -> Me
     known = place[fresh]
     wanted = np.arange(known[0], known[-1] + 1)
     before = np.searchsorted(known, wanted, side="right") - 1
-    step = np.diff(known, append=known[-1] + 1)[before]  # periods from the known tick before to the one behind
+    step = np.diff(known, append=known[-1] + 1)[before]  # periods from the known tick before to the next one
     kept = (step <= max(1.0, LONGEST_FILL_S / period_s)) | (wanted == known[before])
     wanted, before = wanted[kept], before[kept]
     found: dict[str, Floats] = {

@@ -1,4 +1,4 @@
-"""Velocity, acceleration and delayed torque from what was recorded, every one through the same zero-phase filter."""
+"""Velocity, acceleration and delayed torque from recorded signals, all through the same zero-phase filter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 DEFAULT_CUTOFF_HZ = 40.0
-FILTER_ORDER = 4  # in all: forwards and backwards of half of it
-FILLED_SHARE = 0.1  # of a filtered row's weight that may lie on samples which were filled in
-SPEED_FLOOR_LSB = 3.0  # a speed below this many counts in the filter's memory has no sure sign
+FILTER_ORDER = 4  # in total: half of it forwards, half backwards
+FILLED_SHARE = 0.1  # of a filtered row's weight that may come from filled-in samples
+SPEED_FLOOR_LSB = 3.0  # below this many counts in the filter's memory the sign of a speed is uncertain
 
 
 class Kinematics(NamedTuple):
@@ -26,7 +26,7 @@ class Kinematics(NamedTuple):
     position_rev: Floats
     velocity_rps: Floats
     acceleration_rps2: Floats
-    speed_floor_rps: float  # below it the sign of the velocity is not sure
+    speed_floor_rps: float  # below it the sign of the velocity is uncertain
 
 
 def low_pass(values: Floats, cutoff_hz: float, period_s: float, order: int = FILTER_ORDER) -> Floats:
@@ -54,7 +54,7 @@ def motion_of(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ)
 
 
 def trusted(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Mask:
-    """False where a signal behind the filter stands on samples that were filled in. (n,)"""
+    """False where a filtered signal depends on filled-in samples. (n,)"""
     if record.good is None:
         return np.ones(part.stop - part.start, dtype=np.bool_)
     filled = low_pass((~record.good[part]).astype(np.float64), cutoff_hz, record.period_s)
@@ -64,7 +64,7 @@ def trusted(record: Record, part: slice, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -
 def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> Floats:
     """Motor torque at the instants of the samples: the held command, `delay_s` late, through the same filter. (n,)
 
-    The hold is in it: what acts at an instant is averaged over the period around it, as a derivative is.
+    The hold is included: the value at an instant is averaged over the period around it, as a derivative is.
     """
     current_a = record.current_a[part]
     charge = np.concatenate([[0.0], np.cumsum(current_a)])  # of the held command, in A samples
@@ -74,7 +74,7 @@ def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: flo
 
 
 def sure_direction(motion: Kinematics) -> Floats:
-    """Sign of the motion under way, or of the last one that is sure; 0 where none ever was. (n,)"""
+    """Sign of the present motion, or of the last certain one; 0 before any. (n,)"""
     direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
     sure = np.flatnonzero(direction)
     if not sure.size:
@@ -85,7 +85,7 @@ def sure_direction(motion: Kinematics) -> Floats:
 
 
 def travel_since_reversal_rev(motion: Kinematics) -> Floats:
-    """Distance gone since the last sure change of direction; 0 where the motion is never sure. (n,)"""
+    """Travel since the last certain change of direction; 0 before any. (n,)"""
     held = sure_direction(motion)
     if not held.any():
         return held
@@ -97,7 +97,7 @@ def travel_since_reversal_rev(motion: Kinematics) -> Floats:
 
 
 def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float) -> Mask:
-    """Where the axis slides for sure: fast enough, far enough behind a reversal, not at the ends. (n,)"""
+    """Whether the axis certainly slides: fast enough, far enough after a reversal, not at the ends. (n,)"""
     mask = np.abs(motion.velocity_rps) > motion.speed_floor_rps
     mask &= travel_since_reversal_rev(motion) > travel_rev
     edge = min(mask.size // 2, round(margin_s / motion.period_s))

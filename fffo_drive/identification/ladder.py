@@ -1,9 +1,9 @@
-"""The first rungs: what acts on many machines and is looked for before anything else, by linear least squares.
+"""The first rungs of the ladder: effects common to many machines, tested first, by linear least squares.
 
 A constant torque, friction that differs by direction, gravity, and waves at the orders of the machine, in this order,
-on the rows of `rows`. A rung is climbed while something on it is worth its columns; then the next. What is accepted
-explains held-out rows (`criterion`), is no chance among all that was tried, and takes more than `LEAST_SHARE` of the
-squared residual; in the end each has to, given all others.
+on the rows of `rows`. Forward selection on each rung, then the next rung. An accepted candidate has a gain on held-out
+rows (`criterion`), is significant over all candidates tried, and removes more than `LEAST_SHARE` of the squared
+residual; at the end, each must still do so given all others (backward elimination).
 
 A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases.
 """
@@ -30,20 +30,20 @@ CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried
 LEAST_SHARE = 0.02  # of the squared residual
 MOST_EFFECTS = 6
-SPEED_CLASSES = 6  # each with a level of noise of its own
+SPEED_CLASSES = 6  # each with its own noise level
 HIGHEST_ORDER = 200
-STANDING_OUT = 6  # orders of a scan that are tried beside the declared ones
+STANDING_OUT = 6  # orders of a scan that are tried in addition to the declared ones
 SLOW_QUANTILE = 0.1  # of speed: an order is seen where the axis turns this slowly ...
 SEEN_HZ = 1.5  # ... if it is below the cut-off there; the cut-off is so many times what the declared orders ask
 HIGHEST_CUTOFF_HZ = 150.0
 HIGHEST_CUTOFF_PERIODS = 0.15
 GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
 WAVE_PERIODS = 2.0  # a wave has to come back
-SAME_COLUMNS = 1e-4  # of a column's squared norm has to be left beside what is known
+SAME_COLUMNS = 1e-4  # of a column's squared norm that must remain after projecting out the known columns
 
 
 class EffectCandidate(NamedTuple):
-    """Something that may act: an effect at one shape."""
+    """A candidate: an effect at one shape."""
 
     rung: int
     name: str  # of the law
@@ -54,17 +54,17 @@ class EffectCandidate(NamedTuple):
 
 
 class AcceptedEffect(NamedTuple):
-    """A candidate that stands, with what speaks for it given all others."""
+    """An accepted candidate, with its evidence given all others."""
 
     candidate: EffectCandidate
-    coefficients: Floats  # strengths; of each run where it has a phase for each
-    gain: float  # nats on rows that the fit did not see
+    coefficients: Floats  # strengths; one set per run if its phase is per run
+    gain: float  # nats, on rows that were not in the fit
     gain_sd: float
-    p: float  # chance, over all that was tried
-    share: float  # of the squared residual that the others leave
+    p: float  # p-value, over all candidates tried
+    share: float  # share of the squared residual left by the others
 
     def start(self, runs: int) -> EffectStart:
-        """Where a refit begins."""
+        """Start of a refit."""
         names = self.candidate.strengths
         shape = dict(self.candidate.shape)
         if not self.candidate.per_run:
@@ -74,7 +74,7 @@ class AcceptedEffect(NamedTuple):
 
 
 class Ladder(NamedTuple):
-    """What was accepted, and the start of the fit with it."""
+    """Accepted candidates, and the start of the fit with them."""
 
     accepted: tuple[AcceptedEffect, ...]
     start: TorqueStart
@@ -83,7 +83,7 @@ class Ladder(NamedTuple):
 
 
 class _Bench(NamedTuple):
-    """The rows, and what every model has."""
+    """The rows, and the columns of every model."""
 
     rows: RegressionRows
     folds: Folds
@@ -94,7 +94,7 @@ class _Bench(NamedTuple):
 
 
 class _Weighted(NamedTuple):
-    """Target and known columns, white, and what is left of the target. (m,), (m, q), (m,)"""
+    """Target and known columns, whitened, and the residual of the target. (m,), (m, q), (m,)"""
 
     weight: Floats
     target: Floats
@@ -103,7 +103,7 @@ class _Weighted(NamedTuple):
 
 
 def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None = None) -> Ladder:
-    """Climb the rungs on records of one rate, beside an axis as the regression found it."""
+    """Climb the rungs on records of one rate, starting from the axis of the regression."""
     linear = facts is not None and facts.units == "linear"
     bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
     same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
@@ -122,7 +122,7 @@ def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | Non
         weak = [k for k, one in enumerate(found) if not _stands(one)]
         if not weak:
             return Ladder(tuple(found), _improved(bench, chosen, start), tried, cutoff_hz)
-        # of two that say the same neither is needed given the other: the higher rung goes first
+        # of two equivalent candidates neither is needed given the other: the higher rung is removed first
         del chosen[max(weak, key=lambda k: (chosen[k].rung, -found[k].gain))]
     return Ladder((), start, tried, cutoff_hz)
 
@@ -167,7 +167,7 @@ def _slow_rps(rows: RegressionRows) -> float:
 def _on_rung(
     bench: _Bench, rung: int, chosen: Sequence[EffectCandidate], facts: DriveFacts | None, same_zero: bool
 ) -> tuple[list[EffectCandidate], int]:
-    """What may still be tried on a rung, and how many there were to look at."""
+    """Remaining candidates of a rung, and the number of candidates searched."""
     if rung == CONSTANT_TORQUE:
         found = [EffectCandidate(rung, "torque_offset", ("torque_nm",), {}, 0.0, False)]
     elif rung == DIRECTION_RUNG:
@@ -202,12 +202,12 @@ def _on_rung(
 
 
 def _passed(bench: _Bench, order: float, periods: float) -> bool:
-    """Whether the motion goes through so many periods."""
+    """Whether the motion covers at least this many periods."""
     return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= periods
 
 
 def _orders(bench: _Bench, chosen: Sequence[EffectCandidate], facts: DriveFacts | None) -> tuple[list[float], int]:
-    """Declared orders and those that stand out of a scan of whole ones; and how many were looked at."""
+    """Declared orders and peaks of a scan of integer orders; and the number of orders searched."""
     slow_rps = max(_slow_rps(bench.rows), 1e-9)
     highest = min(HIGHEST_ORDER, int(bench.rows.cutoff_hz / slow_rps))
     declared = [order for order in _declared_orders(facts) if order <= highest]
@@ -217,9 +217,9 @@ def _orders(bench: _Bench, chosen: Sequence[EffectCandidate], facts: DriveFacts 
 
 
 def _scanned(bench: _Bench, white: _Weighted, highest: int) -> Floats:
-    """What a wave of each whole order up to `highest` explains, with a phase for each run. (highest,)
+    """Loss explained by a wave of each integer order up to `highest`, with a phase per run. (highest,)
 
-    The residual has nothing left of the known columns, so that they need not be projected out of the waves.
+    The residual is orthogonal to the known columns, so they need not be projected out of the waves.
     """
     return np.asarray(waves_in(bench.rows, clipped(white.residual), white.weight, highest).explained.sum(axis=0))
 
@@ -262,7 +262,7 @@ def _passed_by_filter(rows: RegressionRows, order: float) -> Floats:
 
 
 def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
-    """What the strengths of a candidate multiply. (m, strengths), or (m, runs x strengths)"""
+    """Columns of a candidate. (m, strengths), or (m, runs x strengths)"""
     rows = bench.rows
     if candidate.name == "torque_offset":
         return np.ones((rows.run.size, 1))
@@ -277,7 +277,7 @@ def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
 
 
 def _weighted(bench: _Bench, chosen: Sequence[EffectCandidate]) -> _Weighted:
-    """The model with what was chosen: its columns and the target, each row over the noise of its class of speed."""
+    """The model with the chosen candidates: columns and target, each row divided by the noise of its speed class."""
     kept, torque_nm = bench.rows.sliding, bench.rows.torque_nm
     known = np.column_stack([bench.base, *(_columns(bench, one) for one in chosen)])
     weight = kept.astype(np.float64)
@@ -289,7 +289,7 @@ def _weighted(bench: _Bench, chosen: Sequence[EffectCandidate]) -> _Weighted:
 
 
 def _beside(white: _Weighted, columns: Floats) -> Floats:
-    """Columns (m, k), white, without what the known ones say; none where nothing is left."""
+    """Columns (m, k), whitened, with the known columns projected out; empty if nothing is left."""
     own = columns * white.weight[:, None]
     square = np.einsum("ij,ij->j", own, own)
     scale = np.linalg.norm(white.known, axis=0)
@@ -301,7 +301,7 @@ def _beside(white: _Weighted, columns: Floats) -> Floats:
 
 
 def _explained(white: _Weighted, columns: Floats) -> float:
-    """Share of the squared residual (outliers pulled in) that columns explain beside the known ones."""
+    """Share of the squared residual (outliers clipped) that columns explain in addition to the known ones."""
     left = _beside(white, columns)
     if not left.shape[1]:
         return 0.0
@@ -324,7 +324,7 @@ def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> flo
 def _best(
     bench: _Bench, chosen: Sequence[EffectCandidate], candidates: Sequence[EffectCandidate], tried: int
 ) -> EffectCandidate | None:
-    """The candidate of a rung with the largest gain; of those that are as good the first with the fewest numbers."""
+    """The candidate of a rung with the largest gain; among equals the first with the fewest parameters."""
     white = _weighted(bench, chosen)
     without = unseen_loss(white.residual, white.known, bench.folds)
     passed = []
@@ -350,7 +350,7 @@ def _best(
 
 
 def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, tried: int) -> AcceptedEffect:
-    """What one of them is worth beside all others."""
+    """The evidence for one of them, given all others."""
     others = [one for j, one in enumerate(chosen) if j != k]
     white = _weighted(bench, others)
     columns = _columns(bench, chosen[k])
@@ -370,7 +370,7 @@ def _stands(one: AcceptedEffect) -> bool:
 
 
 def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueStart) -> TorqueStart:
-    """The start of the fit with what was accepted beside it; as it was where that makes no axis."""
+    """The start of the fit with the accepted candidates; unchanged if the result is not a valid axis."""
     white = _weighted(bench, chosen)
     solution, _ = least_squares(white.known, white.target)
     inertia, viscous, coulomb, excess = (float(value) for value in solution[: bench.base.shape[1]])

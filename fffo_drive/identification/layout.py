@@ -1,4 +1,4 @@
-"""Where the parameters of effects stand in the vector of a fit: behind the model's own, shared or one for each run."""
+"""Layout of the effects' parameters in the vector of a fit: after the model's own, shared or one per run."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Floats = npt.NDArray[np.float64]
 
 SHARED = -1
 SHAPE_SPAN = 10.0  # a positive shape stays within this factor of its start
-PHASE_TURNS = 0.05  # step of what counts turns or periods: so much of a turn at the end of the data
+PHASE_TURNS = 0.05  # step of orders and frequencies: phase shift at the end of the data, in turns
 RELATIVE_STEP = 0.3  # of other shapes
 SHARE_STEP = 0.3
 SENSOR_STEP_LSB = 20.0
 
 
 class EffectStart(NamedTuple):
-    """An effect where a fit begins."""
+    """An effect at the start of a fit."""
 
     name: str
     values: Mapping[str, float]
@@ -34,7 +34,7 @@ class EffectStart(NamedTuple):
 
 
 class EffectScales(NamedTuple):
-    """Sizes of the data that make a step of a parameter neither large nor small."""
+    """Sizes of the data from which the steps of the parameters follow."""
 
     torque_nm: float  # level of friction
     highest_rps: float
@@ -80,10 +80,10 @@ class EffectLayout(NamedTuple):
 
 
 def default_free(law: Law, values: Mapping[str, float]) -> tuple[str, ...]:
-    """What of an effect a refit moves: strengths that act with these shapes, and shapes that it can follow."""
+    """Free parameters of an effect in a refit: strengths that act with these shapes, and shapes that are not held."""
     if law.name == "lookup":
         return tuple(f"y{k:02d}" for k in range(values_of(values)))
-    # how often a wave comes the data tell better than any fit from afar
+    # the order of a wave is determined by the scan, better than by a fit from a distance
     return tuple(p.name for p in law.parameters if not (p.held or _counts_turns(p) or p.is_off(values)))
 
 

@@ -1,8 +1,8 @@
-"""How much the sensor's noise bends a fit: simulation-extrapolation after Cook and Stefanski (1994).
+"""Bias of a fit by the sensor's noise: simulation-extrapolation after Cook and Stefanski (1994).
 
 The observer lets some of the position's noise into its velocity. Friction takes the speed as it is, without its sign,
-so noise around a reversal counts as motion and moves the parameters of presliding one way. Adding as much noise again
-moves them as far again, to first order: that shift, which needs no truth, is the size of the bias.
+so noise around a reversal counts as motion and biases the parameters of presliding one way. Doubling the noise variance
+doubles the bias, to first order: the shift, which can be computed without true values, is the size of the bias.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def sensor_noise_rev(problem: Problem) -> float:
 def noise_shift(problem: Problem, space: Coordinates, solution: Solution) -> Floats:
     """Shift of the coordinates when the position has twice the noise's variance; of a solution at its minimum.
 
-    Mean of the same noise with either sign: what is linear in it cancels.
+    Mean over the same noise with both signs: the linear part cancels.
     """
     noise_rev = sensor_noise_rev(problem)
     draw = np.random.default_rng(SEED)

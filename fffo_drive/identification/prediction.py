@@ -23,9 +23,9 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 OBSERVER_DAMPING = 0.8
-BLOCK_PERIODS = 0.08  # of the observer's bandwidth: residuals are averaged over so much
+BLOCK_PERIODS = 0.08  # of the observer's bandwidth: length over which residuals are averaged
 SETTLING_PERIODS = 3.0  # of the observer's bandwidth, before its errors count
-STILL_S = 0.2  # standstill: no motion beyond the sensor's resolution for so long
+STILL_S = 0.2  # standstill: no motion beyond the sensor's resolution for this long
 STILL_LSB = 2.5
 CLUSTER_S = 0.25
 JUMP = 0.5  # slopes of the two sides that differ by more than this share are those of a jump
@@ -33,7 +33,7 @@ STEP = 2e-3  # of the finite differences, in coordinates
 
 
 class PredictedStretch(NamedTuple):
-    """One stretch without a gap."""
+    """One segment without a gap."""
 
     record: int
     first: int  # sample of the record
@@ -44,21 +44,21 @@ class PredictedStretch(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Everything that the residual is made from."""
+    """All inputs of the residual."""
 
     stretches: tuple[PredictedStretch, ...]
     shooting: ShootingConfig
     cluster_blocks: int
     lsb_rev: float
-    layout: EffectLayout | None = None  # of what follows the model's own parameters in a vector; None: nothing does
+    layout: EffectLayout | None = None  # of the parameters after the model's own in a vector; None: no effects
 
     @property
     def rows(self) -> int:
-        """Residuals that count."""
+        """Number of residuals used."""
         return sum(int(s.kept.sum()) for s in self.stretches)
 
     def clusters(self) -> npt.NDArray[np.int64]:
-        """Number of the window that each residual lies in; windows are clusters of dependent residuals. (rows,)"""
+        """Number of the window of each residual; windows are clusters of dependent residuals. (rows,)"""
         found, offset = [], 0
         for stretch in self.stretches:
             number = np.arange(stretch.kept.size) // self.cluster_blocks
@@ -101,13 +101,13 @@ def make_problem(records: Sequence[Record], bandwidth_hz: float, longest_s: floa
 
 
 def _trusted_blocks(record: Record, part: slice, bandwidth_hz: float, block: int) -> Mask:
-    """False where the observer stands on samples that were filled in. (blocks,)"""
+    """False where the observer depends on filled-in samples. (blocks,)"""
     blocks = (part.stop - part.start) // block
     return np.asarray(trusted(record, part, bandwidth_hz)[: blocks * block].reshape(blocks, block).all(axis=1))
 
 
 def moving_blocks(position_rev: Floats, lsb_rev: float, block: int, period_s: float) -> Mask:
-    """False where the position has not moved for a while, by its resolution: a dwell tells nothing. (blocks,)"""
+    """False where the position has not moved for a while, by its resolution: a dwell has no information. (blocks,)"""
     blocks = position_rev.size // block
     shaped = position_rev[: blocks * block].reshape(blocks, block)
     high, low = shaped.max(axis=1), shaped.min(axis=1)
@@ -151,9 +151,9 @@ def residuals(problem: Problem, candidates: Sequence[Floats]) -> list[Floats]:
 
 
 def _smooth_slope(forward: Floats, backward: Floats) -> Floats:
-    """Mean of the slopes of both sides; the smaller one where they disagree, none where they point apart.
+    """Mean of the one-sided slopes; the smaller one if they disagree, zero if their signs differ.
 
-    A reversal that comes or goes with a parameter makes a jump of the residual, which is no slope.
+    A reversal that appears or disappears with a parameter makes the residual jump, which is not a slope.
     """
     larger = np.maximum(np.abs(forward), np.abs(backward))
     apart = np.abs(forward - backward) > JUMP * larger

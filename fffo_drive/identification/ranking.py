@@ -1,4 +1,4 @@
-"""The best of several, the same one on every processor: of equals the first.
+"""The best of several, the same on every processor: among equals the first.
 
 Vector instructions, fused multiply-add and the kernels of the linear algebra change the last digits of a score.
 Candidates that say the same thing in other words (a wave by its order or by its period, torque or friction on a motion
@@ -13,7 +13,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-EQUAL = 1e-6  # relative: tools/numerics sees scores move by 1e-10, and no data tell apart what is nearer than this
+EQUAL = 1e-6  # relative: in tools/numerics scores change by 1e-10, and no data distinguish scores closer than this
 
 
 def lower(one: float, other: float) -> bool:
@@ -24,7 +24,7 @@ def lower(one: float, other: float) -> bool:
 def ranked(items: Iterable[T], key: Callable[[T], float]) -> list[T]:
     """The items from the lowest score to the highest: `sorted`, but equals (by `lower`) stay in their order.
 
-    What is not a number comes last.
+    NaN comes last.
     """
     candidates = list(items)
     scores = [math.inf if math.isnan(score) else score for score in map(key, candidates)]

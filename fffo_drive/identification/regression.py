@@ -1,4 +1,4 @@
-"""The start of the fit: a linear regression of the motor's torque on what the motion needs.
+"""The start of the fit: a linear regression of the motor's torque on the motion.
 
     Kt i(t - Td) = J a + sigma w + sgn(w) (Fc + (Fs - Fc) exp(-(|w| / Vs)^delta)) + constant
 
@@ -35,7 +35,7 @@ TORQUE_TO_INERTIA_RPS2 = (5.0, 30_000.0)  # acceleration at the rated current of
 
 
 class TorqueStart(NamedTuple):
-    """What the regression found; torques in Nm (N), of revolutions (m)."""
+    """Result of the regression; torques in Nm (N), with revolutions (m)."""
 
     inertia_nm_s2_per_rev: float
     viscous_nm_per_rps: float
@@ -47,7 +47,7 @@ class TorqueStart(NamedTuple):
     relative_error: float  # of torque, sliding only
     rows: int
     sliding_travel_rev: float
-    constant_nm: float  # 0 where the axis turns one way
+    constant_nm: float  # 0 if the axis turns one way only
 
 
 def _solve(rows: RegressionRows, bump: Floats | None = None) -> tuple[Floats, float]:
@@ -66,7 +66,7 @@ def _solve(rows: RegressionRows, bump: Floats | None = None) -> tuple[Floats, fl
 def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> TorqueStart:
     """Start values from one or several records of one axis.
 
-    Raises DataError where the records do not hold enough sliding motion for it.
+    Raises DataError if the records do not contain enough sliding motion.
     """
     cutoff_hz = min(cutoff_hz, 0.1 / records[0].period_s)
     stretches, travel_rev = stretches_of(records, cutoff_hz)
@@ -112,7 +112,7 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
 
 
 def start_problems(start: TorqueStart, torque_constant_nm_per_a: float, rated_current_a: float | None) -> list[str]:
-    """Where the start speaks of wrong units rather than of an axis: sentences, none where it is sane."""
+    """Sentences if the start suggests wrong units rather than a real axis; empty if it is plausible."""
     problems = []
     inertia = start.inertia_nm_s2_per_rev
     if not inertia > 0.0:

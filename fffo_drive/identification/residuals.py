@@ -1,5 +1,5 @@
-"""What a fitted model leaves over: in torque and in velocity, over time, frequency, speed and regime, and whether it is
-still connected with the motion.
+"""Residuals of a fitted model: in torque and in velocity, over time, frequency, speed and regime, and whether they
+still depend on the motion.
 
 Two residuals. Torque: Kt i(t - Td) - J a - F, everything through one zero-phase filter, F the model's friction along
 the measured motion. Velocity: what free simulation over short windows is off by, from the position. Autocorrelation
@@ -32,13 +32,15 @@ Mask = npt.NDArray[np.bool_]
 OBSERVER_HZ = 40.0
 WINDOW_S = 0.2
 BLOCK_S = 0.005
-PRESLIDING_LENGTHS = 4.0  # presliding is over after so many 1/K of travel
+PRESLIDING_LENGTHS = 4.0  # presliding is over after this many 1/K of travel
 LONGEST_LAG = 400
 SETTLING_S = 0.1
 
 
 class TorqueResidual(NamedTuple):
-    """Torque residual of one record with what it may depend on; (n,) each. `kept`: neither standstill nor the ends."""
+    """Torque residual of one record with the variables it may depend on; (n,) each. `kept`: without standstill and
+    ends.
+    """
 
     time_s: Floats
     residual_nm: Floats
@@ -51,7 +53,7 @@ class TorqueResidual(NamedTuple):
 
 
 class RunResidual(NamedTuple):
-    """What a model leaves over on one record: in torque along it, and in velocity over free windows."""
+    """Residuals of a model on one record: in torque along it, and in velocity over free windows."""
 
     record: Record
     torque: TorqueResidual
@@ -61,12 +63,12 @@ class RunResidual(NamedTuple):
 
     @property
     def sliding(self) -> Mask:
-        """Samples that count and slide. (n,)"""
+        """Kept samples in sliding. (n,)"""
         return np.asarray(self.torque.kept & (self.torque.travel_rev > self.presliding_rev))
 
     @property
     def presliding(self) -> Mask:
-        """Samples that count and are in presliding. (n,)"""
+        """Kept samples in presliding. (n,)"""
         return np.asarray(self.torque.kept & (self.torque.travel_rev <= self.presliding_rev))
 
 
@@ -81,7 +83,7 @@ class Dependence(NamedTuple):
 def torque_residual(
     record: Record, physical: Floats, cutoff_hz: float = DEFAULT_CUTOFF_HZ, terms: Sequence[Term] = ()
 ) -> TorqueResidual:
-    """Residual in torque along a record, without what the effects `terms` take away."""
+    """Torque residual along a record, with the effects `terms` subtracted."""
     parts = [_torque_part(record, part, physical, cutoff_hz, terms) for part in record.segments()]
     return TorqueResidual(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -123,7 +125,7 @@ def velocity_errors(
 ) -> tuple[Floats, Floats]:
     """Velocity error of free simulation, window after window: (windows, blocks) rps, and the windows' start times.
 
-    Windows in which nothing moves are left out. State at the start: of the observer.
+    Windows without motion are omitted. The initial state is that of the observer.
     """
     axis, nuisance = axis_of(physical, record.torque_constant_nm_per_a)
     period_s = record.period_s
@@ -198,7 +200,7 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
         if scale == 0.0:
             continue
         correlation = float(centred_r @ centred) / scale
-        # the product, not the residual, says how many independent pieces of evidence there are
+        # the product, not the residual, determines the effective number of samples
         count, _ = effective_samples(centred_r * centred)
         t = correlation * math.sqrt(max(1.0, count - 2.0) / max(1e-12, 1.0 - correlation * correlation))
         result.append(Dependence(name, correlation, float(2.0 * stats.t.sf(abs(t), max(1.0, count - 2.0)))))
@@ -228,7 +230,7 @@ def residual_summary(runs: Sequence[RunResidual]) -> dict[str, dict[str, Any]]:
 
 
 def sampling_step(period_s: float) -> int:
-    """Every how many samples the filtered residual tells something new: four times its cut-off."""
+    """Decimation of the filtered residual without loss of information: four times its cut-off."""
     return max(1, int(0.25 / (DEFAULT_CUTOFF_HZ * period_s)))
 
 
@@ -266,7 +268,9 @@ def _rms(values: Floats) -> float:
 
 
 def _median_window(errors: Floats) -> float:
-    """Typical error of a window: where the Stribeck curve falls a free run is unstable, and a few windows run away."""
+    """Typical error of a window (median): where the Stribeck curve falls, a free run is unstable and a few windows
+    diverge.
+    """
     return float(np.median(np.sqrt(np.mean(errors * errors, axis=1)))) if errors.size else 0.0
 
 

@@ -1,4 +1,4 @@
-"""What a fit leaves behind: the model file and the report, as plain numbers."""
+"""Results of a fit: the model file and the report, as plain numbers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .runs import RunLook, look_at_runs
 from .uncertainty import Doubt
 
 CONFIDENCE = 0.95
-LARGEST_LOG_REACH = math.log(1e6)  # an interval wider than this says nothing
+LARGEST_LOG_REACH = math.log(1e6)  # a wider interval is not meaningful
 INERTIA, MASS = "inertia_nm_s2_per_rev", "M"
 
 
@@ -36,7 +36,7 @@ def unit_of(name: str, facts: DriveFacts) -> str:
 
 
 def symbol_of(name: str, facts: DriveFacts) -> str:
-    """What a parameter is called: a linear axis has a mass and no inertia."""
+    """Name of a parameter: a linear axis has a mass instead of an inertia."""
     return MASS if facts.units == "linear" and name == INERTIA else SYMBOLS[name].symbol
 
 
@@ -84,7 +84,8 @@ def model_file(
 def report(
     fit: Fit, records: Sequence[Record], facts: DriveFacts, runs: Sequence[RunResidual] | None = None
 ) -> dict[str, Any]:
-    """Everything of the page, JSON-ready: runs, parameters, effects, doubts, residuals, frequency response, damping.
+    """Contents of the page, JSON-ready: runs, parameters, effects, undetermined parameters, residuals, frequency
+    response, damping.
 
     `runs` are the residuals of the records where they are at hand.
     """
@@ -131,7 +132,7 @@ def _doubt(doubt: Doubt, facts: DriveFacts) -> dict[str, Any]:
 
 
 def _weight_remarks(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[str]:
-    """What the fitted weight of the load says of the declared one."""
+    """Comparison of the fitted weight of the load with the declared one."""
     found = [
         (effect["name"], [(row["name"], row["value"], row["sd"]) for row in effect["parameters"]])
         for effect in _effects(fit, records, facts)
@@ -159,7 +160,7 @@ def _estimates(look: RunLook) -> dict[str, Any]:
 
 
 def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dict[str, Any]]:
-    """The effects of the model, each number with its interval, and what spoke for them on the rows of the ladder."""
+    """The effects of the model, each number with its interval, and their evidence on the rows of the ladder."""
     linear = facts.units == "linear"
     accepted = [] if fit.ladder is None else sorted(fit.ladder.accepted, key=lambda one: one.candidate.name != OFFSET)
     found = []

@@ -2,8 +2,8 @@
 
     u = M a + Fv v + Fc sgn(v) + c          u = M a + Fv+ v+ + Fv- v- + Fc+ [v > 0] - Fc- [v < 0]
 
-The way of the published EMPS benchmark (Janot, Gautier and Brunot, 2019): the position is low-passed without phase (a
-Butterworth filter of order 4 in all, order 2 each way), differentiated by central differences, the first samples are
+The method of the published EMPS benchmark (Janot, Gautier and Brunot, 2019): the position is low-passed with zero phase
+(a Butterworth filter of order 4 in all, order 2 each way), differentiated by central differences, the first samples are
 dropped, and force and regressors are decimated alike (Chebyshev, zero phase). Figure of merit: 100 |u - uhat| / |u|.
 """
 
@@ -25,7 +25,7 @@ DIRECTIONAL = ("inertia", "viscous_forward", "viscous_backward", "coulomb_forwar
 
 
 class RigidSettings(NamedTuple):
-    """How force and regressors are filtered."""
+    """Filters of force and regressors."""
 
     cutoff_hz: float = 100.0
     dropped: int = 49

@@ -1,8 +1,8 @@
-"""Rows of a force balance: motor torque and what the motion needs, all through one zero-phase filter.
+"""Rows of a force balance: motor torque and the terms of the motion, all through one zero-phase filter.
 
-Command, position and the sign of the motion are low-passed alike, so that a linear relation between them stays one, and
-thinned to four rows a period of the cut-off. Rows count where the axis surely slides: presliding is masked by travel
-after a reversal, and so are rows that stand on samples which were filled in.
+Command, position and the sign of the motion are low-passed alike, so that a linear relation between them is preserved,
+and decimated to four rows per period of the cut-off. Only rows in certain sliding are used: presliding is masked by the
+travel after a reversal, as are rows that depend on filled-in samples.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ Mask = npt.NDArray[np.bool_]
 
 ROWS_A_PERIOD = 4.0  # of the filter's cut-off
 ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns
-LEAST_OTHER_WAY = 0.02  # of the rows have to turn the other way
+LEAST_OTHER_WAY = 0.02  # share of the rows that must turn the other way
 SINGULAR = 1e-12  # of a normal matrix: a millionth of its columns
 LONGEST_DELAY_SAMPLES = 24
 LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
 
 
 class RegressionStretch(NamedTuple):
-    """One stretch without a gap, filtered once: a delay and a filter commute. (n,) but for `rows`."""
+    """One segment without a gap, filtered once, since a delay and a filter commute. (n,) except `rows`."""
 
     record: int
     motion: Kinematics
     torque_nm: Floats  # without delay
-    direction: Floats  # sign of the motion behind the filter
+    direction: Floats  # filtered sign of the motion
     sliding: Mask  # surely
     rows: Integers  # samples that are rows
 
 
 class RegressionRows(NamedTuple):
-    """Rows of all stretches, joined; (m,) each."""
+    """Rows of all segments, joined; (m,) each."""
 
     run: Integers  # number of the record
     position_rev: Floats
@@ -65,7 +65,7 @@ class RegressionRows(NamedTuple):
 
 
 def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[RegressionStretch], float]:
-    """Stretches of records of one rate, and the travel (rev) after which presliding is over for sure.
+    """Segments of records of one rate, and the travel (rev) after which presliding is certainly over.
 
     Raises DataError where none is long enough for the filter.
     """
@@ -103,7 +103,7 @@ def _sliding_travel_rev(motions: Sequence[Kinematics], lsb_rev: float) -> float:
 
 
 def rows_at(stretches: Sequence[RegressionStretch], cutoff_hz: float, delay_s: float) -> RegressionRows:
-    """The rows of stretches, the torque `delay_s` behind the command."""
+    """The rows of segments, with the torque `delay_s` after the command."""
     period_s = stretches[0].motion.period_s
     step = int(stretches[0].rows[1] - stretches[0].rows[0])
     bounds, begin = [], 0
@@ -128,12 +128,12 @@ def rows_at(stretches: Sequence[RegressionStretch], cutoff_hz: float, delay_s: f
 
 
 def rigid_columns(rows: RegressionRows) -> Floats:
-    """What inertia, viscous friction, Coulomb friction and a constant torque multiply, of all rows. (m, 4)"""
+    """Columns of inertia, viscous friction, Coulomb friction and constant torque, for all rows. (m, 4)"""
     return np.column_stack([rows.acceleration_rps2, rows.velocity_rps, rows.direction, np.ones(rows.run.size)])
 
 
 def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> float:
-    """Delay (s) from command to torque at which the rigid balance leaves the least: scanned, a parabola at its end."""
+    """Delay (s) from command to torque that minimises the residual of the rigid balance: a scan, then a parabola."""
     period_s = stretches[0].motion.period_s
     samples = max(LONGEST_DELAY_SAMPLES, math.ceil(LONGEST_DELAY_S / period_s))
     delays: Floats = np.arange(0.0, samples + 1, 2) * period_s
@@ -145,14 +145,16 @@ def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> f
 
 
 def turns_one_way(direction: Floats) -> bool:
-    """Whether hardly a row (m,) has the other sign: Coulomb friction and a constant torque are then one thing."""
+    """Whether the motion is one-way (hardly a row (m,) of the other sign), so that Coulomb friction and a constant
+    torque are inseparable.
+    """
     return bool(min(np.mean(direction > 0.0), np.mean(direction < 0.0)) < LEAST_OTHER_WAY) if direction.size else True
 
 
 def least_squares(columns: Floats, target: Floats) -> tuple[Floats, float]:
     """Coefficients (p,) of `columns` (m, p) for `target` (m,), and the squared residual.
 
-    By the normal equations of scaled columns; what columns have in common to a millionth is shared between them.
+    By the normal equations of scaled columns, with a ridge of a millionth for collinear columns.
     """
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     scale[scale == 0.0] = 1.0

@@ -1,9 +1,10 @@
-"""Runs looked at one by one, before anything is fitted to all of them together.
+"""Checks of each run by itself, before anything is fitted to all runs together.
 
-Each run gets a rigid regression of its own, Kt i(t - Td) = J a + sigma w + Fc sgn(w) + constant, on the rows of `rows`,
-with standard deviations from whole blocks. What a run does not determine by itself (a run that turns one way cannot
-tell Coulomb friction from a constant torque) is said, and is not compared. The falling part of the Stribeck curve is
-found on all runs together and taken out first, or runs at unlike speeds would contradict each other by it.
+Each run gets its own rigid regression, Kt i(t - Td) = J a + sigma w + Fc sgn(w) + constant, on the rows of `rows`,
+with standard deviations from whole blocks. Parameters that a run does not determine by itself (a one-way run cannot
+separate Coulomb friction from a constant torque) are reported and not compared. The falling part of the Stribeck curve
+is estimated on all runs together and subtracted first, because otherwise runs at different speeds would contradict each
+other.
 """
 
 from __future__ import annotations
@@ -43,28 +44,28 @@ WORDS = {
     "coulomb_nm": "Coulomb friction",
     "offset_nm": "the constant torque",
 }
-LARGEST_INFLATION = 20.0  # of a variance by what the other columns share with it: speed varies by a quarter of its mean
-LARGEST_SHARE_SD = 0.25  # of the run's torque: a contribution that is less sure is not determined
-NOISE_RATIO = 4.0  # acceleration over what the sensor's resolution makes of it: below, inertia comes out low
-STRIBECK_SHARE = 0.02  # of the squared residual that a Stribeck curve has to explain to be taken out
-LARGEST_LEFT = 0.5  # of the torque: of an axis that is so unlike a rigid one the four numbers mean little
+LARGEST_INFLATION = 20.0  # variance inflation by the other columns: speed varies by a quarter of its mean
+LARGEST_SHARE_SD = 0.25  # of the run's torque: a less certain contribution is not determined
+NOISE_RATIO = 4.0  # acceleration over its noise from the sensor's resolution: below it, inertia is biased low
+STRIBECK_SHARE = 0.02  # of the squared residual that a Stribeck curve has to explain to be subtracted
+LARGEST_LEFT = 0.5  # of the torque: if the axis differs this much from a rigid one, the four numbers mean little
 BLOCKS_A_RUN = 20  # a short run has shorter blocks ...
-LEAST_BLOCKS = 8  # ... and with fewer that slide no standard deviation
+LEAST_BLOCKS = 8  # ... and no standard deviation with fewer blocks in sliding
 LEAST_ROWS = 40  # of sure sliding in a run
 CONTRADICTION_SHARE = 0.03  # spread between runs, of their mean ...
-CONTRADICTION_SDS = 5.0  # ... and of its standard deviation, from which on they contradict each other
-DRIFT_RUNS = 3  # fewest runs that a change can be monotone over
+CONTRADICTION_SDS = 5.0  # ... and of its standard deviation, from which the runs contradict each other
+DRIFT_RUNS = 3  # smallest number of runs for a monotone change
 SAME_REFERENCE = 1e-6  # of its range
-SAME_TRAVEL = 0.995  # correlation of position and time in every run from which on the two are one axis
+SAME_TRAVEL = 0.995  # correlation of position and time in every run above which they cannot be separated
 
 
 class Estimate(NamedTuple):
-    """What one run says of one parameter; where it is not determined, value and sd mean nothing by themselves."""
+    """Estimate of one parameter from one run; if it is not determined, value and sd are meaningless alone."""
 
     value: float
     sd: float
     determined: bool
-    inflation: float  # of the variance, by what the other columns have in common with this one
+    inflation: float  # variance inflation by the other columns
 
 
 class RunLook(NamedTuple):
@@ -72,24 +73,24 @@ class RunLook(NamedTuple):
 
     name: str
     begin_s: float  # on the clock of the log
-    estimates: Mapping[str, Estimate]  # by PARAMETERS; without any where the run hardly slides
+    estimates: Mapping[str, Estimate]  # by PARAMETERS; empty if the run hardly slides
     turns_one_way: bool
     rows: int
     condition: float  # of the scaled normal matrix
-    left_share: float  # of the torque's rms that the rigid regression leaves
+    left_share: float  # residual of the rigid regression, as a share of the torque's rms
 
 
 class Remark(NamedTuple):
-    """Something about the runs that stands before every fit."""
+    """A problem of the runs that is reported before any fit."""
 
     kind: Kind
     parameters: tuple[str, ...]
     runs: tuple[str, ...]
-    text: str  # what it is, and what mends it
+    text: str  # the problem and its remedy
 
 
 class RunsLook(NamedTuple):
-    """All runs, and what they say against each other."""
+    """All runs, and contradictions between them."""
 
     runs: tuple[RunLook, ...]
     remarks: tuple[Remark, ...]
@@ -97,7 +98,7 @@ class RunsLook(NamedTuple):
 
 
 def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> RunsLook:
-    """Regress every run (all of one rate) by itself and compare. Raises DataError where hardly anything slides."""
+    """Regress every run (all of one rate) by itself and compare. Raises DataError if there is hardly any sliding."""
     start = regression_start(records, cutoff_hz)
     cutoff_hz = min(cutoff_hz, 0.1 / records[0].period_s)
     rows = rows_at(stretches_of(records, cutoff_hz)[0], cutoff_hz, start.delay_s)
@@ -111,7 +112,7 @@ def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ
 
 
 def _without_stribeck(rows: RegressionRows, start: TorqueStart) -> RegressionRows:
-    """The rows without the falling part of the friction, where it explains something beside each run's own rigid fit.
+    """The rows without the falling part of the friction, if it explains something in addition to each run's rigid fit.
 
     One coefficient for all runs, the runs' own columns projected out: what differs between runs does not go into it.
     """
@@ -170,13 +171,13 @@ def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
 
 
 def _acceleration_noise_rps2(record: Record, cutoff_hz: float) -> float:
-    """What rounding to whole counts makes of the acceleration below a cut-off: white noise, differentiated twice."""
+    """Noise of the acceleration from rounding to whole counts, below a cut-off: white noise, differentiated twice."""
     density = record.lsb_rev**2 / 12.0 * 2.0 * record.period_s
     return float(np.sqrt(density * (2.0 * np.pi) ** 4 * cutoff_hz**5 / 5.0))
 
 
 def _compared(looks: Sequence[RunLook]) -> list[Remark]:
-    """Contradictions and drifts of what several runs determine."""
+    """Contradictions and drifts of parameters that several runs determine."""
     torque_nm = max((abs(e.value) for look in looks for n, e in look.estimates.items() if n == "coulomb_nm"), default=0)
     found = []
     for name in PARAMETERS:
@@ -208,7 +209,7 @@ def _contradiction(name: str, told: Sequence[tuple[RunLook, Estimate]], first: i
 
 
 def _drift(name: str, told: Sequence[tuple[RunLook, Estimate]], scale: float) -> Remark | None:
-    """A change that goes one way from run to run, over the clock of the log; every step more than its noise."""
+    """A monotone change from run to run over the clock of the log, each step larger than its noise."""
     ordered = sorted(told, key=lambda pair: pair[0].begin_s)
     begins = [look.begin_s for look, _ in ordered]
     if len(ordered) < DRIFT_RUNS or any(b <= a for a, b in itertools.pairwise(begins)):
@@ -227,7 +228,7 @@ def _drift(name: str, told: Sequence[tuple[RunLook, Estimate]], scale: float) ->
 
 
 def _confounded(records: Sequence[Record], rows: RegressionRows, looks: Sequence[RunLook]) -> list[Remark]:
-    """What is one and the same thing over all runs together."""
+    """Effects that all runs together cannot separate."""
     found = []
     names = tuple(record.name for record in records)
     direction = rows.direction[rows.sliding]
@@ -251,7 +252,7 @@ def _confounded(records: Sequence[Record], rows: RegressionRows, looks: Sequence
 
 
 def _place_is_time(records: Sequence[Record], rows: RegressionRows, names: tuple[str, ...]) -> list[Remark]:
-    """Runs that pass each place once: what depends on the place looks like what changes with time."""
+    """Runs that pass each position once: dependence on position cannot be separated from drift in time."""
     straight = []
     for number in range(len(records)):
         own = np.flatnonzero(rows.run == number)
@@ -279,7 +280,7 @@ def _one_speed(columns: Floats, looks: Sequence[RunLook], names: tuple[str, ...]
 
 
 def _repeated(records: Sequence[Record]) -> list[Remark]:
-    """Runs with one and the same reference; of a steady one, nothing is said."""
+    """Runs with the same reference, except a steady one."""
     groups: list[list[Record]] = []
     for record in records:
         for group in groups:
@@ -302,7 +303,7 @@ def _repeated(records: Sequence[Record]) -> list[Remark]:
 
 
 def _asked(record: Record) -> Floats:
-    """What the run was asked to do: its reference, in open loop its command."""
+    """Reference of the run; in open loop its command."""
     return record.current_a if record.reference_rps is None else record.reference_rps
 
 

@@ -2,12 +2,12 @@
 
 An observer follows the measured position with two small corrections a sample, so that velocity, friction torque and
 travel since the reversal are at any instant those of a motion that agrees with the record, through a standstill too.
-What it did not foresee is the prediction error that the fit makes small. Why not longer free runs: where the Stribeck
-curve falls the axis is unstable, and after 0.2 s any small error has grown a hundredfold. Free windows, let go from the
-observer's state, are kept for judging a model.
+The fit minimises the prediction error of the observer. Longer free runs are not used: where the Stribeck curve falls
+the axis is unstable, and after 0.2 s any small error has grown a hundredfold. Free windows, started from the observer's
+state, serve to judge a model.
 
-Why position: the drive's own velocity is filtered and late, and the measured current is noisy; the position has no lag
-to first order, and the command is known without any error, in closed loop too.
+Position and command are used because the drive's own velocity is filtered and late, and the measured current is noisy;
+the position has no lag to first order, and the command is known exactly, in closed loop too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PATH_COLUMNS = 7  # of `follow`
 
 
 class ShootingConfig(NamedTuple):
-    """How a record is shot. Gains of the observer are per sample."""
+    """Parameters of the shooting. Gains of the observer are per sample."""
 
     period_s: float
     substeps: int
@@ -42,10 +42,10 @@ class ShootingConfig(NamedTuple):
 
 
 class Nuisance(NamedTuple):
-    """What is fitted besides the model, because leaving it out would bend the model."""
+    """Nuisance parameters, fitted because omitting them would bias the model."""
 
     offset_nm: float  # opposes the motor's torque
-    sensor_lag_s2: float  # the measured position is short by this times the acceleration: second order of all lags
+    sensor_lag_s2: float  # the measured position is low by this times the acceleration: second order of all lags
 
 
 class Kick(NamedTuple):
@@ -86,7 +86,7 @@ def innovations(
     config: AxisConfig, table: EffectTable | None, shooting: ShootingConfig, nuisance: Nuisance, current_a: Floats,
     position_rev: Floats, first: int, output: Any,
 ) -> None:  # fmt: skip
-    """What the observer did not foresee, measured minus predicted position (rev), from sample `first` on.
+    """Prediction error of the observer, measured minus predicted position (rev), from sample `first` on.
 
     `table`: effects at rest, with the step of a sub-step, or None (they are not compiled in). `output` (blocks,):
     means over blocks of `shooting.block` samples, all of them inside the record.

@@ -13,15 +13,15 @@ from .prediction import Problem, jacobian, residual
 
 Floats = npt.NDArray[np.float64]
 
-HUBER = 4.0  # residuals beyond so many robust standard deviations lose weight: break-aways that no model meets
+HUBER = 4.0  # residuals beyond this many robust standard deviations lose weight: break-aways that no model predicts
 LARGEST_STEP = 0.7  # of a coordinate in one iteration
-REFINING = 1e-6  # damping of a refining step: for directions of which the data say nothing
+REFINING = 1e-6  # damping of a refining step, for directions that the data do not determine
 CONVERGED = 2e-5  # relative fall of the cost
-SAMPLE = 50_000  # residuals are thinned to about so many for the robust scale
+SAMPLE = 50_000  # residuals are decimated to about this many for the robust scale
 
 
 class Solution(NamedTuple):
-    """Where the solver stopped."""
+    """Result of the solver."""
 
     values: Floats  # coordinates
     cost: float  # mean Huber loss, in squared counts
@@ -97,8 +97,8 @@ def solve(
 def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int = 2) -> Solution:
     """Gauss-Newton steps with central differences from a solution, as long as the cost does not rise.
 
-    Where a reversal comes or goes with a parameter, one-sided differences take the jump for a slope, and the solver
-    stops a standard deviation beside the minimum.
+    Where a reversal appears or disappears with a parameter, one-sided differences take the jump for a slope, and the
+    solver stops a standard deviation away from the minimum.
     """
     for _ in range(steps):
         trial, cost = central_step(problem, space, solution)
@@ -109,7 +109,7 @@ def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int 
 
 
 def central_step(problem: Problem, space: Coordinates, solution: Solution) -> tuple[Solution, float]:
-    """One Gauss-Newton step with central differences, whatever comes of it; and the cost before it.
+    """One Gauss-Newton step with central differences, accepted unconditionally; and the cost before it.
 
     Coordinates at a bound stay there.
     """

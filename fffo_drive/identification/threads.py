@@ -1,4 +1,4 @@
-"""Work on as many threads as there are: the kernels and the linear algebra hold no GIL."""
+"""Work on all available threads: the kernels and the linear algebra do not hold the GIL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 THREADS = min(2, os.cpu_count() or 1)
-AHEAD = 2 * THREADS  # items that are drawn ahead: each may hold megabytes
+AHEAD = 2 * THREADS  # items drawn ahead: each may take megabytes
 M_ARENA_MAX = -8  # of mallopt(3)
 
 

@@ -1,7 +1,7 @@
-"""Samples on a uniform grid: uneven stamps are interpolated, short gaps bridged and marked, long ones left open.
+"""Samples on a uniform grid: uneven timestamps are interpolated, short gaps bridged and marked, long gaps left open.
 
-Every filter and every simulation takes a period for granted. A stamp within `ON_GRID` of a grid point is taken for the
-grid point's own sample and stays as it is, so an even log goes through untouched.
+Every filter and simulation assumes a constant period. A sample within `ON_GRID` of a grid point is taken as that of the
+grid point, so a uniform log passes unchanged.
 
 - Position: a monotone cubic (PCHIP), which does not overshoot between whole counts. Other sensors: linear.
 - Command: each value is held from its stamp to the next; a grid point gets the mean over the period that it begins.
@@ -25,9 +25,9 @@ Mask = npt.NDArray[np.bool_]
 
 COMMAND = "current_command_a"
 POSITIONS = ("position_rev", "reference_position_rev")
-LONGEST_BRIDGE_S = 0.02  # longer gaps are not bridged: below a 40 Hz filter nothing would be left of the data
-ON_GRID = 0.05  # periods: a stamp that is no farther from a grid point is that grid point's
-ANTI_ALIAS = 0.4  # cut-off over the new rate when a log is brought to a lower one
+LONGEST_BRIDGE_S = 0.02  # longer gaps are not bridged: after a 40 Hz filter no real data would be left
+ON_GRID = 0.05  # periods: a stamp this close to a grid point is taken as that grid point
+ANTI_ALIAS = 0.4  # cut-off over the new rate when a log is decimated
 ANTI_ALIAS_ORDER = 8  # of the Butterworth filter, forwards and backwards: 100 dB at the new rate
 
 

@@ -4,10 +4,10 @@ The plant is 1/(J p + D) with the end-to-end delay. Friction changes D by orders
 design is judged over a range of D: the closed loop's poles, its margins, the overshoot of a step with zero and delay.
 Gains act on current: proportional A/rps, integral A/rev, observer Nm/rev.
 
-The margins decide, and within them integral action is made as large as it can be. (14) does not decide: it is
-sufficient for an estimate without delay, while a loop without phase margin shakes. What is learned goes to the
-integral, where (14) does not apply; a design below it says so. At rest the contact sticks and the axis is another
-plant: Kp and Ki are scaled until the margin on that spring holds too.
+The margins are the constraint, and within them integral action is maximised. (14) is not a constraint: it is sufficient
+for an estimate without delay, while a loop without phase margin oscillates. The correction goes to the integral, where
+(14) does not apply; a design that violates it says so. At rest the contact sticks and the axis is a different plant: Kp
+and Ki are scaled until the margin on that spring holds too.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, lo
 
 Floats = npt.NDArray[np.float64]
 
-DAMPING_RATIO = 2.0  # of the wanted closed loop: real poles with room for friction; the paper's own loop has 1.96
+DAMPING_RATIO = 2.0  # of the desired closed loop: real poles with margin for friction; the paper's loop has 1.96
 REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to it (results/chain.md)
-# of Kp and Ki at rest, tried from the largest on: half costs nothing in motion and covers an axis that is 30 % another
-# one (results/robustness.md)
+# of Kp and Ki at rest, the largest first: half costs nothing in motion and covers an axis that differs by 30 %
+# (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
-FRICTION_SPAN = 100.0  # the range over which friction damping is to be allowed to vary
+FRICTION_SPAN = 100.0  # required range of friction damping
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
 SHORTEST_DELAY_S = 1e-4
 BANDWIDTHS = 41
-SLOWEST_SHARE = 0.01  # of the fastest crossover: slower than that is no velocity loop
+SLOWEST_SHARE = 0.01  # of the fastest crossover: a slower loop is useless
 HALVINGS = 14  # of the range of a gain: to a ten-thousandth of the most
 STEP_POINTS = 4000
 
 
 class Wish(NamedTuple):
-    """What the loop is to be."""
+    """Requirements of the loop."""
 
     bandwidth_hz: float | None = None  # None: where integral action is largest
     damping_ratio: float = DAMPING_RATIO
@@ -47,12 +47,12 @@ class Wish(NamedTuple):
     gain_margin: float = GAIN_MARGIN
 
     def is_met(self, margins: Margins) -> bool:
-        """Both margins are as wanted."""
+        """Whether both margins are met."""
         return margins.phase_deg >= self.phase_margin_deg and margins.gain >= self.gain_margin
 
 
 class Gains(NamedTuple):
-    """What goes into the controller section of an axis file."""
+    """Gains for the controller section of an axis file."""
 
     proportional_a_per_rps: float
     integral_a_per_rev: float
@@ -73,7 +73,7 @@ class LocusPoint(NamedTuple):
 
 
 class DampingRange(NamedTuple):
-    """Friction damping over which the loop keeps what is said, in Nm/rps."""
+    """Range of friction damping over which a property holds, in Nm/rps."""
 
     lowest: float
     highest: float
@@ -85,7 +85,7 @@ class DampingRange(NamedTuple):
 
 
 class Design(NamedTuple):
-    """Gains with everything that speaks for and against them."""
+    """Gains with all results by which they are judged."""
 
     gains: Gains
     margins_pi: Margins
@@ -122,12 +122,12 @@ def root_locus(axis: LinearAxis, integral_time_s: float, gains: Floats) -> list[
 
 
 def gains_in_motion(axis: LinearAxis, wish: Wish) -> tuple[float, float, float]:
-    """Kp, Ki, L with the wanted margins: over the crossovers, the largest integral action Ki Kt + L.
+    """Kp, Ki, L with the required margins: over the crossovers, the largest integral action Ki Kt + L.
 
-    Integral action is what a slow disturbance meets: its integral of the error is its change over Ki Kt + L. To make it
-    as large as the margins allow is the textbook's choice for rejecting disturbances (Astrom, Panagopoulos and
+    Integral action rejects slow disturbances: the integral of the error is the change of the disturbance over Ki Kt +
+    L. Maximising it within the margins is the standard design for disturbance rejection (Astrom, Panagopoulos and
     Hagglund, "Design of PI controllers based on non-convex optimization", Automatica 34, 1998). The crossover of PI
-    alone is Kp Kt / (2 pi J), and Ki follows from the damping ratio of its two poles; L is the rest. Where no crossover
+    alone is Kp Kt / (2 pi J), and Ki follows from the damping ratio of its two poles; L is the rest. If no crossover
     has the margins, the slowest with L = 0.
     """
     if wish.bandwidth_hz is not None:
@@ -158,7 +158,7 @@ def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tu
 
 
 def observer_gain(axis: LinearAxis, proportional: float, integral: float, wish: Wish) -> float:
-    """The largest L (Nm/rev) with the wanted margins, which hold without it; 0 where none has them."""
+    """The largest L (Nm/rev) with the required margins, which hold without it; 0 if there is none."""
     most = proportional * axis.torque_constant_nm_per_a / max(axis.delay_s, SHORTEST_DELAY_S)  # as fast as the delay
     return largest_that(most, lambda gain: _holds(axis, proportional, integral, gain, wish))
 
@@ -176,7 +176,7 @@ def largest_that(most: float, holds: Callable[[float], bool]) -> float:
 
 
 def rest_share(stuck: LinearAxis, proportional: float, integral: float) -> float:
-    """The largest share of Kp and Ki with `REST_MARGIN_DEG` on the stuck axis; the smallest where none has it."""
+    """The largest share of Kp and Ki with `REST_MARGIN_DEG` on the sticking axis; the smallest if none has it."""
     for share in REST_SHARES:
         margins = loop_margins(stuck, share * proportional, share * integral, 0.0)
         if margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0:
@@ -208,7 +208,7 @@ def step_response(
 def design(
     axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None, stuck: LinearAxis | None = None
 ) -> Design:
-    """Choose gains for an axis, and for the same axis at rest (`stuck`; None: it is not looked at).
+    """Choose gains for an axis, and for the same axis at rest (`stuck`; None: not considered).
 
     `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins.
     """
@@ -222,7 +222,7 @@ def judge(
     axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wish | None = None,
     stuck: LinearAxis | None = None,
 ) -> Design:  # fmt: skip
-    """Everything about given gains on an axis."""
+    """Evaluate given gains on an axis."""
     wish = wish or Wish()
     proportional, integral, observer, share = gains
     integral_time_s = proportional / integral if integral > 0.0 else math.inf
@@ -264,7 +264,7 @@ def real_pole_range(axis: LinearAxis, proportional: float, integral: float) -> D
 
 
 def margin_range(axis: LinearAxis, gains: Gains, wish: Wish) -> DampingRange:
-    """Damping, out of four decades around the axis' own, over which the margins hold without a hole."""
+    """Damping, within four decades around the axis' own, over which the margins hold without interruption."""
     factors = np.geomspace(0.01, 1e4, 61)
     held = []
     for factor in factors:

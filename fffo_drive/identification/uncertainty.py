@@ -1,14 +1,15 @@
-"""How well a fit knows its parameters, and what the data cannot tell.
+"""Uncertainty of the parameters of a fit, and parameters that the data do not determine.
 
-Residuals of a mechanical axis are coloured: neighbours err alike. The covariance is therefore the sandwich over whole
-windows: each window's score counts once, whatever goes on inside it, and near windows may depend on each other:
+Residuals of a mechanical axis are coloured: neighbouring residuals are correlated. The covariance is therefore the
+sandwich over whole windows: the score of each window counts once, with any correlation inside it, and adjacent windows
+may be dependent:
 
     C = H^-1 (sum_w sum_l b_l (g_w g_w+l' + g_w+l g_w')) H^-1,   H = J' W J,   g_w = J_w' W e_w,   b_l = 1/2, 2/3, 1/3
 
-A model is also never quite right. The fit is repeated with observers of other bandwidths, which weigh slow and fast
-errors differently: a right model gives the same parameters but for noise. What k fits disagree about beyond that is a
-variance of its own between them, tau^2 (method of moments, as when studies are pooled), and the mean of k fits bears
-tau^2 / k of it. It is added in quadrature as specification error, and so is the bias that the sensor's noise makes.
+A model is also never exact. The fit is repeated with observers of other bandwidths, which weigh slow and fast
+errors differently: an exact model gives the same parameters except for noise. Further disagreement of the k fits is a
+between-fit variance tau^2 (method of moments, as in a meta-analysis), and the mean of k fits has tau^2 / k of it. It is
+added in quadrature as specification error, and so is the bias by the sensor's noise.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ Floats = npt.NDArray[np.float64]
 
 UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0
-COLLINEAR_SD = 0.02  # a collinear parameter that is known better than this is known all the same
-DEAD = 1e-14  # curvature, relative to the largest, of a parameter that does nothing
+COLLINEAR_SD = 0.02  # a collinear parameter with a smaller deviation counts as determined
+DEAD = 1e-14  # curvature, relative to the largest, of a parameter without influence
 SINGULAR = 1e-11
 SHARED_ERROR = 0.17  # correlation of the errors of fits of one data set at 1, 3/4 and 1/2 of the bandwidth, 30 seeds
-FEWEST_BLOCKS = 8  # resampled; fewer say nothing about a spread
-FEWEST_MOMENTS = 4.0  # a parameter that fewer windows than this bear on is not determined, whatever the sandwich says
+FEWEST_BLOCKS = 8  # blocks for resampling; fewer do not give a standard deviation
+FEWEST_MOMENTS = 4.0  # a parameter that fewer windows determine counts as undetermined, whatever the sandwich gives
 UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
 UNFIT_ADVICE = "no other excitation, but a look at the residuals: an effect is missing"
 ADVICE = {
@@ -59,7 +60,7 @@ class Doubt(NamedTuple):
 
 
 class Disagreement(NamedTuple):
-    """What fits with other observers make of the same coordinates."""
+    """Disagreement of fits with other observers in the same coordinates."""
 
     sd: Floats  # standard deviation between them; where `fits` is 1 the largest shift
     fits: int  # of which the solution is the mean
@@ -70,18 +71,18 @@ class Uncertainty(NamedTuple):
 
     sd: Floats  # physical units
     statistical_sd: Floats  # the part from noise
-    specification_sd: Floats  # the part from other bandwidths and from the bias
+    specification_sd: Floats  # the part from the bandwidths and from the bias
     correlation: Floats  # (p, p)
-    inflation: Floats  # variance inflation factors: how much of a parameter's information others take
+    inflation: Floats  # variance inflation factors
     windows: int
-    moments: Floats  # how many windows, in effect, bear on each parameter
+    moments: Floats  # effective number of windows that determine each parameter
     doubts: tuple[Doubt, ...]
 
 
 def uncertainty_of(
     problem: Problem, space: Coordinates, solution: Solution, shift: Floats, disagreement: Disagreement | None = None
 ) -> Uncertainty:
-    """Standard deviations of a solution. `shift` (coordinates): what it may be off by, whatever the sign."""
+    """Standard deviations of a solution. `shift` (coordinates): possible bias, of either sign."""
     size = len(space.names)
     free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
     errors, matrix = jacobian(problem, space, solution.values, free, central=True)
@@ -130,7 +131,7 @@ def ratio_sd(numerators: Floats, denominators: Floats, draws: int = 1000, seed: 
 
 
 def _scaled_inverse(hessian: Floats) -> Floats:
-    """Inverse after scaling to a unit diagonal; directions that the data do not move at all get a tiny curvature."""
+    """Inverse after scaling to a unit diagonal; directions without information get a tiny curvature."""
     scale = np.sqrt(np.maximum(np.diag(hessian), DEAD * float(np.diag(hessian).max())))
     curvature, directions = np.linalg.eigh(hessian / np.outer(scale, scale))
     inverse = (directions / np.maximum(curvature, SINGULAR)) @ directions.T

@@ -68,7 +68,7 @@ def friction(plan: Plan) -> Figure:
     left.annotate(
         "Fs: static",
         (0.05, config.static_nm),
-        (1.6, config.static_nm + 0.004),
+        (1.6, config.static_nm - 0.001),
         arrowprops={"arrowstyle": "-", "color": QUIET},
     )
     left.annotate(
@@ -160,7 +160,7 @@ def observer() -> Figure:
         axes.add_patch(Circle((x, y), 0.2, facecolor="white", edgecolor=TEXT, linewidth=1.3))
         axes.text(x, y, "+", ha="center", va="center")
     _arrow(axes, [(0.1, 0.95), (1.3, 0.95)], "reference", at=(0.62, 1.05))
-    _arrow(axes, [(1.7, 0.95), (2.58, 0.95)], "e", at=(2.1, 1.0))
+    _arrow(axes, [(1.7, 0.95), (2.58, 0.95)], "e", at=(1.9, 1.0))
     _arrow(axes, [(4.32, 0.95), (6.3, 0.95)])
     _arrow(axes, [(6.7, 0.95), (7.98, 0.95)], "current", at=(7.35, 1.0))
     _arrow(axes, [(9.72, 0.95), (10.9, 0.95)], "velocity", at=(10.3, 1.02))
@@ -194,7 +194,12 @@ def condition_14(plan: Plan) -> Figure:
     axes.plot(gains, phase, color=BLUE)
     axes.axvspan(0.0, least, color=BAD, alpha=0.12, linewidth=0)
     axes.text(
-        least / 2.0, min(phase) + 1.5, "(14) is broken:\nthe estimate may\nswing", ha="center", color=BAD, fontsize=9
+        least / 2.0,
+        min(phase) + 1.5,
+        "(14) is violated:\nthe estimate may\noscillate",
+        ha="center",
+        color=BAD,
+        fontsize=9,
     )
     chosen = controller.observer.gain_nm_per_rev
     at = loop_margins(axis, controller.proportional_a_per_rps, integral, chosen).phase_deg
@@ -231,7 +236,7 @@ def preview(plan: Plan) -> Figure:
         reference(time_s + delay_s),
         color=BLUE,
         linestyle=":",
-        label="what the feed-forward is computed from: Td ahead",
+        label="input of the feed-forward: Td ahead",
     )
     axes.set(xlabel="time, ms", ylabel="velocity, rev/s", ylim=(-1.15, 1.85))
     axes.legend(loc="upper center", fontsize=9, ncols=1)
@@ -277,8 +282,8 @@ def diagnosis() -> Figure:
         if index:
             _arrow(axes, [(-0.4 + 2.8 * index, 4.4), (0.08 + 2.8 * index, 4.4)])
     lower = (
-        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
-        ("7 model, page,\nunexplained rest", GREEN),
+        ("3 gain on blocks\noutside the fit", BLUE), ("4, 5 friction form?\nplausible?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
+        ("7 model, page,\nresidual", GREEN),
     )  # fmt: skip
     for index, (text, colour) in enumerate(lower):
         x = 8.5 - 2.8 * index
@@ -298,9 +303,9 @@ def safety() -> Figure:
     """Which layer stops the axis when the one before it has failed."""
     figure, axes = _canvas(11.0, 3.9)
     layers = (
-        ("controller", "current limit,\nclamped estimate", BLUE), ("envelope", "clamps, or trips\nand latches", BLUE),
-        ("supervisor", "states, epochs,\nordered stops", BLUE), ("drive", "silence, limits,\nquick stop", ORANGE),
-        ("machine", "emergency stop,\nSTO, brake", BAD),
+        ("controller", "current limit,\nestimate clamp", BLUE), ("envelope", "clamps, or\nlatches a trip", BLUE),
+        ("supervisor", "states, epochs,\norderly stops", BLUE), ("drive", "silence, limits,\nquick stop", ORANGE),
+        ("machine", "e-stop, STO,\nbrake", BAD),
     )  # fmt: skip
     for index, (name, text, colour) in enumerate(layers):
         x = 0.1 + 2.2 * index
@@ -310,10 +315,10 @@ def safety() -> Figure:
     axes.plot((0.1, 6.3), (0.8, 0.8), color=BLUE, linewidth=1.4)
     axes.text(3.2, 0.3, "this program: not a safety function", ha="center", fontsize=9.5)
     axes.plot((6.7, 8.5), (0.8, 0.8), color=ORANGE, linewidth=1.4)
-    axes.text(7.6, 0.3, "set up by it, read back", ha="center", fontsize=9.5)
+    axes.text(7.6, 0.3, "configured, read back", ha="center", fontsize=9.5)
     axes.plot((8.9, 10.7), (0.8, 0.8), color=BAD, linewidth=1.4)
-    axes.text(9.8, 0.3, "yours", ha="center", fontsize=9.5)
+    axes.text(9.8, 0.3, "your responsibility", ha="center", fontsize=9.5)
     axes.text(
-        0.1, 3.3, "each layer must stop the axis without the help of those on its left", fontsize=9.5, color=QUIET
+        0.1, 3.3, "each layer must stop the axis without help from the layers on its left", fontsize=9.5, color=QUIET
     )
     return figure

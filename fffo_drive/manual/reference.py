@@ -20,21 +20,24 @@ from ..signals import SIGNALS
 
 COLUMNS = 100  # of the usage lines
 FILES = {  # kind -> (title, what the file is)
-    "axis": ("Axis file", "One axis: drive, model, law, limits, profile. `run`, `serve` and `commission` take it."),
+    "axis": ("Axis file", "One axis: drive, model, law, limits, profile. Input of `run`, `serve` and `commission`."),
     "drive_profile": (
         "Drive profile",
         (
-            "What a whole family of drives needs. `drive.profile` of an axis file names it; the axis file "
-            "overrides each key."
+            "What all drives of a family have in common. `drive.profile` in an axis file selects it; the axis "
+            "file can override each key."
         ),
     ),
-    "simulated": ("Simulated drive", "The drive that `sim` starts, or that an axis file names under `drive.file`."),
+    "simulated": ("Simulated drive", "The drive that `sim` simulates, or that an axis file names under `drive.file`."),
     "model": (
         "Model",
         "Parameters of an axis with their uncertainties, and effects. `identify` and `diagnose` write it.",
     ),
-    "scenario": ("Scenario", "What `evaluate` compares: controllers, seeds, deviations of the model."),
-    "facts": ("Facts", "What is declared about a drive for logs that do not carry it: `identify LOG --drive FACTS`."),
+    "scenario": ("Scenario", "What `evaluate` compares: an axis, a reference, model errors, controllers, seeds."),
+    "facts": (
+        "Facts",
+        "What has to be declared about a drive if its logs do not contain it: `identify LOG --drive FACTS`.",
+    ),
 }
 UNITS = (  # ending of a key -> unit; the longest ending that fits counts
     ("_nm_per_a", "Nm/A"), ("_nm_per_rps2", "Nm/rps²"), ("_nm_per_rps", "Nm/rps"), ("_nm_per_rev", "Nm/rev"),
@@ -73,7 +76,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 def commands() -> str:
     """Every subcommand with its usage and options, from the parsers."""
-    lines = ["# Commands", "", "Made from the program's own parsers. `fffo-drive COMMAND --help` prints the same.", ""]
+    lines = [
+        "# Commands",
+        "",
+        "Generated from the program's parsers. `fffo-drive COMMAND --help` prints the same text.",
+        "",
+    ]
     lines += table(
         ("command", "what it does"), ((f"[`{name}`](#{name})", cell(text)) for name, (_, text) in COMMANDS.items())
     )
@@ -236,7 +244,7 @@ def _value(value: object, given: bool) -> str:
     if value is None:
         return "none"
     if isinstance(value, dict):
-        return "the section's own" if value else "empty"
+        return "see section" if value else "empty"
     if isinstance(value, list):
         return f"`{cell(value)}`" if value else "empty"
     if isinstance(value, bool):
@@ -256,7 +264,7 @@ def signals() -> str:
             "One row is recorded for each tick. These are its columns, in the order of the row. Each name "
             "ends in its unit."
         ),
-        "The ring, the MCAP schema, the columns of the reader and this table are made from one list, `signals.py`.",
+        "The ring, the MCAP schema, the columns of the reader and this table come from one list, `signals.py`.",
         "",
     ]
     return "\n".join(
@@ -271,12 +279,12 @@ def effects() -> str:
         "# Effects",
         "",
         (
-            "An *effect* is what may be added to the model of an axis; a *law* is the formula of one "
+            "An *effect* is a behaviour that can be added to the model of an axis; a *law* is the formula of one "
             "effect. The first list is"
         ),
         (
-            "what `diagnose` can name and a controller can compensate. The second is what the simulated "
-            "drive can be given: it"
+            "what `diagnose` can identify and a controller can compensate. The second is what the simulated "
+            "drive can produce: it"
         ),
         "has its own physics and shares no code with the model.",
         "",
@@ -306,7 +314,7 @@ def _slug(name: str) -> str:
 
 
 def _law(law: Law) -> list[str]:
-    others = ", ".join(f"[`{name}`](#law-{_slug(name)})" for name in law.lookalikes if name in LAWS) or "nothing known"
+    others = ", ".join(f"[`{name}`](#law-{_slug(name)})" for name in law.lookalikes if name in LAWS) or "none known"
     lines = [
         f"(law-{_slug(law.name)})=",
         f"### `{law.name}`",
@@ -314,7 +322,10 @@ def _law(law: Law) -> list[str]:
         f"{law.meaning[:1].upper()}{cell(law.meaning[1:])}.",
         "",
     ]
-    lines += [f"Acts in: {cell(law.regime)}. Confused with: {others}. Decided by: {cell(law.experiment)}.", ""]
+    lines += [
+        f"Regime: {cell(law.regime)}. Similar effects: {others}. How to tell them apart: {cell(law.experiment)}.",
+        "",
+    ]
     rows = [
         (f"`{p.name}`", p.unit, p.kind, f"{_number(p.low)} to {_number(p.high)}", cell(p.meaning))
         for p in law.parameters
@@ -330,8 +341,8 @@ def states() -> str:
 
 def _demoted(line: str) -> str:
     return (
-        "Made from `fffo_drive/daemon/states.py`, which the service interprets. A request without a "
-        "row is refused with the state and the states that allow it."
+        "Generated from `fffo_drive/daemon/states.py`, the table that the service executes. A request without a "
+        "row in the present state is refused, and the answer names the states that allow it."
         if line.startswith("Made by")
         else line
     )
@@ -353,13 +364,13 @@ def trips() -> str:
         "",
         (
             "A trip is a latched fault of the envelope, the last stage before the bus. From the tick of the "
-            "trip on no torque is"
+            "trip on, no torque is"
         ),
         (
-            "commanded. The reaction is what the loop asks of the drive; `envelope.reactions` in the axis "
-            "file overrides it by"
+            "commanded. The reaction is what the loop requests from the drive; `envelope.reactions` in the axis "
+            "file overrides it under"
         ),
-        "the trip's name. The number stands in the signal `trip` of a recording.",
+        "the name of the trip. The signal `trip` of a recording contains the number.",
         "",
     ]
     return "\n".join(lines + table(("number", "name", "meaning", "default reaction", "reason"), rows))
@@ -381,7 +392,7 @@ def api() -> str:
             "`control.sock` for everything,"
         ),
         (
-            "`watch.sock` for the methods that only read. `fffo-drive ctl` is made from the same table, and "
+            "`watch.sock` for the methods that only read. `fffo-drive ctl` is generated from the same table, and "
             "`fffo-drive ctl schema`"
         ),
         "prints the JSON schemas of a running service.",

@@ -1,4 +1,4 @@
-"""Model files: what is believed about an axis, with value, standard deviation, unit, provenance and a content hash.
+"""Model files: parameters of an axis, with value, standard deviation, unit, provenance and a content hash.
 
 A controller runs one model file. The torque constant is declared, never fitted: current, torque and inertia scale
 together.
@@ -33,11 +33,11 @@ class Quantity(StrictRecord):
 
     value: Annotated[float, Field(description="the number, in the unit of its key or of its law")]
     sd: Annotated[float | None, Field(ge=0, description="standard deviation, where it was fitted")] = None
-    source: Annotated[str, Field(description="declared, fitted, assumed, or where it was taken from")] = "declared"
+    source: Annotated[str, Field(description="declared, fitted, assumed, or the origin of the value")] = "declared"
 
     @property
     def assumed(self) -> bool:
-        """Nobody has said or measured it: a first model of `fffo-drive bring-up`."""
+        """Neither declared nor measured, as in a first model by `fffo-drive bring-up`."""
         return self.source.startswith("assumed")
 
 
@@ -48,7 +48,7 @@ class FrictionModel(StrictRecord):
         "classical"
     )
     omega: Annotated[
-        Literal["clipped", "signed", "literal"], Field(description="reading of (4), see model/friction")
+        Literal["clipped", "signed", "literal"], Field(description="interpretation of (4), see model/friction")
     ] = "clipped"
     viscous_nm_per_rps: Annotated[Quantity, Field(description="viscous slope sigma, Nm s/rev")]
     coulomb_nm: Annotated[Quantity, Field(description="Coulomb level Fc, Nm")]
@@ -64,29 +64,30 @@ class FrictionModel(StrictRecord):
 
 
 class EffectModel(StrictRecord):
-    """An effect beside J, Td and friction, by its name in model/effects; its torque is taken from the motor's."""
+    """An effect in addition to J, Td and friction, by its name in model/effects; its torque opposes the motor's."""
 
     name: Annotated[str, Field(description="a law of model/effects, or unknown:AXIS")]
     parameters: Annotated[
-        dict[str, Quantity], Field(description="of a law; of an unknown:AXIS of 0.1.0 the curve, packed")
+        dict[str, Quantity],
+        Field(description="parameters of a law; for an unknown:AXIS of version 0.1.0, the packed curve"),
     ] = Field(default_factory=dict)
-    curve: Annotated[CurveModel | None, Field(description="of an unknown:AXIS")] = None
+    curve: Annotated[CurveModel | None, Field(description="curve of an unknown:AXIS")] = None
     datum: Annotated[
         Literal["absolute", "run"],
-        Field(description="run: what is periodic has another phase in every run, and cannot be compensated"),
+        Field(description="run: a periodic effect has a different phase in every run, and cannot be compensated"),
     ] = "absolute"
     alternatives: list[str] = Field(default_factory=list, description="effects that the data cannot separate from it")
-    provenance: Annotated[str, Field(description="the command that fitted it, or the reason that `diagnose` gave")] = ""
+    provenance: Annotated[str, Field(description="the command that fitted it, or the reason given by `diagnose`")] = ""
 
     def quantities(self) -> dict[str, Quantity]:
-        """All numbers by the names of the law, those of a curve too."""
+        """All numbers under the names of the law, including those of a curve."""
         if self.curve is None:
             return self.parameters
         sd = packed_sd(self.curve)
         return {key: Quantity(value=value, sd=sd.get(key)) for key, value in packed_curve(self.curve).items()}
 
     def term(self) -> Term:
-        """As the kernels take it."""
+        """The effect as input of the kernels."""
         return Term(self.name, {key: quantity.value for key, quantity in self.quantities().items()})
 
 
@@ -94,7 +95,7 @@ def effect_model(
     name: str, values: Mapping[str, float], sd: Mapping[str, float | None], *,
     datum: Literal["absolute", "run"] = "absolute", alternatives: Sequence[str] = (), provenance: str = "",
 ) -> EffectModel:  # fmt: skip
-    """An effect that was found, for a model file: a free curve as lists, and shapes that a search left out as typical.
+    """A found effect for a model file: a free curve as lists, and shapes left out by the search as typical.
 
     `values`, `sd`: by the names of the law's parameters; no sd, None or one that is not finite: not fitted.
     """
@@ -118,8 +119,8 @@ class Provenance(StrictRecord):
 
     date: Annotated[str, Field(description="local date on which it was made, YYYY-MM-DD")] = ""
     tool: Annotated[str, Field(description="program, version and command that wrote it; empty: written by hand")] = ""
-    runs: list[str] = Field(default_factory=list, description="SHA-256 of the runs that it was fitted on")
-    note: Annotated[str, Field(description="a remark for whoever reads the file; it changes nothing")] = ""
+    runs: list[str] = Field(default_factory=list, description="SHA-256 of the runs to which it was fitted")
+    note: Annotated[str, Field(description="a remark for readers of the file; without influence")] = ""
 
 
 class ModelFile(StrictRecord):
@@ -129,22 +130,20 @@ class ModelFile(StrictRecord):
     name: Annotated[str, Field(description="names the model in recordings, reports and the status of `serve`")]
     units: Annotated[
         Literal["rotary", "linear"],
-        Field(description="linear: m, m/s and N stand for rev, rps and Nm, and `mass_kg` stands for `inertia_kg_m2`"),
+        Field(description="linear: m, m/s and N replace rev, rps and Nm, and `mass_kg` replaces `inertia_kg_m2`"),
     ] = "rotary"
     torque_constant_nm_per_a: Annotated[
-        float, Field(gt=0, le=1e6, description="declared, never fitted; of a linear axis the force constant")
+        float, Field(gt=0, le=1e6, description="declared, never fitted; for a linear axis, the force constant")
     ]
-    inertia_kg_m2: Annotated[
-        Quantity, Field(description="at the motor shaft; a linear axis has `mass_kg` in its place")
-    ]
+    inertia_kg_m2: Annotated[Quantity, Field(description="at the motor shaft; `mass_kg` for a linear axis")]
     delay_s: Annotated[Quantity, Field(description="command to measured velocity, without the hold of the command")]
     sensor_delay_s: Annotated[
-        Quantity, Field(description="the sensor's share of it; declared, it cannot be fitted")
+        Quantity, Field(description="the sensor's share of this delay; declared, as it cannot be fitted")
     ] = Quantity(value=0.0)
     friction: FrictionModel
-    effects: list[EffectModel] = Field(default_factory=list, description="what else takes torque away")
+    effects: list[EffectModel] = Field(default_factory=list, description="effects in addition to friction")
     provenance: Provenance = Provenance()
-    content_hash: Annotated[str | None, Field(description="written by the tools; checked when it is there")] = None
+    content_hash: Annotated[str | None, Field(description="written by the tools; checked if present")] = None
 
     @model_validator(mode="before")
     @classmethod
@@ -185,7 +184,7 @@ class ModelFile(StrictRecord):
 
 
 def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:
-    """As it is written and hashed: without effects where there are none, each with its curve or its parameters."""
+    """The model as it is written and hashed: `effects` only if there are any, each with its curve or its parameters."""
     content = model.model_dump(mode="json", exclude_none=exclude_none, exclude=set() if model.effects else {"effects"})
     for effect in content.get("effects", []):
         effect.pop("parameters" if effect.get("curve") is not None else "curve", None)
@@ -199,7 +198,7 @@ def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:
 
 
 def _mass_kg(inertia_kg_m2: float) -> float:
-    """To as many digits as come back unchanged."""
+    """With as many digits as are needed to read it back unchanged."""
     return float(f"{units.TWO_PI * inertia_kg_m2:.15g}")
 
 
@@ -216,7 +215,7 @@ def _scaled(quantity: Any, convert: Callable[[float], float]) -> Any:
 
 
 def content_hash(model: ModelFile) -> str:
-    """SHA-256 over everything but the hash itself, and over the effects where there are any."""
+    """SHA-256 over everything but the hash itself; over the effects only if there are any."""
     content = _content(model.model_copy(update={"content_hash": None}), exclude_none=False)
     del content["content_hash"]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -281,7 +280,7 @@ def _curve_errors(effect: EffectModel, curve: CurveModel) -> list[tuple[str, str
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists of numbers in lines, all else in blocks."""
+    """Lists of numbers in flow style, all else in block style."""
 
 
 def _list_node(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
@@ -293,14 +292,14 @@ _Dumper.add_representer(list, _list_node)
 
 
 def model_text(model: ModelFile) -> str:
-    """The model as a file, with its content hash; of a linear axis with what its keys stand for."""
+    """The model as a file, with its content hash and, for a linear axis, the meaning of its keys."""
     stamped = model.model_copy(update={"content_hash": content_hash(model)})
     text = yaml.dump(_content(stamped, exclude_none=True), Dumper=_Dumper, sort_keys=False, width=110)
     return _names_of_linear(model) + text
 
 
 def _names_of_linear(model: ModelFile) -> str:
-    """A comment: keys are those of a rotary axis, so that every reader knows them; what each is on a linear one."""
+    """A comment with the meaning of each key on a linear axis; the keys are always those of a rotary axis."""
     if model.units == "rotary":
         return ""
     keys = {name: (name, units.unit_in(name)) for name in FrictionModel.model_fields}

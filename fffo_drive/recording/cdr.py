@@ -1,6 +1,6 @@
 """Messages of numbers, texts and lists of them in CDR (OMG DDSI-RTPS 10.2, plain, little-endian), from one field list.
 
-A row is a block of memory and needs none of this; events, records and what viewers get are made here.
+Rows are blocks of memory and do not need this; events, records and messages to viewers are encoded here.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _append(out: bytearray, kind: str, value: Any) -> None:
 def decode(payload: bytes, fields: Sequence[Field]) -> Mapping[str, Any]:
     """The values of a message by name, the inverse of `encode`; lists as tuples.
 
-    Raises ValueError for bytes that are no such message.
+    Raises ValueError for bytes that are not such a message.
     """
     if payload[:2] != CDR_HEADER[:2]:
         raise ValueError("a message that is not little-endian CDR")

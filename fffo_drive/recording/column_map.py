@@ -1,4 +1,4 @@
-"""Which column of a foreign table is which signal, and in what unit."""
+"""Mapping of the columns of a foreign table to signals and units."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "N/s": {"N/s": 1.0},
     "degC": {"degC": 1.0},
 }
-_ALSO = {"A": ("V",)}  # an amplifier's input in volts stands in the place of the current command
+_ALSO = {"A": ("V",)}  # an amplifier's input in volts takes the place of the current command
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class MappedColumn:
 class ColumnMap:
     """How to read a table.
 
-    `rate_hz` makes the time where the file has no time column. On a `linear` axis _rev, _rps and _nm stand
+    `rate_hz` gives the time if the file has no time column. On a `linear` axis _rev, _rps and _nm stand
     for m, m/s and N. `extra` columns are kept under their own names, unscaled.
     """
 

@@ -1,9 +1,8 @@
 """An MCAP file that grows by whole records, written in batches with the public record classes of `mcap`.
 
-The library's own `Writer` takes a message at a time (7 us each) and, when a write fails half-way, goes on
-behind the torn record, so that nothing after it can be read. Here a batch of rows is one block of memory, and
-a failed write is cut off again: what the file holds ends with a whole record at all times. Layout and order
-of records are those of `mcap.writer.Writer`; a test holds the two against each other, byte for byte. Format:
+The library's own `Writer` takes one message at a time (7 us each) and, if a write fails half-way, continues after the
+torn record, so that nothing after it can be read. Here a batch of rows is one block of memory, and a failed write is
+truncated: the file always ends with a complete record. Layout and order of records are those of `mcap.writer.Writer`; a test compares the two byte for byte. Format:
 https://mcap.dev/spec
 """
 
@@ -43,7 +42,7 @@ Compression = Literal["zstd", "none"]
 
 
 class BinaryFile(Protocol):
-    """What is needed of a file: unbuffered, so that `write` may write less than it was given."""
+    """Required interface of a file: unbuffered, so that `write` may write less than it was given."""
 
     def write(self, data: Any, /) -> int | None: ...
     def seek(self, offset: int, /) -> int: ...
@@ -64,7 +63,7 @@ class ChunkBuilder:
         self.counts: dict[int, int] = {}
 
     def add_record(self, record: bytes) -> None:
-        """A record that is no message: a schema or channel."""
+        """A record other than a message: a schema or channel."""
         self._add(record)
 
     def add_messages(self, channel: int, block: bytes, log_times: np.ndarray[Any, Any]) -> None:
@@ -168,7 +167,7 @@ class McapFile:
         return len(self._chunk_indexes)
 
     def register(self, record: Schema | Channel) -> None:
-        """Repeat this schema or channel in the summary. In front of its messages it stands in a chunk."""
+        """Repeat this schema or channel in the summary. It is also in a chunk, before its messages."""
         if isinstance(record, Schema):
             self._schemas.append(record)
         else:
@@ -210,7 +209,7 @@ class McapFile:
             self._counts[channel] = self._counts.get(channel, 0) + count
 
     def finish(self) -> None:
-        """Write what makes the file indexed: end of data, summary, footer, magic. The file stays open."""
+        """Write the index: end of data, summary, footer, magic. The file stays open."""
         data_end = record_bytes(DataEnd(0))
         summary_start = self.size + len(data_end)
         groups: list[tuple[Opcode, list[McapRecord]]] = [

@@ -1,7 +1,6 @@
 """Columns of a CSV file, plain or gzip. NumPy's own parser (3 million numbers a second) does the work.
 
-It tells little about what it dislikes; when it fails, the file is gone through again, slowly, to name line
-and column.
+Its error messages say little; if it fails, the file is parsed again, slowly, to name line and column.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class CsvFile:
         return {}
 
     def _whole_lines(self, body: str) -> tuple[str, tuple[str, ...]]:
-        """The lines of numbers, without a last one that was cut off, as a log is whose program was stopped."""
+        """The lines of numbers, without a truncated last one, as in a log whose program was stopped."""
         begin = body.rfind("\n") + 1
         last = body[begin:]
         if not begin or not last.strip() or len(last.split(self._delimiter)) >= len(self.names):
@@ -96,7 +95,7 @@ class CsvFile:
                 yield number, line.rstrip("\r")
 
     def place(self, row: int) -> str:
-        """Where row `row` (from 0) stands in the file."""
+        """Place of row `row` (from 0) in the file."""
         for index, (number, _) in enumerate(self._lines()):
             if index == row:
                 return f"line {number}"

@@ -1,4 +1,4 @@
-"""The one exception of this package: a file that cannot be used as asked. Its text names file and place."""
+"""The only exception of this package: a file that cannot be used as requested. Its text names file and place."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class RecordingError(Exception):
-    """A recording or table is not what it should be. A torn file is no error: what is whole of it is read."""
+    """A recording or table is invalid. A torn file is not an error: its complete part is read."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -1,7 +1,7 @@
-"""Events: what happened beside the ticks (state changes, faults, parameters, gaps in the recording).
+"""Events: what happens outside the ticks (state changes, faults, parameters, gaps in the recording).
 
 They travel as CDR like the rows, because a file of profile `ros2` may hold nothing else: readers of that
-profile refuse it when one channel has a JSON schema. What is free in form stands as a JSON object in `data`.
+profile refuse it if a channel has a JSON schema. Free-form content is a JSON object in `data`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Any log by its name: a recording of ours, or a table of someone else's."""
+"""Any log by its name: a recording of this program, or a table from another."""
 
 from __future__ import annotations
 

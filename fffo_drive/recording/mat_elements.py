@@ -1,8 +1,7 @@
-"""The elements of a MAT file of version 5 to 7.2, unpacked and checked before scipy believes what they say.
+"""The elements of a MAT file of version 5 to 7.2, unpacked and checked before scipy reads them.
 
-scipy makes room for as many cells as an array says that it has, and unpacks whatever a variable holds: a file of 600
-bytes could ask for a gigabyte, and a number of no known kind ends the process (SIGSEGV). Source: MAT-File Format, The
-MathWorks, chapter 1.
+scipy allocates as many cells as an array claims to have, and unpacks any variable: a file of 600 bytes could request a
+gigabyte, and a number of an unknown type ends the process (SIGSEGV). Source: MAT-File Format, The MathWorks, chapter 1.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ ZLIB_WINDOW_BITS = 15
 
 
 class MatError(Exception):
-    """What an element says does not fit what is there."""
+    """The header of an element contradicts its content."""
 
 
 class _Element(NamedTuple):
@@ -66,7 +65,7 @@ def unpacked(path: Path) -> bytes:
 
 
 def _elements(data: bytes, begin: int, end: int, byte_order: str, padded_to: int) -> Iterator[_Element]:
-    """The elements between two places. Raises MatError for one that is longer than its room."""
+    """The elements between two positions. Raises MatError for an element that exceeds its space."""
     while begin < end:
         kind, size = struct.unpack_from(byte_order + "II", data, begin)
         if kind >> 16:  # a small one: its content stands in its tag
@@ -81,7 +80,7 @@ def _elements(data: bytes, begin: int, end: int, byte_order: str, padded_to: int
 
 
 def _check(data: bytes, begin: int, end: int, byte_order: str, depth: int) -> None:
-    """Every array is of a kind that is known and has room for what it says that it holds. Raises MatError."""
+    """Check that every array is of a known type and has space for its declared content. Raises MatError."""
     if depth > DEEPEST:
         raise MatError
     for element in _elements(data, begin, end, byte_order, 8 if depth else 1):

@@ -97,7 +97,9 @@ class Run:
 
     @property
     def profile_samples(self) -> int | None:
-        """Samples of the profile that ran; None where several ran (a service's recording), or where nothing says it."""
+        """Samples of the profile that ran; None if there were several (recording of a service), or if it is not
+        recorded.
+        """
         sizes = {record.number: record.by_name for record in self.records if record.kind == RecordKind.PROFILE}
         if sizes and {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
             ran = np.unique(self.rows["profile_number"][self.rows["profile_sample"] >= 0])
@@ -129,8 +131,8 @@ class Run:
 def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks).
 
-    Raises RecordingError when it is no MCAP file, or a whole one without rows on `topic`; OSError when it
-    cannot be opened.
+    Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
+    opened.
     """
     collector = _Collector(Path(path), topic)
     with Path(path).open("rb") as file:
@@ -153,7 +155,7 @@ class RunHead(NamedTuple):
 
 
 def read_head(path: Path | str) -> RunHead:
-    """What a recording says of itself at its beginning, without reading its rows.
+    """Metadata, attachments and start at the beginning of a recording, without reading its rows.
 
     Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
     """

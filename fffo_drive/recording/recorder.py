@@ -1,7 +1,7 @@
-"""The recorder: drains the ring on a thread of ordinary priority and writes files, whatever the disk does.
+"""The recorder: drains the ring on a thread of ordinary priority and writes files, whatever the state of the disk.
 
-The loop never waits for it. A disk that is full, gone or slow costs rows, which are counted and reported; the
-thread goes on draining and opens a new file as soon as one can be opened.
+The loop never waits for it. If the disk is full, gone or slow, rows are lost, counted and reported; the thread
+continues to drain and opens a new file as soon as possible.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .run_records import RecordBook, RunRecord
 from .settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 
 SOURCE = "recorder"
-WRITE_ROWS = 4096  # between two looks at the size of the file: a run in simulated time comes in one piece
+WRITE_ROWS = 4096  # between checks of the file size: a run in simulated time arrives in one piece
 EVENT_QUEUE = 4096  # events kept while no file is open; older ones are counted as lost
 
 
@@ -46,7 +46,7 @@ class Recorder:
     ) -> None:
         self._records: deque[RunRecord] = deque()
         self._book = records
-        # heard before the first row is read: what that row names is in force, or comes
+        # subscribed before the first row is read: records named by that row are in force, or follow
         in_force = records.listen(self._records.append) if records is not None else []
         self._reader = RingReader(ring, from_now)
         self._settings = settings or RecorderSettings()
@@ -212,7 +212,7 @@ class Recorder:
 
 
 def leave_realtime(cpus: frozenset[int] | None = None) -> None:
-    """Give the calling thread ordinary scheduling, should it have inherited the loop's, and these CPUs."""
+    """Give the calling thread ordinary scheduling, in case it inherited the loop's, and these CPUs."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if cpus is not None:
         os.sched_setaffinity(0, cpus)

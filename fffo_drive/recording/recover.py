@@ -1,4 +1,4 @@
-"""Makes a whole, indexed file of a torn one: the records of its whole chunks unchanged, the index new."""
+"""Makes a complete, indexed file from a torn one: records of complete chunks unchanged, with a new index."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .scan import (
 from .schema import METADATA_NAME, ROW_TOPIC, SUMMARY_NAME, message_dtype
 from .writer import CHUNK_SIZE, LIBRARY, open_new
 
-RESCUE_SUFFIX = ".recovering"  # not .part: that is often the name of what is being rescued
+RESCUE_SUFFIX = ".recovering"  # not .part: that is often the name of the input
 _MESSAGE_PREFIX = message_dtype(0).itemsize
 
 
 class RecoverReport(NamedTuple):
-    """What was found and saved."""
+    """Result of a recovery."""
 
     path_in: Path
     path_out: Path
@@ -87,7 +87,7 @@ class _Rescue:
         self._counts: dict[int, int] = {}
 
     def take(self, record: McapRecord, scanner: Scanner) -> None:
-        """One top-level record of the torn file; a damaged one leaves no trace."""
+        """One top-level record of the torn file; a damaged one is dropped."""
         if record.opcode == Opcode.HEADER:
             header = parse(Header.read, record.body)
             self._out = McapFile(self._file, header.profile, f"{LIBRARY} recovered from {header.library}")

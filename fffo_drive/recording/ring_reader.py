@@ -1,7 +1,7 @@
 """The reading end of the ring that the loop writes rows into.
 
-The loop is the only writer and waits for nobody: a reader that comes too late loses rows, and has to notice.
-`words[0]` (HEAD) counts the rows ever written, released after the row; row r stands in slot r mod capacity.
+The loop is the only writer and never waits: a reader that is too late loses rows, and has to notice.
+`words[0]` (HEAD) counts the rows ever written, released after the row; row r is in slot r mod capacity.
 While HEAD is h the writer may be filling the slot of row h, which is that of row h - capacity: the capacity -
 1 youngest rows can be read.
 """
@@ -21,7 +21,7 @@ Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
 class ReadableRing(Protocol):
-    """What is needed of a ring: `rows` (capacity,), a power of two; `words` (n,) int64, words[0] the head."""
+    """Required interface of a ring: `rows` (capacity,), a power of two; `words` (n,) int64, words[0] the head."""
 
     @property
     def rows(self) -> Rows: ...
@@ -61,7 +61,7 @@ class RingReader:
         self.rows_lost = 0
 
     def read(self) -> Batch:
-        """Copy out what is there. Never waits."""
+        """Copy out the available rows. Never waits."""
         head = int(_head(self._words))
         first = max(self.tail, head - self._capacity + 1)
         copied = self._copy(first, head)

@@ -16,7 +16,7 @@ _OWN_LIBRARY = b"fffo-drive/"
 
 
 class QuotaReport(NamedTuple):
-    """What `enforce_quota` did."""
+    """Result of `enforce_quota`."""
 
     deleted: tuple[Path, ...]
     total_bytes: int  # of what is left

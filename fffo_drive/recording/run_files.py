@@ -1,4 +1,4 @@
-"""The files of one run: opened, cut, given up when the disk fails, and tried again at a bounded pace."""
+"""The files of one run: opened, rotated, abandoned when the disk fails, and retried at a limited rate."""
 
 from __future__ import annotations
 
@@ -105,11 +105,11 @@ class RunFiles:
                 event = events.popleft()
                 self._events_handed += 1
                 writer.write_event(event)
-        except Exception as error:  # whatever it is: the loop goes on, and so does draining
+        except Exception as error:  # any error: the loop continues, and so does draining
             self._fail(writer, error, now_ns)
 
     def keep_house(self, now_ns: int) -> None:
-        """Flush, begin a new file, look after the quota, each when it is due."""
+        """Flush, begin a new file, enforce the quota, each when it is due."""
         writer = self._writer
         if writer is not None and now_ns - self._flushed_ns >= self._settings.flush_interval_s * NS_PER_S:
             self._flush(writer, now_ns)
@@ -206,12 +206,12 @@ class RunFiles:
         return True
 
     def _fail(self, writer: RunWriter, error: Exception, now_ns: int) -> None:
-        """Give up the open file: what it holds stays, the rest is counted, a new one is tried later."""
+        """Abandon the open file: its content stays, the rest is counted as lost, and a new file is tried later."""
         self.note_failure(error, now_ns)
         gone = writer.deleted
         if writer.rows_written and not gone:
             with contextlib.suppress(Exception):
-                # what cutting off the torn chunk gave back on a full disk may be just enough for the index
+                # on a full disk, truncating the torn chunk may free just enough space for the index
                 self.finished.append(writer.close({**self._counts(), "ended_by": self.last_error}))
                 self._retire(writer, kept=writer.rows_written)
                 return

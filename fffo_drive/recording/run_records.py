@@ -1,8 +1,8 @@
-"""Records: what was in force in a run and what was asked of it, numbered, with all values.
+"""Records: numbered, with all values, of what was in force in a run and what was requested.
 
 A row names the parameters, the effects and the profile that were in use by their numbers, and the last request that
-the loop had seen when its tick began (`request_number`): rows and records meet by numbers, never by clocks. What a row
-of now may name is written at the beginning of every file, so that each file stands alone.
+the loop had seen when its tick began (`request_number`): rows and records are matched by numbers, never by clocks. The
+records in force are written at the beginning of every file, so that each file is self-contained.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ RECORD_SCHEMA = schema_of("What was in force, and what was asked for.", RECORD_F
 
 
 class RecordKind(StrEnum):
-    """What a record tells of."""
+    """Kind of a record."""
 
     SESSION = "session"  # times of the loop, limits of the envelope, the session's id
     MODEL = "model"  # a model file: name, content hash, text
@@ -44,10 +44,10 @@ class RecordKind(StrEnum):
     TOGGLE = "toggle"  # control.friction_observer.TOGGLE_*
     IN_SERVICE = "in_service"  # effects in service, as bits
     RESET = "reset"  # of the latched trip and the drive's fault
-    ABORT = "abort"  # the number of a profile that is to end at once
+    ABORT = "abort"  # the number of a profile that has to end at once
     SET_POINT_ABORT = "set_point_abort"  # the number of a set point whose motion is to end at once
     STOP = "stop"  # the loop is to end
-    AUTOSTOP = "autostop"  # the loop is to end with the profile
+    AUTOSTOP = "autostop"  # the loop has to end with the profile
 
 
 NAMED_BY_ROWS: dict[str, str] = {  # kind -> the row's field with its number
@@ -96,10 +96,10 @@ def decode_record(payload: bytes) -> RunRecord:
 
 
 def still_in_force(records: Iterable[RunRecord], row: Any) -> list[RunRecord]:
-    """Those of the records (in their order) that this row or a later one can name, and the last of each kind.
+    """The records (in their order) that this row or a later one can name, and the last of each kind.
 
-    A record that the row names by its number, and what came after it; of the rest the last that the loop had seen, and
-    what it had not.
+    These are a record named by the row and all later ones; for other kinds, the last one that the loop had seen and all
+    later ones.
     """
     given = list(records)
     seen = int(row[REQUEST_NUMBER])
@@ -120,7 +120,7 @@ Listener = Callable[[RunRecord], None]
 
 
 class RecordBook:
-    """The records of a session that are in force, and whoever is to hear of new ones. From any thread."""
+    """The records of a session that are in force, and the listeners for new ones. Thread-safe."""
 
     def __init__(self, wall_ns: Callable[[], int] = time.time_ns) -> None:
         self._wall_ns = wall_ns
@@ -129,7 +129,7 @@ class RecordBook:
         self._listeners: list[Listener] = []
 
     def add(self, record: RunRecord) -> None:
-        """One more, with the time of now; its listeners hear of it before this returns."""
+        """Add a record with the present time; the listeners are called before this returns."""
         with self._lock:
             record = record._replace(time_ns=self._wall_ns())
             self._records.append(record)
@@ -137,17 +137,19 @@ class RecordBook:
                 listener(record)
 
     def forget(self, row: Any) -> None:
-        """Drop what this row and later ones do not name."""
+        """Drop records that neither this row nor later ones name."""
         with self._lock:
             self._records = still_in_force(self._records, row)
 
     def listen(self, listener: Listener) -> list[RunRecord]:
-        """Be told of every record from now on (it must not wait). Returns those in force: none is missed or doubled."""
+        """Subscribe to all records from now on (the listener must not wait). Return those in force: none is missed or
+        doubled.
+        """
         with self._lock:
             self._listeners.append(listener)
             return list(self._records)
 
     def leave(self, listener: Listener) -> None:
-        """Be told no more."""
+        """Unsubscribe."""
         with self._lock:
             self._listeners = [other for other in self._listeners if other != listener]

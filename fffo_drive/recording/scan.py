@@ -1,8 +1,8 @@
 """Walks through an MCAP file record by record and stops, with a reason, where it is torn or damaged.
 
 The readers of `mcap` need the index at the end, or raise from deep inside when a record is cut off. This one
-trusts nothing: a record counts when all its bytes are there, a chunk when it decompresses to the size and
-checksum that it states.
+trusts nothing: a record is valid if all its bytes are there, a chunk if it decompresses to the size and checksum that
+it states.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ T = TypeVar("T")
 
 
 class DamagedRecordError(Exception):
-    """Bytes that are there but are not what they claim to be. Never leaves this package."""
+    """Bytes that do not match their header. Never leaves this package."""
 
 
 class McapRecord(NamedTuple):
@@ -76,7 +76,7 @@ class Segment(NamedTuple):
 class Scanner:
     """Iterates over the top-level records of an open file; then `tear` says why it ended early, or is None.
 
-    Raises RecordingError when the file is no MCAP file at all.
+    Raises RecordingError if the file is not an MCAP file.
     """
 
     def __init__(self, file: BinaryIO, name: str) -> None:
@@ -178,7 +178,7 @@ def open_chunk(body: bytes, allowance: Allowance | None = None) -> bytes:
 
 
 def _size_inside(compression: bytes, data: memoryview, stated: int) -> int:
-    """What the compressed bytes say themselves that they unpack to; what the chunk states where they do not say."""
+    """Unpacked size from the compressed bytes; from the chunk header if they do not state it."""
     if compression == b"":
         return len(data)
     if compression != b"zstd":

@@ -1,4 +1,4 @@
-"""How a run is recorded: what its files begin with, how they are cut, where the recorder meets the world."""
+"""Settings of a recording: file headers, rotation, and the recorder's interface to its environment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Rows = np.ndarray[Any, np.dtype[np.void]]
 
 @dataclass(frozen=True)
 class RunHeader:
-    """What stands in front of every file of a run."""
+    """Header of every file of a run."""
 
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Attachments = ()
@@ -47,7 +47,7 @@ class RotationPolicy:
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """How the recorder works."""
+    """Settings of the recorder."""
 
     drain_interval_s: float = 0.05
     flush_interval_s: float = 1.0
@@ -62,7 +62,7 @@ class RecorderSettings:
 
 @dataclass(frozen=True)
 class RecorderHooks:
-    """The world around the recorder. The `on_` hooks run on its thread; what they raise is only counted."""
+    """Environment of the recorder. The `on_` hooks run on its thread; exceptions in them are only counted."""
 
     clock_ns: Callable[[], int] = time.monotonic_ns  # the clock of deadline_ns
     opener: Opener = open_new

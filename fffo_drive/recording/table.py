@@ -1,7 +1,7 @@
 """Import of logs that other programs made: CSV (plain, gzip) and MAT, into the columns that `reader.Run` has.
 
-Nothing is repaired silently: what a fit could not bear is an error with file, place and column, what looks
-odd is a warning. A wrong unit cannot be seen here.
+Nothing is repaired silently: data unusable for a fit are an error with file, place and column, anomalies are a warning.
+A wrong unit cannot be detected here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .mat_file import MatFile
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 GAP_PERIODS = 1.5  # a step in time beyond this many median periods is a gap
-ROUNDED_SHARE = 0.05  # so many equal stamps are not accidents, but digits that the log does not have
+ROUNDED_SHARE = 0.05  # this many equal timestamps are due to the limited resolution of the log, not chance
 TEXT_SUFFIXES = tuple(kind + packed for kind in (".csv", ".txt", ".tsv") for packed in ("", ".gz"))
 SUFFIXES = (*TEXT_SUFFIXES, ".mat")
 
@@ -170,7 +170,7 @@ def _later(time: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def _check_order(place: Callable[[int], str], time: Array, problems: list[str]) -> None:
-    """Stamps that run backwards or stand still."""
+    """Timestamps that decrease or repeat."""
     steps = np.diff(time)
     backwards = np.flatnonzero(steps < 0.0)
     if len(backwards):
@@ -185,7 +185,7 @@ def _check_order(place: Callable[[int], str], time: Array, problems: list[str]) 
 
 
 def _check_gaps(place: Callable[[int], str], time: Array, gap_list: list[str]) -> tuple[int, ...]:
-    """Rows behind gaps."""
+    """Rows after gaps."""
     steps = np.diff(time)
     forward = steps[steps > 0.0]
     if not len(forward):

@@ -28,7 +28,7 @@ class Allowance:
         self._whole = self._left = FREE_BYTES + LARGEST_RATIO * size_bytes
 
     def take(self, size_bytes: int) -> None:
-        """So many bytes more come out of the file. Raises RecordingError when it is too much."""
+        """Count bytes unpacked from the file. Raises RecordingError if there are too many."""
         self._left -= size_bytes
         if self._left < 0:
             raise RecordingError(
@@ -50,8 +50,8 @@ def gunzipped(path: Path, data: bytes) -> bytes:
 def inflated(data: bytes | memoryview, window_bits: int, allowance: Allowance) -> bytes:
     """What a zlib (window_bits 15) or gzip (31) stream holds, or several one after another.
 
-    It is counted before anything of it is kept. Raises RecordingError where it is too much, EOFError where it is cut
-    off, zlib.error where it is damaged.
+    The size is checked before anything is kept. Raises RecordingError if it is too large, EOFError if it is truncated,
+    zlib.error if it is damaged.
     """
     for block in _blocks(data, window_bits):
         allowance.take(len(block))

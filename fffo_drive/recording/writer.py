@@ -1,4 +1,4 @@
-"""One run, one file: metadata first, rows in batches, events; NAME.mcap.part until it is whole."""
+"""One run, one file: metadata first, rows in batches, events; NAME.mcap.part until it is complete."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def open_new(path: Path) -> BinaryFile:
 def wall_clock_offset_ns(samples: int = 9) -> int:
     """CLOCK_REALTIME minus CLOCK_MONOTONIC now, from the tightest of a few pairs of readings.
 
-    Taken once a run: later steps of the wall clock do not reach the recording.
+    Taken once per run: later steps of the wall clock do not affect the recording.
     """
     best_width, best_offset = 0, 0
     for sample in range(samples):
@@ -229,7 +229,7 @@ class RunWriter:
     def flush(self) -> None:
         """Hand everything to the operating system, and to the disk when the fsync interval is over.
 
-        Raises OSError also when the file was deleted or moved meanwhile: that would otherwise go on unseen.
+        Raises OSError also if the file was deleted or moved meanwhile, which would otherwise go unnoticed.
         """
         if self._chunk.counts:
             self._close_chunk()
@@ -238,7 +238,7 @@ class RunWriter:
             self._sync()
 
     def check_in_place(self) -> None:
-        """Raise FileNotFoundError when the name no longer leads to the file that is being written."""
+        """Raise FileNotFoundError if the name no longer refers to the file being written."""
         try:
             same = os.path.samestat(os.stat(self.part_path), os.fstat(self._file.fileno()))
         except FileNotFoundError:
@@ -248,7 +248,7 @@ class RunWriter:
 
     @property
     def deleted(self) -> bool:
-        """True when the file has no name any more: nothing of it will be left after closing."""
+        """Whether the file has no name any more and will disappear when closed."""
         try:
             return os.fstat(self._file.fileno()).st_nlink == 0
         except (OSError, ValueError):
@@ -324,7 +324,7 @@ def _schemas_and_channels() -> list[Schema | Channel]:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a new or renamed name survive a power loss."""
+    """Make a new or renamed file name survive a power failure."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -1,1 +1,1 @@
-"""The loop, the memory that it shares with ordinary threads, and what supervises it."""
+"""The real-time loop, the memory that it shares with ordinary threads, and its supervision."""

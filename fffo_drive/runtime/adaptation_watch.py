@@ -8,18 +8,18 @@ NAMES = {OFFSET_AT_BOUND: "offset", COULOMB_AT_BOUND: "Coulomb friction", VISCOU
 
 
 def bound_names(bits: int) -> list[str]:
-    """What is at its bound, by blocks.ADAPTED_TO_BOUND."""
+    """Names of the parameters at their bounds, from blocks.ADAPTED_TO_BOUND."""
     return [name for bit, name in NAMES.items() if bits & bit]
 
 
 class BoundWatch:
-    """Follows one loop's status word. A bound that was left and is reached again is reported again."""
+    """Monitors the status word of one loop. A bound that was left and is reached again is reported again."""
 
     def __init__(self) -> None:
         self._known = 0
 
     def news(self, bits: int) -> str | None:
-        """A sentence for what has reached its bound since the last call; None for nothing. `bits`: ADAPTED_TO_BOUND."""
+        """A sentence for each bound reached since the last call; None if there is none. `bits`: ADAPTED_TO_BOUND."""
         names = bound_names(bits & ~self._known)
         self._known = bits
         if not names:

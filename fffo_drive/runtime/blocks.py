@@ -1,4 +1,4 @@
-"""Memory that the loop shares with ordinary threads. Nobody waits for anybody.
+"""Memory that the loop shares with ordinary threads, without waiting on either side.
 
 Words are int64 with one writer each. Parameters and profiles have two slots: the writer fills the one that is not in
 use and then publishes its number; the loop makes one try to copy and otherwise keeps the last good copy.
@@ -26,16 +26,16 @@ STOP = 0  # 1: leave the loop after this tick
 GOAL = 1  # drive.cia402.GOAL_*
 TOGGLE = 2  # friction_observer.TOGGLE_*
 PROFILE_NUMBER = 3  # a new number starts the profile in slot number & 1 once the drive is enabled
-PROFILE_ABORT = 4  # the number of a profile that is to end at once
+PROFILE_ABORT = 4  # the number of a profile to end at once
 PARAMETER_NUMBER = 5  # a new number publishes the parameters in slot number & 1
 RESET_NUMBER = 6  # a new number clears the latched trip and the drive's fault
 AUTOSTOP = 7  # 1: disable the drive and leave the loop when the profile has ended
-SUPERVISOR_BEAT = 8  # changes as long as somebody is in charge of the loop (LoopConfig.supervisor_ticks)
-EFFECTS = 9  # bits: which of the model's effects are in service
+SUPERVISOR_BEAT = 8  # changes as long as the supervisor is alive (LoopConfig.supervisor_ticks)
+EFFECTS = 9  # bits: the effects of the model in service
 EFFECTS_NUMBER = 10  # a new number publishes the effects in slot number & 1
 REQUEST_NUMBER = 11  # raised after each request, with the sequence of its record: rows name the last one seen
 SET_POINT_NUMBER = 12  # a new number publishes the live set point in slot number & 1
-SET_POINT_ABORT = 13  # the number of a set point whose motion is to end at once
+SET_POINT_ABORT = 13  # the number of a set point whose motion has to end at once
 CONTROL_WORDS = 14
 
 # status words: written by the loop
@@ -45,7 +45,7 @@ MODE = 2
 TRIP = 3
 TRIP_TICK = 4
 STATUSWORD = 5
-PROFILE_SAMPLE = 6  # -1: no profile runs
+PROFILE_SAMPLE = 6  # -1: no profile is running
 PROFILE_DONE = 7  # number of the last profile that ended
 LATE_TICKS = 8
 SKIPPED_TICKS = 9
@@ -55,18 +55,18 @@ PARAMETERS_IN_USE = 12
 FINISHED = 13  # 1 when the loop has returned
 ABANDONED = 14  # 1 when the loop stopped because the supervisor was silent
 EFFECTS_IN_USE = 15  # number of the effects that are compensated
-TRIP_STATUSWORD = 16  # of the tick of the trip: a moment later it shows the reaction
+TRIP_STATUSWORD = 16  # of the tick of the trip: later ones show the reaction
 SET_POINT_DONE = 17  # number of the set point whose motion ended last, at standstill or aborted
-SET_POINT_LAPSED = 18  # number of the last set point that held for its time and was not renewed
-SET_POINT_BLOCKED = 19  # number of the last set point that led out of its window, and was braked
-ADAPTED_TO_BOUND = 20  # bits of what was adapted to its bound: control.adaptation.*_AT_BOUND
+SET_POINT_LAPSED = 18  # number of the last set point whose duration ended without a renewal
+SET_POINT_BLOCKED = 19  # number of the last set point that would leave its window, and was braked
+ADAPTED_TO_BOUND = 20  # bits of adapted parameters at their bounds: control.adaptation.*_AT_BOUND
 STATUS_WORDS = 21
 
 PROFILE_ROWS = 2  # value and derivative
 
 
 class Blocks(NamedTuple):
-    """All of it, as the loop takes it."""
+    """All shared memory, as an argument of the loop."""
 
     control: Words  # (CONTROL_WORDS,)
     status: Words  # (STATUS_WORDS,)
@@ -74,12 +74,12 @@ class Blocks(NamedTuple):
     profile_words: Words  # (2, 2): length and mode of each slot
     profiles: Floats  # (2, PROFILE_ROWS, capacity)
     effects: Floats  # (2, compensation.TABLE_SIZE)
-    effects_loop: Floats  # the same size, the loop's own: copy under way, and effects in use
-    effects_memory: Floats  # (compensation.MEMORY_SIZE,), the loop's own
+    effects_loop: Floats  # the same size, private to the loop: copy in progress, and effects in use
+    effects_memory: Floats  # (compensation.MEMORY_SIZE,), private to the loop
     set_points: Floats  # (2, SET_POINT_SIZE)
-    set_point_loop: Floats  # the same size, the loop's own: copy under way, and set point in use
-    trajectory: Floats  # (2, set_point.HISTORY), the loop's own: what the set points came to
-    commands: Floats  # (velocity_estimator.COMMANDS,), the loop's own: the last commands in A
+    set_point_loop: Floats  # the same size, private to the loop: copy in progress, and set point in use
+    trajectory: Floats  # (2, set_point.HISTORY), private to the loop: the generated reference
+    commands: Floats  # (velocity_estimator.COMMANDS,), private to the loop: the last commands in A
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -105,7 +105,7 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
 
 
 def publish_controller(blocks: Blocks, controller: ControllerConfig) -> int:
-    """Hand new parameters to the loop, which takes them at a tick boundary. Returns their number."""
+    """Hand new parameters to the loop, which takes them at a tick boundary. Return their number."""
     number = int(blocks.control[PARAMETER_NUMBER]) + 1
     blocks.parameters[number & 1] = pack_controller(controller)
     store_release(blocks.control, PARAMETER_NUMBER, number)
@@ -176,7 +176,7 @@ def take_set_point(blocks: Blocks, number_in_use: int) -> int:
 
 @njit
 def _take(blocks: Blocks, word: int, slots: Floats, number_in_use: int, scratch: Floats, in_use: Floats) -> int:
-    """Copy the slot whose number stands in a control word, if it is a new one. Returns the number in use.
+    """Copy the slot whose number is in a control word, if that number is new. Return the number in use.
 
     One try: while the copy is made the writer may publish once more (the other slot) but not twice; then the copy is
     dropped, counted, and tried again at the next tick.

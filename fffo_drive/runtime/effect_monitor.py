@@ -1,8 +1,9 @@
-"""Whether compensated effects help on this axis today: windows with them and without, compared by a sequential test.
+"""Whether compensated effects still help on this axis: windows with and without them, in a sequential test.
 
-A trial alternates windows with and without what is tried (with, without, without, with, ...: a trend cancels). Of each
-pair the logarithm of the ratio of the squared tracking errors counts; its mean is tested after every pair, at a level
-that holds for all looks together. Worse: out of service. Better, or no difference after the last pair: in service.
+A trial alternates windows with and without the tried effects (with, without, without, with, ...: a trend cancels). Of
+each pair the logarithm of the ratio of the squared tracking errors counts; its mean is tested after every pair, at a
+level that holds for all looks together. Worse: out of service. Better, or no difference after the last pair: in
+service.
 
 First all effects are tried together. Then each of several: together no worse, each against all the others; together
 worse, each by itself, beginning with none in service. What is left is watched by a cumulative sum of its squared error
@@ -29,7 +30,7 @@ Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
 class Phase(Enum):
-    """What the monitor does."""
+    """Activity of the monitor."""
 
     TRIAL = "trial"
     SERVICE = "in service"
@@ -37,15 +38,15 @@ class Phase(Enum):
 
 
 class MonitorConfig(NamedTuple):
-    """How the test is made."""
+    """Parameters of the test."""
 
-    window_s: float = 1.0  # that counts, behind the ramp
+    window_s: float = 1.0  # evaluated, after the ramp
     least_pairs: int = 4
     most_pairs: int = 24
     level_sds: float = 3.3  # a pair of looks at 5 % would be 1.96; held for up to 24 looks, and 1 % in all
-    tolerated_percent: float = 2.0  # of the squared error: worse than by this is worse
+    tolerated_percent: float = 2.0  # increase of the squared error that does not count as worse
     alarm_sds: float = 10.0  # cumulative sum that starts another trial
-    slack_sds: float = 1.0  # of a window's growth that is not added up
+    slack_sds: float = 1.0  # growth of a window that is not accumulated
     least_motion_rps: float = 0.05  # rms of the reference in a window that counts
 
 
@@ -58,14 +59,14 @@ class Window(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Mean and spread of numbers that come one by one (Welford)."""
+    """Running mean and standard deviation (Welford)."""
 
     number: int = 0
     mean: float = 0.0
     squares: float = 0.0  # sum of squared deviations
 
     def added(self, value: float) -> Moments:
-        """With one more."""
+        """The moments with one more number."""
         number = self.number + 1
         change = value - self.mean
         mean = self.mean + change / number
@@ -73,12 +74,12 @@ class Moments(NamedTuple):
 
     @property
     def sd(self) -> float:
-        """Standard deviation; 1 where there is none yet."""
+        """Standard deviation; 1 with fewer than two numbers."""
         return math.sqrt(self.squares / (self.number - 1)) if self.number > 1 else 1.0
 
 
 class EffectTrial(NamedTuple):
-    """Some effects tried on top of others."""
+    """A trial of some effects on top of others."""
 
     base: int  # bits in service in every window
     tried: int  # bits in service in every other one
@@ -90,55 +91,55 @@ class EffectTrial(NamedTuple):
 
     @property
     def wanted(self) -> int:
-        """Bits that the next window is to have: with, without, without, with, with, ..."""
+        """Bits wanted in the next window: with, without, without, with, with, ..."""
         return self.base | self.tried if self.number % 4 in (0, 3) else self.base
 
 
 class MonitorState(NamedTuple):
     """Memory of the monitor."""
 
-    trial: EffectTrial | None  # None: what is kept is in service
-    kept: int  # bits that no trial has taken out
+    trial: EffectTrial | None  # None: the kept effects are in service
+    kept: int  # bits not removed by a trial
     queue: tuple[int, ...] = ()  # to be tried one by one
     usual: Moments = Moments()  # logarithm of the squared error in service
     growth: float = 0.0  # cumulative sum in service, in standard deviations
 
     @property
     def phase(self) -> Phase:
-        """What is done."""
+        """The present activity."""
         if self.trial is not None:
             return Phase.TRIAL
         return Phase.SERVICE if self.kept else Phase.OUT
 
     @property
     def wanted(self) -> int:
-        """Bits that are to be in service now."""
+        """Bits wanted in service now."""
         return self.kept if self.trial is None else self.trial.wanted
 
 
 class EffectVerdict(NamedTuple):
-    """The end of a trial, or the beginning of another one."""
+    """The result of a trial, or the reason for another trial."""
 
-    effects: int  # bits that it speaks of
+    effects: int  # bits to which it applies
     worse: bool
     change: float = math.nan  # of the squared error with them, as a logarithm; NaN: it has grown in service
     pairs: int = 0
 
 
 class Decision(NamedTuple):
-    """What is to be in service next."""
+    """The effects to be in service next."""
 
     effects: int  # bits
     verdict: EffectVerdict | None = None
 
 
 def monitor_start(effects: int = 1) -> MonitorState:
-    """A trial of these bits together begins."""
+    """Begin a trial of these bits together."""
     return MonitorState(EffectTrial(0, effects), effects)
 
 
 def monitor_step(config: MonitorConfig, state: MonitorState, window: Window) -> tuple[MonitorState, Decision]:
-    """One window. A window that does not move, or has other effects than were asked for, does not count."""
+    """Evaluate one window. A window without motion, or with other effects than requested, does not count."""
     if not window.moves or window.squared_error_rps2 <= 0.0 or window.effects != state.wanted:
         return state, Decision(state.wanted)
     logarithm = math.log(window.squared_error_rps2)
@@ -154,7 +155,7 @@ def monitor_step(config: MonitorConfig, state: MonitorState, window: Window) -> 
 
 
 def _with_window(trial: EffectTrial, logarithm: float) -> EffectTrial:
-    """The trial with one more window of the kind that it wanted."""
+    """The trial with one more window of the wanted kind."""
     with_them = trial.wanted != trial.base
     number, pending = trial.number + 1, trial.pending
     if with_them:
@@ -168,12 +169,12 @@ def _with_window(trial: EffectTrial, logarithm: float) -> EffectTrial:
 
 
 def _outcome(config: MonitorConfig, trial: EffectTrial) -> bool | None:
-    """Worse, or not; None while it is open."""
+    """Whether the effects make tracking worse; None while undecided."""
     ratios = trial.ratios
     if not math.isnan(trial.pending) or ratios.number < config.least_pairs:
         return None
     reach = config.level_sds * ratios.sd / math.sqrt(ratios.number)
-    # few pairs know their own spread badly: Student's tails, by the usual approximation for the level
+    # with few pairs the standard deviation is uncertain: Student's tails, by the usual approximation
     reach *= 1.0 + config.level_sds * config.level_sds / (4.0 * (ratios.number - 1))
     tolerated = math.log1p(0.01 * config.tolerated_percent)
     if ratios.mean - reach > tolerated:
@@ -218,7 +219,7 @@ def sentence(verdict: EffectVerdict, names: Sequence[str]) -> str:
 
 
 class EffectMonitor:
-    """Cuts rows of the loop into windows, and says what is to be in service. `observe` is given every row once.
+    """Cuts rows of the loop into windows and decides which effects are in service. `observe` gets each row once.
 
     `names` of the compensated effects, in the order of their bits.
     """
@@ -227,7 +228,7 @@ class EffectMonitor:
         self.config = config or MonitorConfig()
         self.names = tuple(names)
         self.state = monitor_start((1 << len(self.names)) - 1)
-        self.effects = self.state.wanted  # bits that are to be in service now
+        self.effects = self.state.wanted  # bits wanted in service now
         self._settling = math.ceil(2.0 * RAMP_S / period_s)
         self._samples = max(1, round(self.config.window_s / period_s))
         self._skip = self._settling
@@ -235,7 +236,7 @@ class EffectMonitor:
         self._count = 0
 
     def observe(self, rows: Rows) -> list[Decision]:
-        """Decisions with a verdict or a change in them; the last one holds."""
+        """Decisions with a verdict or a change; the last one applies."""
         found: list[Decision] = []
         for begin in range(0, rows.size, self._samples):
             part = rows[begin : begin + self._samples]
@@ -249,7 +250,7 @@ class EffectMonitor:
 
     def _take(self, part: Rows, acting: np.ndarray[Any, np.dtype[np.bool_]]) -> list[Decision]:
         if not acting.all():
-            # the law rested, or the request has not come through: the window begins anew behind it
+            # the law was inactive, or the request was not yet in force: the window restarts after it
             self._restart()
             part = part[int(np.flatnonzero(~acting)[-1]) + 1 :]
         found: list[Decision] = []

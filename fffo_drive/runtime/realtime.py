@@ -1,4 +1,4 @@
-"""Real-time properties of the loop's thread: SCHED_FIFO, one CPU, locked pages. What is refused is said once."""
+"""Real-time properties of the loop's thread: SCHED_FIFO, one CPU, locked pages. A refusal is reported once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _C = ctypes.CDLL(None, use_errno=True)
 
 
 class RealtimeRequest(NamedTuple):
-    """What the configuration asks for."""
+    """Properties requested by the configuration."""
 
     priority: int  # SCHED_FIFO priority 1..99; 0: ordinary scheduling
     cpu: int  # CPU to pin the loop to; -1: the last one that this process may use; -2: do not pin
@@ -22,7 +22,7 @@ class RealtimeRequest(NamedTuple):
 
 
 class RealtimeReport(NamedTuple):
-    """What the system gave. `refusals` holds one sentence for each thing that it refused."""
+    """Properties granted by the system. `refusals` has one sentence for each refused property."""
 
     fifo: bool
     cpu: int  # -1: not pinned
@@ -35,7 +35,7 @@ class RealtimeRefusedError(Exception):
 
 
 def enter_realtime(request: RealtimeRequest) -> RealtimeReport:
-    """Give the calling thread real-time properties. To be called by the loop's thread itself, before the first tick.
+    """Give the calling thread real-time properties. Call it in the loop's thread, before the first tick.
 
     Threads that it would start fall back to ordinary scheduling (SCHED_RESET_ON_FORK): a recorder never inherits FIFO.
     """
@@ -48,9 +48,9 @@ def enter_realtime(request: RealtimeRequest) -> RealtimeReport:
 
 
 def require_realtime(request: RealtimeRequest) -> None:
-    """Raise RealtimeRefusedError for what the system would refuse, now and not after seconds of connecting.
+    """Raise RealtimeRefusedError for properties that the system would refuse, before seconds of connecting.
 
-    Tried on a thread that ends at once. Memory that it locked is let go again: not to be called beside a loop.
+    Tried on a thread that ends at once. It unlocks the memory again, so do not call it while a loop is running.
     """
     reports: list[RealtimeReport] = []
     thread = threading.Thread(target=lambda: reports.append(enter_realtime(request)))
@@ -91,7 +91,7 @@ def _set_fifo(priority: int, refusals: list[str]) -> bool:
 
 
 def _lock_memory(refusals: list[str]) -> bool:
-    """Pages stay where they are once touched; the warm-up has touched what the loop needs."""
+    """Lock pages once touched; the warm-up has touched all pages that the loop needs."""
     if _C.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
         reason = os.strerror(ctypes.get_errno())
         refusals.append(f"mlockall: {reason}; grant it with LimitMEMLOCK=infinity in the unit or 'memlock unlimited'")
@@ -100,5 +100,5 @@ def _lock_memory(refusals: list[str]) -> bool:
 
 
 def unlock_memory() -> None:
-    """Undo mlockall for the process, so that what runs after the loop is not bound by it."""
+    """Undo mlockall for the process, so that it does not affect what runs after the loop."""
     _C.munlockall()

@@ -1,4 +1,4 @@
-"""Records of a session, made from what the loop is given, and read back for a replay: both directions in one place."""
+"""Records of a session, written from the inputs of the loop and read back for a replay."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LONGEST_TEXT = 1000  # characters of a value in a request
 
 
 class ModelNote(NamedTuple):
-    """A model file as a record holds it."""
+    """A model file in a record."""
 
     name: str
     content_hash: str
@@ -42,7 +42,7 @@ class ModelNote(NamedTuple):
 
 
 class Unnumbered(NamedTuple):
-    """A record without its place: what `Session` adds to its book."""
+    """A record without its place, as `Session` adds it."""
 
     number: int
     kind: RecordKind
@@ -52,7 +52,7 @@ class Unnumbered(NamedTuple):
 
 
 def of_session(session_id: str, loop: LoopConfig, envelope: EnvelopeConfig) -> Unnumbered:
-    """Times of the loop and limits of the envelope: they hold for the whole session."""
+    """Times of the loop and limits of the envelope, constant for the whole session."""
     values = {f"loop.{name}": value for name, value in loop._asdict().items()}
     limits = envelope._asdict()
     reactions = limits.pop("reactions")
@@ -67,7 +67,7 @@ def of_model(number: int, model: ModelNote) -> Unnumbered:
 
 
 def of_parameters(number: int, block: Floats, model: ModelNote | None) -> Unnumbered:
-    """A packed controller block, and which model it was made with."""
+    """A packed controller block, and the model from which it was made."""
     data = {} if model is None else {"model": model.content_hash}
     return Unnumbered(number, RecordKind.PARAMETERS, CONTROLLER_NAMES, _floats(block), data)
 
@@ -79,7 +79,7 @@ def of_effects(number: int, table: Floats) -> Unnumbered:
 
 
 def of_profile(number: int, profile: Profile) -> Unnumbered:
-    """A profile. Its samples are in the rows that run it, bit for bit; here is what tells whether they are the same."""
+    """A profile. Its samples are in the rows, bit for bit; the record holds what is needed to compare them."""
     names = ("mode", "period_s", "samples", "least", "largest")
     extremes = (float(profile.values.min()), float(profile.values.max())) if profile.values.size else (0.0, 0.0)
     values = _floats((profile.mode, profile.period_s, profile.values.size, *extremes))
@@ -93,7 +93,7 @@ def of_profile(number: int, profile: Profile) -> Unnumbered:
 
 
 def of_set_point(number: int, set_point: SetPoint) -> Unnumbered:
-    """A live set point: from these the reference is made again."""
+    """A live set point, from which a replay recomputes the reference."""
     return Unnumbered(number, RecordKind.SET_POINT, SET_POINT_NAMES, _floats(set_point), {})
 
 
@@ -103,12 +103,12 @@ def values_digest(values: Floats) -> str:
 
 
 def of_word(kind: RecordKind, value: int) -> Unnumbered:
-    """A control word that was written."""
+    """A written control word."""
     return Unnumbered(value if kind is RecordKind.RESET else 0, kind, (kind.value,), (float(value),), {})
 
 
 def of_request(who: str, what: str, values: Mapping[str, Any], epoch: int | None) -> Unnumbered:
-    """Who asked for what. Long texts (a model has its own record) are told by their digest."""
+    """A request and its sender. Long texts (a model has its own record) are replaced by their digest."""
     told = {} if epoch is None else {"epoch": epoch}
     short = {name: _shortened(value) for name, value in values.items()}
     return Unnumbered(0, RecordKind.REQUEST, (), (), {"who": who, "what": what, "values": short, **told})

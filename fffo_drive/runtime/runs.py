@@ -1,4 +1,4 @@
-"""One recorded run: a profile on a session, in simulated or wall-clock time, with what a file needs to stand alone."""
+"""One recorded run: a profile on a session, in simulated or wall-clock time, in a self-contained file."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ from .session import Session
 
 POLL_S = 0.05
 NOT_ENABLED = "the drive did not reach Operation Enabled in time"
-STOP_TIMEOUT_S = 2.0  # from disabling to no torque, a quick stop's braking included
+STOP_TIMEOUT_S = 2.0  # from disabling to no torque, including the braking of a quick stop
 ENABLE_TIMEOUT_S = 5.0  # from the request to the first sample of the profile
 DISK_TIMEOUT_S = 30.0  # for the last rows; a disk that takes longer costs the end of the recording, not the command
 
 
 class RunOutcome(NamedTuple):
-    """What a run left behind."""
+    """The result of a run."""
 
     files: tuple[Path, ...]
     trip: int  # envelope.TRIP_*; TRIP_NONE for a run that ended as planned
     started: bool  # False: the drive never reached Operation Enabled
-    exchange: ExchangeCounts  # what the port counted during the run
+    exchange: ExchangeCounts  # counters of the port during the run
     recorder: RecorderStatistics
-    recorder_ended: bool = True  # False: the disk still holds it up
-    drive_words: str = ""  # what the drive itself said of a fault
-    warnings: tuple[str, ...] = ()  # what it warned of
+    recorder_ended: bool = True  # False: still waiting for the disk
+    drive_words: str = ""  # the drive's own description of a fault
+    warnings: tuple[str, ...] = ()  # warnings of the drive
 
     @property
     def fault_text(self) -> str | None:
-        """Why the run is no good; None when it is."""
+        """Why the run is unusable; None if it is usable."""
         return fault_text(self.trip, self.started, self.drive_words)
 
     @property
     def gap_text(self) -> str | None:
-        """Why the recording is not whole; None when it is."""
+        """Why the recording is incomplete; None if it is complete."""
         recorder = self.recorder
         missing = recorder.rows_dropped + recorder.rows_lost + recorder.rows_pending
         if not self.recorder_ended:
@@ -67,21 +67,21 @@ class RunOutcome(NamedTuple):
 
 
 def fault_text(trip: int, enabled: bool, drive_words: str) -> str | None:
-    """Why a run did not end as planned, with what the drive says of it (`Drive.fault_words`); None when it did."""
+    """Why a run did not end as planned, with the drive's description (`Drive.fault_words`); None if it did."""
     if trip != TRIP_NONE:
         return with_words(TRIP_TEXTS[trip], drive_words)
     return None if enabled else with_words(NOT_ENABLED, drive_words)
 
 
 def with_words(text: str, drive_words: str) -> str:
-    """A reason, and behind it what the drive says."""
+    """A reason, followed by the drive's description."""
     return f"{text} ({drive_words})" if drive_words else text
 
 
 def run_metadata(
     name: str, identity: DriveIdentity, toggle: int, period_s: float, extra: Mapping[str, str]
 ) -> dict[str, str]:
-    """What stands in the metadata record of a run."""
+    """Contents of the metadata record of a run."""
     return {
         "axis": name,
         "controller": TOGGLE_NAMES[toggle],
@@ -126,9 +126,9 @@ def record_live(
     settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
     progress: Callable[[float], None] | None = None, monitor: EffectMonitor | None = None,
 ) -> RunOutcome:  # fmt: skip
-    """Run in wall-clock time on a started session: enable, profile, disable. `progress` gets the share done.
+    """Run in wall-clock time on a started session: enable, profile, disable. `progress` receives the share done.
 
-    With a `monitor` the effects of the model are tried, and taken out of service where tracking gets worse.
+    With a `monitor` the effects of the model are tested, and taken out of service if they make tracking worse.
 
     An exception (Ctrl-C, say) disables the drive before it goes on.
     """
@@ -152,7 +152,7 @@ def record_live(
 
 
 def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
-    """What the drive says where a run did not end as planned: into the recording too. The drive is disabled first."""
+    """The drive's description if a run did not end as planned, also recorded. The drive is disabled first."""
     statusword = session.telling_statusword  # before anything is changed
     session.request(b.GOAL, GOAL_DISABLED)
     trip = session.status(b.TRIP)
@@ -173,7 +173,7 @@ def _warn_of_bounds(session: Session, recorder: Recorder, bounds: BoundWatch, wa
 def _watch(
     session: Session, recorder: Recorder, monitor: EffectMonitor | None, warnings: list[str]
 ) -> Callable[[], None]:
-    """What is looked at from time to time beside the run: warnings, and whether the model's effects help."""
+    """Periodic checks during the run: warnings, and whether the model's effects help."""
     bounds = BoundWatch()
 
     def listen() -> None:
@@ -203,7 +203,7 @@ def _follow(
     session: Session, profile: Profile, number: int, progress: Callable[[float], None] | None,
     watch: Callable[[], None],
 ) -> bool:  # fmt: skip
-    """Wait until the profile is done, or the loop has tripped. False when the drive was never enabled."""
+    """Wait until the profile is done or the loop has tripped. False if the drive was never enabled."""
     deadline = time.monotonic() + ENABLE_TIMEOUT_S + session.config.loop.enable_delay_s
     started = False
     while session.running and session.status(b.TRIP) == TRIP_NONE and session.status(b.PROFILE_DONE) != number:
@@ -219,7 +219,7 @@ def _follow(
 
 
 def _let_go(session: Session) -> None:
-    """Wait until the drive has no torque, so that the record holds how it stopped, but not for ever."""
+    """Wait, with a timeout, until the drive has no torque, so that the recording contains the stop."""
     deadline = time.monotonic() + STOP_TIMEOUT_S
     while session.running and has_torque(session.status(b.STATUSWORD)) and time.monotonic() < deadline:
         time.sleep(POLL_S)
@@ -230,7 +230,7 @@ def _with_offset(header: RunHeader, offset_ns: int) -> RunHeader:
 
 
 def _closing_facts(session: Session, before: ExchangeCounts) -> dict[str, str]:
-    """What the summary of the file says about the run."""
+    """Summary of the run for the file."""
     exchange = exchange_counts(session.drive.feedback).since(before)
     counts = {name: str(count) for name, count in exchange._asdict().items()}
     return {"trip": TRIP_TEXTS[session.status(b.TRIP)], **counts}
@@ -245,7 +245,7 @@ def _outcome(session: Session, recorder: Recorder, started: bool, before: Exchan
 
 
 def simulated_ring_rows(profile: Profile, tail_s: float, stop_s: float = 3.0) -> int:
-    """Rows that a run in simulated time can leave: profile, tail, enabling and stopping."""
+    """Largest number of rows of a run in simulated time: profile, tail, enabling and stopping."""
     return profile.values.size + round((tail_s + stop_s) / profile.period_s)
 
 

@@ -51,15 +51,15 @@ from .ring import HEAD, Ring, copy_row, new_ring
 from .tick import LoopConfig
 
 START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
-STOP_TIMEOUT_S = 10.0  # for the thread of a loop that needs two periods to end
+STOP_TIMEOUT_S = 10.0  # for the loop's thread, which normally ends within two periods
 
 
 class LoopHungError(Exception):
-    """The loop's thread does not end. The process has to: nothing else takes the bus from that thread."""
+    """The loop's thread does not end. The process has to end: nothing else releases the bus."""
 
 
 class SessionConfig(NamedTuple):
-    """What a session is made from."""
+    """Configuration of a session."""
 
     loop: LoopConfig
     controller: ControllerConfig
@@ -73,11 +73,11 @@ class SessionConfig(NamedTuple):
 
 
 class PortHolder(Protocol):
-    """What compiling needs of a drive."""
+    """The part of a drive that compilation needs."""
 
     @property
     def port(self) -> Any:
-        """The compiled side."""
+        """The compiled port."""
         ...
 
 
@@ -122,19 +122,19 @@ class Session:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    # -- what ordinary threads may ask for -------------------------------------------------------------------------
+    # -- requests of ordinary threads -------------------------------------------------------------------------------
 
     def request(self, word: int, value: int) -> None:
         """Write a control word (blocks.GOAL, TOGGLE, ...)."""
         kind = WORD_KINDS.get(word)
-        if kind is None:  # a beat asks for nothing
+        if kind is None:  # a beat is not a request
             store_release(self.blocks.control, word, value)
             return
         with self._asking, self._recorded(records.of_word(kind, value)):
             store_release(self.blocks.control, word, value)
 
     def note_request(self, who: str, what: str, values: Mapping[str, Any], epoch: int | None = None) -> None:
-        """Somebody asked for something: a record of its own, in front of those of what comes of it."""
+        """Record a request of a client, before the records of its consequences."""
         with self._asking, self._recorded(records.of_request(who, what, values, epoch)):
             pass
 
@@ -144,11 +144,11 @@ class Session:
 
     @property
     def telling_statusword(self) -> int:
-        """The statusword that tells why the axis does not go on: of the tick of the trip, without one the last."""
+        """The statusword that explains why the axis stopped: of the tick of the trip, else the last one."""
         return self.status(b.STATUSWORD if self.status(b.TRIP) == TRIP_NONE else b.TRIP_STATUSWORD)
 
     def set_model(self, model: ModelNote) -> None:
-        """The model of the parameters and effects that come next, for the records."""
+        """The model of the next parameters and effects, for the records."""
         with self._asking:
             self._models += 1
             self._model = model
@@ -165,7 +165,7 @@ class Session:
             publish_controller(self.blocks, controller)
 
     def set_effects(self, table: Floats) -> None:
-        """Other effects to compensate, taken at a tick boundary; they come in on a ramp. The same again: nothing."""
+        """New effects to compensate, taken at a tick boundary and switched on with a ramp. No effect if unchanged."""
         with self._asking:
             if np.array_equal(table, self.blocks.effects[self.blocks.control[b.EFFECTS_NUMBER] & 1]):
                 return
@@ -173,14 +173,14 @@ class Session:
                 publish_effects(self.blocks, table)
 
     def start_profile(self, profile: Profile) -> int:
-        """Ask for a profile; it starts once the drive is enabled. Returns its number."""
+        """Request a profile; it starts once the drive is enabled. Return its number."""
         require_room(self.blocks, profile)
         told = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
         with self._asking, self._recorded(told._replace(number=self._next(b.PROFILE_NUMBER))):
             return publish_profile(self.blocks, profile)
 
     def set_point(self, set_point: SetPoint) -> int:
-        """Ask for a velocity, now; a motion begins with it once the drive is enabled. Returns its number."""
+        """Request a velocity now; a motion begins with it once the drive is enabled. Return its number."""
         with self._asking, self._recorded(records.of_set_point(self._next(b.SET_POINT_NUMBER), set_point)):
             return publish_set_point(self.blocks, set_point)
 
@@ -189,7 +189,7 @@ class Session:
 
     @contextmanager
     def _recorded(self, told: Unnumbered) -> Iterator[None]:
-        """A record in front of what it tells of; behind it the number by which rows say that they have seen it."""
+        """Write a record before the change that it describes, then the number by which rows refer to it."""
         sequence = self._next(b.REQUEST_NUMBER)
         self.records.add(RunRecord(0, sequence, *told))
         yield
@@ -200,13 +200,13 @@ class Session:
 
     @property
     def running(self) -> bool:
-        """True while the loop's thread lives."""
+        """True while the loop's thread is alive."""
         return self._thread is not None and self._thread.is_alive()
 
     # -- running ---------------------------------------------------------------------------------------------------
 
     def compile(self) -> None:
-        """Compile all that the loop calls, and allow no compilation after: it would stop the tick for seconds."""
+        """Compile everything that the loop calls, then disable compilation: it would stop the tick for seconds."""
         if INTERPRETED:
             return
         leave_out_linear_algebra()
@@ -216,7 +216,7 @@ class Session:
         dispatcher.disable_compile()
 
     def run_profile(self, profile: Profile, toggle: int) -> int:
-        """Enable, run the profile to its end (or to a trip), disable. For a simulated clock. Returns ticks run."""
+        """Enable, run the profile to its end or to a trip, disable. For a simulated clock. Return ticks run."""
         self.compile()
         self.request(b.AUTOSTOP, 1)
         self.request(b.STOP, 0)
@@ -229,7 +229,7 @@ class Session:
         return ticks
 
     def run_ticks(self, ticks: int) -> int:
-        """For a simulated clock: the loop for so many ticks, with the requests as they stand. Returns ticks run.
+        """Run the loop for a number of ticks with the present requests, for a simulated clock. Return ticks run.
 
         A trip stays latched, and the loop goes on, until the last of them. The drive is left without voltage.
         """
@@ -240,9 +240,9 @@ class Session:
         return int(run_loop(port, loop._replace(max_ticks=ticks), *others))
 
     def start(self) -> RealtimeReport:
-        """Start the loop's thread for a wall clock: SYNC runs from here on, with no torque until GOAL asks for it.
+        """Start the loop's thread for a wall clock: SYNC runs from here on, without torque until GOAL requests it.
 
-        Raises RealtimeRefusedError when the configuration requires what the system refuses.
+        Raises RealtimeRefusedError if the system refuses what the configuration requires.
         """
         if self.config.realtime_required:
             require_realtime(self.config.realtime._replace(lock_memory=False))  # that is told by the thread itself
@@ -256,7 +256,7 @@ class Session:
         return self.realtime_report
 
     def stop(self) -> None:
-        """Ask for no torque, let the loop leave, and join its thread. Raises LoopHungError when it does not end."""
+        """Request no torque, end the loop and join its thread. Raises LoopHungError if it does not end."""
         self.request(b.GOAL, GOAL_DISABLED)
         self.request(b.STOP, 1)
         if self._thread is None:
@@ -273,7 +273,7 @@ class Session:
     def close(self) -> None:
         """Stop the loop, then leave the drive without torque.
 
-        Raises LoopHungError after the drive was left all the same.
+        Raises LoopHungError, but only after the drive was released.
         """
         try:
             self.stop()
@@ -284,7 +284,7 @@ class Session:
 
     @staticmethod
     def rehearse(drive: PortHolder, config: SessionConfig) -> None:
-        """Compile for ports of this type, before there is a drive that would have to wait for it."""
+        """Compile for ports of this type before a drive is connected, which would have to wait."""
         on_paper: Any = drive
         Session(on_paper, config._replace(longest_profile=1, ring_rows=1)).compile()
 

@@ -64,7 +64,7 @@ from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Blocks, Words, take_set_point
 
-# bits of the row's flags: what else the envelope saw, and where memory began
+# bits of the row's flags: further inputs of the envelope, and the start of memory
 FLAG_LOOP_BEGAN = 1  # the first tick of a loop: all memory at rest
 FLAG_EMERGENCY = 2  # the drive sent an EMCY since the loop began or a fault was reset
 FLAG_REBOOT = 4  # ... a boot-up message
@@ -73,7 +73,7 @@ FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface go
 FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
 FLAG_LOCAL_CONTROL = 64  # statusword bit 9 is 0 where the drive serves it: it ignores the controlword
 FLAG_IGNORES_TARGET = 128  # statusword bit 12 is 0 where the drive serves it, though the axis is commanded
-FLAG_ESTIMATED_VELOCITY = 256  # the error took the estimated velocity, not the drive's
+FLAG_ESTIMATED_VELOCITY = 256  # the error used the estimated velocity, not the drive's
 FLAG_ADAPTS = 512  # offset and Coulomb friction are learned in this tick
 
 
@@ -81,19 +81,19 @@ class LoopConfig(NamedTuple):
     """Times of the loop, in nanoseconds and ticks."""
 
     period_ns: int
-    cutoff_ns: int  # after SYNC: feedback that comes later is late
+    cutoff_ns: int  # after SYNC: feedback that arrives later is late
     late_ns: int  # lateness from which a tick counts as late
     minimum_gap_ns: int  # no two SYNCs are closer than this
-    stop_ticks: int  # a drive that has not let go of its torque by then is left all the same
+    stop_ticks: int  # a drive that still has torque by then is released all the same
     tail_ticks: int  # standstill under control after a profile, before it counts as done
     max_ticks: int  # 0: no bound
-    supervisor_ticks: int = 0  # a supervisor silent for so long: the loop stops the drive and ends; 0: never
-    enable_delay_ticks: int = 0  # from Operation Enabled to the law: a holding brake opens meanwhile
-    served_status_bits: int = 0  # of cia402.STATUS_REMOTE and STATUS_FOLLOWS_COMMAND those that the drive serves
+    supervisor_ticks: int = 0  # with the supervisor silent this long, the loop stops the drive and ends; 0: never
+    enable_delay_ticks: int = 0  # from Operation Enabled to the start of the law, for a holding brake to open
+    served_status_bits: int = 0  # those of cia402.STATUS_REMOTE and STATUS_FOLLOWS_COMMAND that the drive sets
 
     @property
     def enable_delay_s(self) -> float:
-        """From Operation Enabled to the law."""
+        """Time from Operation Enabled to the start of the law."""
         return self.enable_delay_ticks * self.period_ns / NS_PER_S
 
 
@@ -103,14 +103,14 @@ class Timing(NamedTuple):
     tick: int
     deadline_ns: int
     woke_ns: int
-    turnaround_ns: int  # SYNC to feedback; -1: none came
+    turnaround_ns: int  # SYNC to feedback; -1: none arrived
 
 
 class ProfileCursor(NamedTuple):
-    """Where the loop is in a profile."""
+    """Position of the loop in a profile."""
 
     number: int  # of the last profile taken
-    start_tick: int  # -1: none runs
+    start_tick: int  # -1: none is running
     length: int
     mode: int  # reference.MODE_*; MODE_IDLE holds zero velocity
 
@@ -125,7 +125,7 @@ class LawMemory(NamedTuple):
 
 
 class LawOutput(NamedTuple):
-    """What the law asked for in this tick."""
+    """Output of the law in this tick."""
 
     mode: int
     reference: Reference  # all zero without a velocity law
@@ -135,7 +135,7 @@ class LawOutput(NamedTuple):
 
 
 class Baseline(NamedTuple):
-    """Counters of the drive when the loop began or a fault was reset: what comes after is news."""
+    """Counters of the drive when the loop began or a fault was reset; only later changes count."""
 
     emergencies: int
     boots: int
@@ -192,7 +192,7 @@ def timing_before(config: LoopConfig, first_deadline_ns: int) -> Timing:
 def wake(port: Any, config: LoopConfig, status: Words, last: Timing) -> Timing:
     """Sleep until the next deadline. Missed deadlines are skipped, never caught up.
 
-    After a late SYNC the next one waits until the smallest distance is kept: later than its deadline, but not lost.
+    After a late SYNC the next one is delayed to keep the minimum distance: later than its deadline, but not lost.
     """
     deadline_ns = last.deadline_ns + config.period_ns
     port_sleep_until(port, max(deadline_ns, last.woke_ns + config.minimum_gap_ns))
@@ -221,7 +221,7 @@ def exchange(port: Any, config: LoopConfig, status: Words, timing: Timing) -> Ti
 def follow_profile(
     blocks: Blocks, cursor: ProfileCursor, feedforward: FeedforwardConfig, tick: int, active: bool, tail_ticks: int
 ) -> tuple[ProfileCursor, int, Reference]:
-    """Returns (cursor, sample, reference). A new profile starts, an ended one is reported as done."""
+    """Return (cursor, sample, reference). Start a new profile, report an ended one as done."""
     number = load_acquire(blocks.control, b.PROFILE_NUMBER)
     if number != cursor.number and active:
         words = blocks.profile_words[number & 1]
@@ -242,9 +242,9 @@ def follow_set_points(
     blocks: Blocks, motion: LiveMotion, feedforward: FeedforwardConfig, config: LoopConfig, tick: int,
     feedback: Any, active: bool, may_begin: bool,
 ) -> tuple[LiveMotion, int, float, Reference]:  # fmt: skip
-    """Returns (memory, sample, target in force, reference); sample is -1 where no motion by set points runs.
+    """Return (memory, sample, target in force, reference); sample is -1 without a motion by set points.
 
-    The first set point begins a motion, others change it; at standstill with a target of zero it is done.
+    The first set point begins a motion, later ones change it; it ends at standstill with a target of zero.
     """
     if active and (may_begin or motion.start_tick >= 0):
         number = take_set_point(blocks, motion.number)
@@ -276,7 +276,7 @@ def follow_set_points(
 def compensate(
     blocks: Blocks, mode: int, reference: Reference, position_rev: float, active: bool, in_service: int
 ) -> float:
-    """Torque (Nm) for the effects of the model; their memory rests while the velocity law does not act."""
+    """Compensation (Nm) of the model's effects; their memory is reset while the velocity loop is open."""
     memory = blocks.effects_memory
     if not active or mode == MODE_CURRENT:
         compensation_rest(memory)
@@ -289,7 +289,7 @@ def estimate_velocity(
     config: ControllerConfig, state: VelocityEstimatorState, blocks: Blocks, mode: int, timing: Timing, feedback: Any,
     active: bool,
 ) -> tuple[VelocityEstimatorTerms, VelocityEstimatorState]:  # fmt: skip
-    """The velocity that the error takes; the filter rests while the velocity law does not act."""
+    """The velocity for the error; the filter is reset while the velocity loop is open."""
     if not active or mode == MODE_CURRENT:
         return VelocityEstimatorTerms(0.0, 0.0, feedback["velocity_rps"], False), estimator_at_rest()
     measured = Measured(
@@ -307,9 +307,9 @@ def give_adapted(
     config: ControllerConfig, state: AdaptationState, controller: ControllerState, mode: int, reference: Reference,
     toggle: int, active: bool, before_nm: float,
 ) -> tuple[Adapted, ControllerState]:  # fmt: skip
-    """What was learned, on this tick's reference. Where friction goes to the reference or leaves it, without a bump.
+    """Adapted torque on this tick's reference, bumpless when friction switches to the reference or away from it.
 
-    `before_nm`: what was given in the last tick.
+    `before_nm`: the adapted torque of the last tick.
     """
     if not (config.adaptation.used and active) or mode == MODE_CURRENT:
         return NOTHING_ADAPTED, controller
@@ -328,7 +328,7 @@ def give_adapted(
 def learn(
     config: ControllerConfig, state: AdaptationState, adapted: Adapted, law: LawOutput, controller: ControllerState
 ) -> tuple[bool, AdaptationState]:
-    """Learn from what P and I give: in motion, on the reference, and not where the command was limited."""
+    """Learn from the torque of P and I: in motion, on the reference, and only if the command was not limited."""
     if not config.adaptation.used or law.mode != MODE_VELOCITY or controller.toggle != TOGGLE_FEEDFORWARD:
         return False, state
     lacking_nm = config.torque_constant_nm_per_a * (law.terms.proportional_a + law.terms.integral_a)
@@ -372,7 +372,7 @@ def terms_of_current(current_a: float) -> ControllerTerms:
 
 @njit
 def in_local_control(served_bits: int, statusword: int) -> bool:
-    """The drive says that it ignores controlwords; one that still starts, or is in fault, has other things to say."""
+    """Whether the drive reports that it ignores controlwords; not evaluated while it starts or is in fault."""
     if served_bits & ~statusword & STATUS_REMOTE == 0:
         return False
     return statusword & STATUS_FAULT == 0 and statusword & NOT_READY_MASK != 0
@@ -380,7 +380,7 @@ def in_local_control(served_bits: int, statusword: int) -> bool:
 
 @njit
 def ignores_target(served_bits: int, statusword: int) -> bool:
-    """The drive says that it does not follow the target, and not because it limits it (bit 11: that is in the row)."""
+    """Whether the drive reports that it does not follow the target, other than by limiting it (bit 11, in the row)."""
     if served_bits & STATUS_FOLLOWS_COMMAND == 0:
         return False
     return statusword & (STATUS_FOLLOWS_COMMAND | STATUS_INTERNAL_LIMIT) == 0
@@ -391,8 +391,8 @@ def look(
     feedback: Any, config: LoopConfig, timing: Timing, baseline: Baseline, law: LawOutput, wanted: bool, enabled: bool,
     skipped_ticks: int,
 ) -> EnvelopeInputs:  # fmt: skip
-    """What the envelope sees: the request, the feedback and the ages of both, and news of the drive."""
-    # the following error is that of the drive's own velocity: the envelope depends on no estimate
+    """Inputs of the envelope: the request, the feedback and the ages of both, and status changes of the drive."""
+    # the following error uses the drive's own velocity: the envelope does not depend on an estimate
     error_rps = law.reference.expected - feedback["velocity_rps"] if law.mode == MODE_VELOCITY else 0.0
     heartbeat_age_ns = -1
     if feedback["heartbeat_ns"] >= 0:
@@ -409,7 +409,7 @@ def look(
         feedback["boot_count"] - baseline.boots,
         (feedback["nmt_state"] >= 0 and feedback["nmt_state"] != NMT_OPERATIONAL)
         or feedback["nmt_exits"] != baseline.nmt_exits,
-        # a loss counts however short it was: any frame behind the report of it ends it before it is looked at
+        # even a short loss counts: any frame after its report clears it before it is checked
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
         feedback["foreign_syncs"] - baseline.foreign_syncs,
         heartbeat_age_ns,

@@ -1,4 +1,4 @@
-"""What makes one simulated node: identity, machine, behaviour in time, and the faults planned for it."""
+"""Configuration of a simulated node: identity, machine, timing, and the faults planned for it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class NodeConfig:
     realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: not asked for")
 
     def validate(self) -> NodeConfig:
-        """Self, when nothing is wrong. Raises PlantConfigError."""
+        """Return self if valid. Raises PlantConfigError."""
         self.plant.validate()
         self.device.validate()
         own = [(name, text) for name, text in range_errors(self) if not name.startswith(("plant.", "device."))]
@@ -73,7 +73,7 @@ class NodeConfig:
 
     @property
     def ratings(self) -> Ratings:
-        """The name plate that plant and device have together."""
+        """The name plate shared by plant and device."""
         plant, device = self.plant, self.device
         return Ratings(
             rated_torque_nm=plant.rated_torque_nm,
@@ -93,7 +93,7 @@ class NodeConfig:
 
 
 def device_defaults(config: NodeConfig) -> dict[int, Value]:
-    """Defaults of objects that tell none, by `multiplexer(index, sub)`: what depends on the configured drive."""
+    """Defaults of objects without their own, by `multiplexer(index, sub)`: those of the configured drive."""
     identity, ratings, device, personality = config.identity, config.ratings, config.device, config.personality
     values: dict[tuple[int, int], Value] = {
         (0x1008, 0): identity.device_name.encode(),
@@ -132,7 +132,7 @@ def _of_its_own(config: NodeConfig) -> dict[tuple[int, int], Value]:
 
 
 def _of_a_worn_one(config: NodeConfig) -> dict[tuple[int, int], Value]:
-    """What a drive that its file does not tell has by CiA 301 and 402."""
+    """Values by CiA 301 and 402 that the drive's file does not give."""
     return {
         (0x1000, 0): DEVICE_TYPE,
         (0x1005, 0): SYNC,

@@ -1,1 +1,1 @@
-"""One effect a file: its kernel, what it is looked for with, and what tells it from its lookalikes."""
+"""One effect per file: its kernel, its search, and how to tell it from similar effects."""

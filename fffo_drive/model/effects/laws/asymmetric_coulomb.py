@@ -11,7 +11,7 @@ from ..slots import Floats
 
 @njit
 def asymmetric_coulomb(signals: Floats, parameters: Floats, memory: Floats) -> None:
-    """Fc and Fs are (1 +- share) times as high: what 2SEP friction makes of it, even in the direction."""
+    """Fc and Fs are (1 +- share) times as high, by direction; E is the difference in 2SEP friction."""
     signals[s.LOAD_NM] += level_response(signals, memory, parameters[0] * signals[s.DIRECTION])
 
 
@@ -38,9 +38,7 @@ LAW = Law(
     compensable=True,
     regime="sliding; frozen at rest",
     lookalikes=("torque_offset", "unbalance", "asymmetric_viscous"),
-    experiment=(
-        "rest and slow creep: an offset acts there, this does not; several speeds: the excess does not grow with speed"
-    ),
+    experiment=("at rest and in slow creep an offset acts, this does not; at several speeds the excess stays the same"),
     motions=("dwells", "staircase", "creep"),
     picture="direction",
     figure="friction",

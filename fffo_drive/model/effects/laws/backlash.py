@@ -1,4 +1,4 @@
-"""A gap between motor and load: a part of inertia and friction is let go after a reversal."""
+"""A gap between motor and load: part of inertia and friction is decoupled after a reversal."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ LAW = Law(
         ),
     ),
     search=_search,
-    meaning="a gap lets go of a share of the inertia after reversals",
+    meaning="a gap decouples part of the inertia after reversals",
     plain_name="backlash",
     cause="play in gear, key or coupling",
-    remedy="take the play out: preload the gear, tighten the coupling; no feed-forward can",
+    remedy="remove the play: preload the gear, tighten the coupling; feed-forward cannot compensate it",
     place=lambda values: f"after each reversal, within {values['gap_rev']:.3g} rev",
     compensable=False,
     regime="after reversals, within the gap",

@@ -34,7 +34,7 @@ LAW = Law(
     cause="the motor's magnets against the teeth of its stator",
     remedy="a motor with skewed slots has less of it; the controller compensates it",
     compensable=True,
-    regime="everywhere, at rest too",
+    regime="everywhere, also at rest",
     lookalikes=("torque_ripple", "friction_ripple", "resolver_error", "unbalance"),
     experiment=(
         "slow and constant over many periods, both ways at two loads: sign and size stay; at two speeds: the size stays"

@@ -25,7 +25,7 @@ LAW = Law(
     axis="time",
     kernel=coulomb_drift,
     parameters=(
-        Parameter("share", "-", STRENGTH, -0.95, 10.0, 0.1, "change in the end, as a share of the contact's friction"),
+        Parameter("share", "-", STRENGTH, -0.95, 10.0, 0.1, "final change, as a share of the contact's friction"),
         Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant", logarithmic=True),
     ),
     search=_search,

@@ -46,7 +46,7 @@ LAW = Law(
     regime="fast changes of torque",
     lookalikes=("delay", "frictional_lag", "elasticity"),
     experiment=(
-        "a chirp of current to 100 Hz and more: a lag takes amplitude too; compare commanded and measured current"
+        "a chirp of current to 100 Hz or more: a lag reduces the amplitude too; compare commanded and measured current"
     ),
     motions=("chirp",),
     picture="frequency",

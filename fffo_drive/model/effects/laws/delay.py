@@ -1,4 +1,4 @@
-"""Torque comes later than the model says. A refit of Td takes it; it stands for a model whose Td is kept."""
+"""Torque comes later than the model says. A refit of Td absorbs it; this law is for a model whose Td is kept."""
 
 from __future__ import annotations
 

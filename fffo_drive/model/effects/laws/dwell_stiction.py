@@ -50,7 +50,7 @@ LAW = Law(
             0.0001,
             1000000.0,
             1.0,
-            "time at rest after which 63 % of it are there",
+            "time at rest after which 63 % of it is reached",
             logarithmic=True,
             plausible=(0.1, 1000.0),  # a rest that is shorter is not told from motion
         ),
@@ -75,7 +75,7 @@ LAW = Law(
     regime="break-away after a rest",
     lookalikes=("stribeck_shape", "presliding_shape"),
     experiment=(
-        "four rests and more of 0.1 to 30 s, left with the same rise of torque; then the rise varied after equal rests"
+        "four or more dwells of 0.1 to 30 s, each ended by the same torque ramp; then other ramps after equal dwells"
     ),
     motions=("dwells",),
     picture="dwell",

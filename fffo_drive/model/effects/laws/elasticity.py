@@ -1,4 +1,4 @@
-"""A part of the inertia hangs on a spring: two masses."""
+"""Part of the inertia is coupled by a spring: two masses."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ LAW = Law(
         ),
     ),
     search=_search,
-    meaning="a share of the inertia hangs on a damped spring",
+    meaning="part of the inertia is coupled by a damped spring",
     plain_name="an elastic load",
     cause="a belt, coupling, long shaft or gear that twists between motor and load",
     remedy="stiffen the coupling or tension the belt; `tune` keeps the loop below the resonance",
@@ -95,7 +95,7 @@ LAW = Law(
     compensable=False,
     regime="changes of torque near the resonance",
     lookalikes=("delay", "current_lag", "backlash", "presliding_shape"),
-    experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring stays",
+    experiment="a chirp of current through the resonance at two amplitudes: the frequency of a spring does not change",
     motions=("chirp",),
     picture="frequency",
     figure="reversal",

@@ -1,4 +1,4 @@
-"""The torque that is transmitted presses the surfaces together."""
+"""Friction grows with the transmitted torque, which presses the surfaces together."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ LAW = Law(
     regime="presliding",
     lookalikes=("frictional_lag", "backlash", "elasticity", "stribeck_shape"),
     experiment=(
-        "reversals at two accelerations and more: over travel the shape stays the same; forces below break-away at rest"
+        "reversals at two or more accelerations: over travel the shape stays the same; forces below break-away at rest"
     ),
     motions=("triangles",),
     picture="travel_since_reversal",

@@ -1,4 +1,4 @@
-"""The sensor says an angle that is wrong by waves of the motor turn: eccentricity and unequal windings."""
+"""The measured angle is wrong by waves of the motor turn: eccentricity and unequal windings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LAW = Law(
         Parameter("sin2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine twice a turn"),
     ),
     search=no_shape,
-    meaning="the measured angle is wrong once and twice a turn",
+    meaning="the measured angle has errors of one and two periods per turn",
     plain_name="a measured angle that is wrong within the turn",
     cause="resolver or encoder mounted off centre, or unequal amplitudes of its signals",
     remedy="align the sensor, or run the drive's own correction of its sine and cosine signals",

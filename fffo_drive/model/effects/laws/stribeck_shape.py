@@ -1,4 +1,4 @@
-"""The friction curve has a bump or a dip at low speed that the Stribeck curve of the model cannot have."""
+"""The friction curve has a bump or a dip at low speed that the model's Stribeck curve cannot represent."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LAW = Law(
         ),
     ),
     search=_search,
-    meaning="friction falls with speed over more than one speed",
+    meaning="the Stribeck curve falls at more than one characteristic speed",
     plain_name="friction that falls with speed in two steps",
     cause="two lubricated contacts with films that build up at different speeds, as in a gear with bearings",
     remedy="nothing to repair: it is part of the friction model",
@@ -40,7 +40,7 @@ LAW = Law(
     form=True,
     regime="slow sliding",
     lookalikes=("presliding_shape", "frictional_lag", "dwell_stiction"),
-    experiment="constant speeds at eight levels and more, very slow ones among them, held until friction has settled",
+    experiment="constant speeds at eight or more levels, including very slow ones, held until friction has settled",
     motions=("staircase",),
     picture="velocity",
     figure="friction",

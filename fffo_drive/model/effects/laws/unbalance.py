@@ -40,15 +40,15 @@ LAW = Law(
         ),
     ),
     search=_search,
-    meaning="weight of the load: one wave in a turn of the output, of one sign",
+    meaning="weight of the load: one period per turn of the output, the same in both directions",
     plain_name="weight of an unbalanced load",
     cause="the load's centre of mass is not on the axis of rotation",
     remedy="add a counterweight; the controller compensates it",
     compensable=True,
-    regime="everywhere, at rest too",
+    regime="everywhere, also at rest",
     lookalikes=("torque_offset", "position_dependent_friction", "cogging"),
     experiment=(
-        "half a turn of the output and more, both ways: the torque keeps its sign; with another payload it changes"
+        "half a turn of the output or more, both ways: the torque keeps its sign; with another payload it changes"
     ),
     motions=("creep",),
     picture="output_angle",

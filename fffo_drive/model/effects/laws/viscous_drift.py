@@ -1,4 +1,4 @@
-"""Viscous friction drifts with the time of the run, as a lubricant does that warms up."""
+"""Viscous friction drifts with the time of the run, for example as a lubricant warms up."""
 
 from __future__ import annotations
 
@@ -25,9 +25,7 @@ LAW = Law(
     axis="time",
     kernel=viscous_drift,
     parameters=(
-        Parameter(
-            "change_nm_per_rps", "Nm/rps", STRENGTH, -1e6, 1e6, 1e-3, "change of the viscous coefficient in the end"
-        ),
+        Parameter("change_nm_per_rps", "Nm/rps", STRENGTH, -1e6, 1e6, 1e-3, "final change of the viscous coefficient"),
         Parameter("tau_s", "s", SHAPE, 0.001, 10000000.0, 60.0, "time constant", logarithmic=True),
     ),
     search=_search,

@@ -40,7 +40,7 @@ LAW = Law(
             -1.5,
             1.5,
             1.0,
-            "share of the excess that does not come; 1: a hard limit",
+            "share of the excess that is lost; 1: a hard limit",
             plausible=(0.0, 1.2),
         ),
         Parameter(
