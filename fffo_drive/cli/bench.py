@@ -1,8 +1,8 @@
 """The paper's comparison, live: PI, PI+FBFO and PI+FFFO on one reference at 2 kHz over CANopen.
 
-Starts the simulated drive as a CANopen node in a process of its own on a loopback bus of its own, brings it up, runs
-the three controllers in real time, records one MCAP file a run, prints Table II's metrics and the tick statistics, and
-writes the report page with its pictures beside the recordings.
+Starts the simulated drive as a CANopen node in its own process on its own loopback bus, brings it up, runs the three
+controllers in real time, records one MCAP file per run, prints the metrics of Table II and the tick statistics, and
+writes the report page to the directory of the recordings.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class BenchRun(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument(
-        "--quick", action="store_true", help=f"{QUICK_S:g} s a controller instead of the file's duration"
+        "--quick", action="store_true", help=f"{QUICK_S:g} s per controller instead of the file's duration"
     )
     parser.add_argument("--bus", help="bus for drive and controller, e.g. socketcan:vcan0 (default: a loopback bus)")
     _, configs = sources()
@@ -79,7 +79,7 @@ def execute(options: argparse.Namespace) -> int:
     out = Path(options.out) / timestamp_name("bench", time.time_ns())
     out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True, quiet=options.json)
-    console.print(f"simulated drive and controller on {bus}; the first start compiles", soft_wrap=True)
+    console.print(f"simulated drive and controller on {bus}; the first start compiles the loop", soft_wrap=True)
     with SimulatedProcess(Path(options.drive), bus) as process:
         drive = open_drive(plan, bus)
         identity = drive.connect()
@@ -115,7 +115,7 @@ def _compare(
             with progress_bar(f"{name:8}", quiet) as progress:
                 outcome = record_live(session, plan.profile, toggle, path, header, settings, recorder_hooks(), progress)
             if outcome.fault_text is not None:
-                raise DriveFaultError(f"{name}: {outcome.fault_text}; the record is in {path}")
+                raise DriveFaultError(f"{name}: {outcome.fault_text}; the recording is in {path}")
             if outcome.gap_text is not None:
                 raise RecordingGapError(f"{name}: {outcome.gap_text}")
             runs[name] = _evaluate(plan, outcome)
@@ -158,7 +158,7 @@ METRICS = {"ise": "ISE rps² s", "mae": "MAE rps", "max": "MAX rps", "std": "STD
 def _metrics_table(runs: dict[str, BenchRun]) -> Table:
     percent = percent_of_smallest({name: run.metrics for name, run in runs.items()})
     table = Table(
-        title="velocity error, per cent of the smallest, (paper's Table II)", title_justify="left", box=SIMPLE
+        title="velocity error, % of the smallest, (% in the paper's Table II)", title_justify="left", box=SIMPLE
     )
     table.add_column("", no_wrap=True)
     for name in runs:
@@ -191,7 +191,7 @@ def _tick_cells(run: BenchRun) -> dict[str, str]:
         "ticks": str(t.ticks),
         "late, skipped": f"{t.late}, {t.skipped}",
         "lateness µs, p50/p99/max": f"{t.lateness_us_p50:.0f}/{t.lateness_us_p99:.0f}/{t.lateness_us_max:.0f}",
-        "no answer, late answer": f"{t.missing_feedback}, {t.late_feedback}",
+        "no feedback, late feedback": f"{t.missing_feedback}, {t.late_feedback}",
         "errors on the wire": str(wire_errors),
         "rows lost": str(run.rows_lost),
     }

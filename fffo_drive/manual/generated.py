@@ -97,8 +97,8 @@ def library(scripts: Path) -> str:
         "```",
         "",
         "A run is a set of arrays with units in their names ({doc}`/reference/signals`). It comes from a recording, a",
-        "table, arrays of your own, or the simulated drive; `run.to_pandas()` makes a data frame of it. No file is",
-        "needed where arrays will do.",
+        "table, arrays of your own, or the simulated drive; `run.to_pandas()` makes a data frame of it. You need no",
+        "files: arrays are enough.",
         "",
     ]
     for path in sorted(scripts.glob("*.py")):
