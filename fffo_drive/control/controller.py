@@ -1,8 +1,9 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
+i = Kp e + Ki int(e) + H + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
                                         E from the effects of the model (control/compensation), and what was
                                         learned in service (control/adaptation)
+                                        H at rest: the hold of the position (control/position_hold)
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from .friction_observer import (
     observer_velocity_rps,
 )
 from .pi import PiConfig, pi_step
+from .position_hold import NO_HOLD, HoldConfig, HoldState, hold_step, nothing_held
 from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 
 
@@ -34,6 +36,7 @@ class RestConfig(NamedTuple):
     gain_share: float  # of Kp and Ki at rest, where the contact is a spring on the inertia; 1: as in motion
     fade_share: float  # of the way there that is made in a tick
     release_share: float  # of the friction estimate that is let go in a tick; 0: it is held
+    hold: HoldConfig = NO_HOLD
 
 
 AS_IN_MOTION = RestConfig(1.0, 1.0, 0.0)
@@ -63,6 +66,7 @@ class ControllerState(NamedTuple):
     toggle: int  # of the last step; a change hands the estimate over
     limited: bool  # the envelope or the limit cut the last command
     rest: float  # 0 in motion, towards 1 at rest: how far the gains have gone to those at rest
+    hold: HoldState
 
 
 class ControllerTerms(NamedTuple):
@@ -72,6 +76,7 @@ class ControllerTerms(NamedTuple):
     filtered_error_rps: float  # what drives the law
     proportional_a: float
     integral_a: float
+    hold_a: float
     friction_nm: float
     inertia_nm: float
     observation_nm_per_s: float
@@ -83,7 +88,7 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive gives no torque."""
-    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0)
+    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0, nothing_held())
 
 
 @njit
@@ -94,14 +99,18 @@ def _hand_over(
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
         nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
-        return ControllerState(integral_a, state.filtered_error_rps, nothing, toggle, state.limited, state.rest)
+        return ControllerState(
+            integral_a, state.filtered_error_rps, nothing, toggle, state.limited, state.rest, state.hold
+        )
     if state.toggle == TOGGLE_OFF:
         driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
         integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest)
+        return ControllerState(
+            integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold
+        )
     return ControllerState(
-        state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited, state.rest
+        state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited, state.rest, state.hold
     )
 
 
@@ -120,7 +129,7 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 @njit
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
-    added_nm: float, followed_rps: float,
+    added_nm: float, followed_rps: float, position_rev: float,
 ) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
     """One period of the law; `added_nm` is fed forward beside friction and inertia: effects, and what was adapted.
 
@@ -130,7 +139,8 @@ def controller_step(
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
     While the reference stands at zero lambda would be a second integrator, several times as strong as the PI's, and an
-    axis with stiction would hunt. What the axis needs at rest the PI's integral finds, with the gains at rest.
+    axis with stiction would hunt. What the axis needs at rest the PI's integral finds, with the gains at rest, and the
+    hold of the position; with the first tick of motion the integral takes over what the hold gave.
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
@@ -140,6 +150,13 @@ def controller_step(
     at_rest = stands_still(reference)
     rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
     gain_share = 1.0 - rest * (1.0 - config.rest.gain_share)
+
+    integral_a, hold = state.integral_a, state.hold
+    if at_rest and config.rest.hold.bound_a > 0.0:
+        hold = hold_step(config.rest.hold, hold, rest, position_rev, state.limited, config.period_s)
+    else:
+        integral_a += hold.current_a
+        hold = nothing_held()
 
     friction = state.friction
     observation_nm_per_s = 0.0
@@ -165,9 +182,9 @@ def controller_step(
         gain_share * config.pi.proportional_a_per_rps, gain_share * config.pi.integral_a_per_rev + learned_a_per_rev
     )
     proportional_a, integral_a = pi_step(
-        gains, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
+        gains, integral_a, driving_rps, hold.current_a + feedforward_a, limit_a, state.limited, config.period_s
     )
-    requested_a = proportional_a + integral_a + feedforward_a
+    requested_a = proportional_a + integral_a + hold.current_a + feedforward_a
     command_a = min(max(requested_a, -limit_a), limit_a)
     limited = command_a != requested_a
     terms = ControllerTerms(
@@ -175,6 +192,7 @@ def controller_step(
         driving_rps,
         proportional_a,
         integral_a,
+        hold.current_a,
         friction.torque_nm,
         inertia_nm,
         observation_nm_per_s,
@@ -182,14 +200,16 @@ def controller_step(
         command_a,
         limited,
     )
-    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest)
+    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest, hold)
 
 
 @njit
 def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, told whether the envelope cut the command as well."""
     either = state.limited or limited
-    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest)
+    return ControllerState(
+        state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest, state.hold
+    )
 
 
 @njit
@@ -197,7 +217,13 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
     """What the proportional term loses by new gains the integrator gains, so that the command does not jump."""
     change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
     return ControllerState(
-        state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
+        state.integral_a + change_a,
+        state.filtered_error_rps,
+        state.friction,
+        state.toggle,
+        state.limited,
+        state.rest,
+        state.hold,
     )
 
 
@@ -212,7 +238,7 @@ def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm
     """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
     integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
-        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
+        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest, state.hold
     )
 
 

@@ -152,7 +152,12 @@ def tuned(base: Any, model: ModelFile, measured_s: float) -> tuple[Candidate, fl
     observer = section.observer.model_copy(
         update={"gain_nm_per_rev": found.gains.observer_nm_per_rev, "learns_in": "integral"}
     )
-    rest = section.at_rest.model_copy(update={"gain_share": found.gains.rest_share, "release_friction": True})
+    at_rest = {
+        "gain_share": found.gains.rest_share,
+        "release_friction": True,
+        "hold_a_per_rev_s": found.gains.hold_a_per_rev_s,
+    }
+    rest = section.at_rest.model_copy(update=at_rest)
     feedforward = section.feedforward.model_copy(update={"inertia": True, "preview": True, "delay_aware": True})
     changed = section.model_copy(
         update={
