@@ -1,9 +1,10 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + H + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
-                                        E from the effects of the model (control/compensation), and what was
-                                        learned in service (control/adaptation)
-                                        H at rest: the hold of the position (control/position_hold)
+i = Kp e + Ki int(e) + H + (F + E) / Kt,    H: at rest, the hold of the position (control/position_hold)
+                                            F from the observer: off, on the reference (FF) or on the measured
+                                            velocity (FB)
+                                            E from the effects of the model (control/compensation), and what was
+                                            learned in service (control/adaptation)
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class RestConfig(NamedTuple):
     gain_share: float  # of Kp and Ki at rest, where the contact is a spring on the inertia; 1: as in motion
     fade_share: float  # of the way there that is made in a tick
     release_share: float  # of the friction estimate that is let go in a tick; 0: it is held
-    hold: HoldConfig = NO_HOLD
+    hold: HoldConfig = NO_HOLD  # of the position
 
 
 AS_IN_MOTION = RestConfig(1.0, 1.0, 0.0)
@@ -66,7 +67,7 @@ class ControllerState(NamedTuple):
     toggle: int  # of the last step; a change hands the estimate over
     limited: bool  # the envelope or the limit cut the last command
     rest: float  # 0 in motion, towards 1 at rest: how far the gains have gone to those at rest
-    hold: HoldState
+    hold: HoldState  # of the position, at rest
 
 
 class ControllerTerms(NamedTuple):
@@ -92,25 +93,28 @@ def controller_at_rest() -> ControllerState:
 
 
 @njit
+def _with_integral(state: ControllerState, integral_a: float) -> ControllerState:
+    """The same memory with another integral."""
+    return ControllerState(
+        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest, state.hold
+    )
+
+
+@njit
 def _hand_over(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
     """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
+    integral_a, friction = state.integral_a, state.friction
     if toggle == TOGGLE_OFF:
-        integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
-        nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
-        return ControllerState(
-            integral_a, state.filtered_error_rps, nothing, toggle, state.limited, state.rest, state.hold
-        )
-    if state.toggle == TOGGLE_OFF:
-        driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
+        integral_a = integral_a + friction.torque_nm / config.torque_constant_nm_per_a
+        friction = FrictionState(0.0, 0.0, 0.0, 0.0)
+    elif state.toggle == TOGGLE_OFF:
+        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
-        integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(
-            integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold
-        )
+        integral_a = integral_a - friction.torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
-        state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited, state.rest, state.hold
+        integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold
     )
 
 
@@ -216,15 +220,7 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
     """What the proportional term loses by new gains the integrator gains, so that the command does not jump."""
     change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
-    return ControllerState(
-        state.integral_a + change_a,
-        state.filtered_error_rps,
-        state.friction,
-        state.toggle,
-        state.limited,
-        state.rest,
-        state.hold,
-    )
+    return _with_integral(state, state.integral_a + change_a)
 
 
 @njit
@@ -236,10 +232,7 @@ def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> b
 @njit
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
     """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
-    integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
-    return ControllerState(
-        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest, state.hold
-    )
+    return _with_integral(state, state.integral_a + torque_nm / config.torque_constant_nm_per_a)
 
 
 CONTROLLER_NAMES = flat_names(ControllerConfig)

@@ -1,10 +1,12 @@
-"""Hold of the position at rest: what a velocity loop does not see, a contact that creeps by some counts a second.
+"""Hold of the position at rest: a contact that creeps by some counts a second is nothing that a velocity loop sees.
 
 When the axis has come to rest its position is latched. From then on an integral of the distance beyond a dead band adds
-a current that brings the axis back, as slowly as the contact gives way. Its current is bounded far below the Coulomb
-friction: it cannot move the axis over its contact, against a hand or a stop it stays there, and in sliding friction takes
-more energy out than it can give. Where the axis is moved by more than the contact's travel it has slid, and the latched
-position is dragged along.
+a current that brings the axis back. It need be no faster than the contact gives way.
+
+Its bound is a share of the Coulomb friction. It cannot move the axis over its contact; where a hand or a stop holds the
+axis it stays at its bound; and in sliding, friction takes more power than the hold can give, whatever the phase of it.
+The linear margins therefore count on the contact that sticks (control/stability). An axis that is moved farther than
+its contact's travel has slid: it is held where it is then, the travel behind, and not brought back all the way.
 """
 
 from __future__ import annotations
