@@ -34,7 +34,7 @@ from ..identification.excitation import (
     identification_sequence,
     separating_recipe,
 )
-from ..model.friction import FrictionConfig
+from ..model.friction import FrictionConfig, least_sliding_nm
 from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
@@ -208,11 +208,12 @@ def hold_config(axis: AxisFile, model: ModelFile) -> HoldConfig:
         return NO_HOLD
     counts = axis.drive.counts if isinstance(axis.drive, CanopenDriveSection) else 2.0**DEFAULT_RESOLVER_BITS
     dead_band_rev = section.hold_dead_band_rev or 1.0 / counts
+    least_nm = least_sliding_nm(friction, axis.envelope.speed_limit_rps)
     return HoldConfig(
         section.hold_a_per_rev_s,
         dead_band_rev,
         max(1.0 / friction.stiffness_per_rev, HELD_DEAD_BANDS * dead_band_rev),
-        section.hold_bound_share * friction.coulomb_nm / model.torque_constant_nm_per_a,
+        section.hold_bound_share * least_nm / model.torque_constant_nm_per_a,
     )
 
 

@@ -3,8 +3,8 @@
 When the axis has come to rest its position is latched. From then on an integral of the distance beyond a dead band adds
 a current that brings the axis back. It need be no faster than the contact gives way.
 
-Its bound is a share of the Coulomb friction. It cannot move the axis over its contact; where a hand or a stop holds the
-axis it stays at its bound; and in sliding, friction takes more power than the hold can give, whatever the phase of it.
+Its bound is a share of the least friction in sliding. It cannot move the axis over its contact; where a hand or a stop
+holds the axis it stays at its bound; and in sliding, friction takes more power than it can give, whatever its phase.
 The linear margins therefore count on the contact that sticks (control/stability). An axis that is moved farther than
 its contact's travel has slid: it is held where it is then, the travel behind, and not brought back all the way.
 """
