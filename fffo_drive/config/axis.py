@@ -65,7 +65,7 @@ from .sections import (
     length_problems,
 )
 
-HELD_DEAD_BANDS = 4.0  # the least travel after which a held axis counts as moved, for a contact that is stiffer
+HELD_DEAD_BANDS = 32.0  # the least travel after which a held axis counts as moved: a fitted 1/K may be far too short
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 RING_S = 4.0  # what the recorder may lag behind the loop on a bus
