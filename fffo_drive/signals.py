@@ -39,6 +39,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("filtered_error_rps", "<f8", "rps", "the error after its filter: input of the control law"),
     Signal("proportional_a", "<f8", "A", "proportional term of the PI controller"),
     Signal("integral_a", "<f8", "A", "integral term of the PI controller"),
+    Signal("hold_a", "<f8", "A", "current that holds the position at rest"),
     Signal("friction_nm", "<f8", "Nm", "friction estimate F of the observer, injected through 1/Kt"),
     Signal("inertia_nm", "<f8", "Nm", "inertia torque of the reference, injected through 1/Kt"),
     Signal("effects_nm", "<f8", "Nm", "compensation of the effects in service, injected through 1/Kt"),

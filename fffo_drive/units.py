@@ -92,6 +92,7 @@ LINEAR = {  # unit of a rotary axis ->
     "Nm/rps2": LinearUnit("N s^2/m^2", "nm_per_rps2", "n_s2_per_m2"),
     "A/rps": LinearUnit("A s/m", "a_per_rps", "a_s_per_m"),
     "A/rev": LinearUnit("A/m", "a_per_rev", "a_per_m"),
+    "A/rev/s": LinearUnit("A/m/s", "a_per_rev_s", "a_per_m_s"),
     "Nm s^2/rev": LinearUnit("kg", "nm_s2_per_rev", "kg"),
 }
 LINEAR_WORDS = {  # longer ones first

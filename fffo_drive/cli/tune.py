@@ -137,12 +137,13 @@ def _print(found: Design, linear: bool) -> None:
 
 def _lines(found: Design) -> list[str]:
     g = found.gains
+    at_rest = f"at rest, {100.0 * g.rest_share:.3g} % of Kp and Ki, hold {g.hold_a_per_rev_s:.4g} A/rev/s"
     margins = [
         f"{name}: phase margin {one.phase_deg:.1f} deg, gain margin {one.gain:.2f}, crossover {one.crossover_hz:.1f} Hz"
         for name, one in (
             ("PI", found.margins_pi),
             ("with observer", found.margins_observer),
-            (f"at rest, {100.0 * g.rest_share:.3g} % of Kp and Ki", found.margins_rest),
+            (at_rest, found.margins_rest),
         )
     ]
     return [

@@ -16,6 +16,7 @@ from ..control.controller import ControllerConfig, RestConfig
 from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
 from ..control.pi import PiConfig
+from ..control.position_hold import NO_HOLD, HoldConfig
 from ..control.reference import (
     MODE_CURRENT,
     MODE_VELOCITY,
@@ -33,7 +34,7 @@ from ..identification.excitation import (
     identification_sequence,
     separating_recipe,
 )
-from ..model.friction import FrictionConfig
+from ..model.friction import FrictionConfig, least_sliding_nm
 from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
@@ -42,7 +43,7 @@ from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S
 from .drive_profile import with_profile
-from .drive_section import CanopenDriveSection, SimulatedDriveSection
+from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
 from .effects import compensation_table
 from .sections import (
     AdaptationSection,
@@ -59,12 +60,12 @@ from .sections import (
     RealtimeSection,
     RecipeProfile,
     RecordingSection,
-    RestSection,
     SineProfile,
     VelocitySection,
     length_problems,
 )
 
+HELD_DEAD_BANDS = 32.0  # the least travel after which a held axis counts as moved: a fitted 1/K may be far too short
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 RING_S = 4.0  # what the recorder may lag behind the loop on a bus
@@ -152,7 +153,7 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         section.current_limit_a,
         axis.loop.period_s,
         error_share(section.error_filter_s, axis.loop.period_s),
-        rest_config(section.at_rest, axis.loop.period_s),
+        rest_config(axis, model),
         velocity_config(axis, model),
         adaptation_config(section.adaptation, friction, axis.loop.period_s),
     )
@@ -192,10 +193,28 @@ def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
     return linear_axis(model, axis.loop.period_s, velocity_config(axis, model))
 
 
-def rest_config(section: RestSection, period_s: float) -> RestConfig:
+def rest_config(axis: AxisFile, model: ModelFile) -> RestConfig:
     """What changes at rest."""
-    fade_share = error_share(section.time_s, period_s)
-    return RestConfig(section.gain_share, fade_share, fade_share if section.release_friction else 0.0)
+    section = axis.controller.at_rest
+    fade_share = error_share(section.time_s, axis.loop.period_s)
+    release_share = fade_share if section.release_friction else 0.0
+    return RestConfig(section.gain_share, fade_share, release_share, hold_config(axis, model))
+
+
+def hold_config(axis: AxisFile, model: ModelFile) -> HoldConfig:
+    """The hold of the position: no finer than its resolution, and over no more than the contact's travel, 1/K."""
+    section, friction = axis.controller.at_rest, model.friction_config()
+    if section.hold_a_per_rev_s == 0.0:
+        return NO_HOLD
+    counts = axis.drive.counts if isinstance(axis.drive, CanopenDriveSection) else 2.0**DEFAULT_RESOLVER_BITS
+    dead_band_rev = section.hold_dead_band_rev or 1.0 / counts
+    least_nm = least_sliding_nm(friction, axis.envelope.speed_limit_rps)
+    return HoldConfig(
+        section.hold_a_per_rev_s,
+        dead_band_rev,
+        max(1.0 / friction.stiffness_per_rev, HELD_DEAD_BANDS * dead_band_rev),
+        section.hold_bound_share * least_nm / model.torque_constant_nm_per_a,
+    )
 
 
 def error_share(time_constant_s: float, period_s: float) -> float:

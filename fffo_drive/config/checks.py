@@ -56,6 +56,7 @@ def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
         section.at_rest.gain_share * section.integral_a_per_rev,
         0.0,
         section.error_filter_s,
+        section.at_rest.hold_a_per_rev_s,
     )
 
 
@@ -150,8 +151,9 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     if at_rest.phase_deg < 0.0 or at_rest.gain < 1.0:
         problems.append(
             f"controller.at_rest.gain_share: {section.at_rest.gain_share:g} leaves a phase margin of "
-            f"{at_rest.phase_deg:.1f} deg at rest, where the contact is a spring on the inertia: the axis would shake "
-            "there. Lower it; `fffo-drive tune` finds one"
+            f"{at_rest.phase_deg:.1f} deg and a gain margin of {at_rest.gain:.2f} at rest, where the contact is a "
+            "spring on the inertia: the axis would shake there. Lower it, or at_rest.hold_a_per_rev_s; `fffo-drive "
+            "tune` finds both"
         )
     return problems
 

@@ -81,6 +81,28 @@ class RestSection(StrictRecord):
         bool, Field(description="let the friction estimate decay at rest, so that it does not push the axis")
     ] = False
     time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
+    hold_a_per_rev_s: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e7,
+            description="integral gain of the hold of the position, A per rev and second; the margins at rest count "
+            "it, `tune` chooses it; 0: no hold",
+        ),
+    ] = 0.0
+    hold_dead_band_rev: Annotated[
+        float | None,
+        Field(gt=0, le=0.1, description="distance that the hold leaves alone, rev; null: one count of the position"),
+    ] = None
+    hold_bound_share: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=0.8,
+            description="bound of the hold's torque: share of the model's least friction in sliding, at any speed up "
+            "to envelope.speed_limit_rps. It does not push the axis, a hand or a stop with more",
+        ),
+    ] = 0.5
 
 
 class VelocitySection(StrictRecord):

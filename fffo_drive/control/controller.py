@@ -1,8 +1,10 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + (F + E) / Kt,    F from the observer: off, on the reference (FF) or on the measured velocity (FB)
-                                        E from the effects of the model (control/compensation), and what was
-                                        learned in service (control/adaptation)
+i = Kp e + Ki int(e) + H + (F + E) / Kt,    H: at rest, the hold of the position (control/position_hold)
+                                            F from the observer: off, on the reference (FF) or on the measured
+                                            velocity (FB)
+                                            E from the effects of the model (control/compensation), and what was
+                                            learned in service (control/adaptation)
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from .friction_observer import (
     observer_velocity_rps,
 )
 from .pi import PiConfig, pi_step
+from .position_hold import NO_HOLD, HoldConfig, HoldState, hold_step, nothing_held
 from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 
 
@@ -34,6 +37,7 @@ class RestConfig(NamedTuple):
     gain_share: float  # of Kp and Ki at rest, where the contact is a spring on the inertia; 1: as in motion
     fade_share: float  # part of the remaining change made in a tick
     release_share: float  # of the friction estimate that is let go in a tick; 0: it is held
+    hold: HoldConfig = NO_HOLD  # of the position
 
 
 AS_IN_MOTION = RestConfig(1.0, 1.0, 0.0)
@@ -63,6 +67,7 @@ class ControllerState(NamedTuple):
     toggle: int  # of the last step; a change hands the estimate over
     limited: bool  # the envelope or the limit cut the last command
     rest: float  # 0 in motion, towards 1 at rest: how far the gains have gone to those at rest
+    hold: HoldState  # of the position, at rest
 
 
 class ControllerTerms(NamedTuple):
@@ -72,6 +77,7 @@ class ControllerTerms(NamedTuple):
     filtered_error_rps: float  # what drives the law
     proportional_a: float
     integral_a: float
+    hold_a: float
     friction_nm: float
     inertia_nm: float
     observation_nm_per_s: float
@@ -83,7 +89,15 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive has no torque."""
-    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0)
+    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0, nothing_held())
+
+
+@njit
+def _with_integral(state: ControllerState, integral_a: float) -> ControllerState:
+    """The same memory with another integral."""
+    return ControllerState(
+        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest, state.hold
+    )
 
 
 @njit
@@ -91,17 +105,16 @@ def _hand_over(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
     """Bumpless switch of the observer: the integrator takes over what the estimate loses."""
+    integral_a, friction = state.integral_a, state.friction
     if toggle == TOGGLE_OFF:
-        integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
-        nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
-        return ControllerState(integral_a, state.filtered_error_rps, nothing, toggle, state.limited, state.rest)
-    if state.toggle == TOGGLE_OFF:
-        driven_rps = observer_velocity_rps(config.observer, state.friction, toggle, reference.ahead, velocity_rps)
+        integral_a = integral_a + friction.torque_nm / config.torque_constant_nm_per_a
+        friction = FrictionState(0.0, 0.0, 0.0, 0.0)
+    elif state.toggle == TOGGLE_OFF:
+        driven_rps = observer_velocity_rps(config.observer, friction, toggle, reference.ahead, velocity_rps)
         friction = observer_start(config.observer, driven_rps)
-        integral_a = state.integral_a - friction.torque_nm / config.torque_constant_nm_per_a
-        return ControllerState(integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest)
+        integral_a = integral_a - friction.torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
-        state.integral_a, state.filtered_error_rps, state.friction, toggle, state.limited, state.rest
+        integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold
     )
 
 
@@ -120,7 +133,7 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 @njit
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
-    added_nm: float, followed_rps: float,
+    added_nm: float, followed_rps: float, position_rev: float,
 ) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
     """One period of the law; `added_nm` is fed forward in addition to friction and inertia: effects and adaptation.
 
@@ -130,7 +143,8 @@ def controller_step(
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
     While the reference is zero, lambda would be a second integrator, several times as strong as that of the PI, and an
-    axis with stiction would hunt. At rest the PI's integral alone acts, with the gains at rest.
+    axis with stiction would hunt. At rest the PI's integral acts, with the gains at rest, and the hold of the position;
+    in the first tick of motion the integral takes over the hold's current.
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
@@ -140,6 +154,13 @@ def controller_step(
     at_rest = stands_still(reference)
     rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
     gain_share = 1.0 - rest * (1.0 - config.rest.gain_share)
+
+    integral_a, hold = state.integral_a, state.hold
+    if at_rest and config.rest.hold.bound_a > 0.0:
+        hold = hold_step(config.rest.hold, hold, rest, position_rev, state.limited, config.period_s)
+    else:
+        integral_a += hold.current_a
+        hold = nothing_held()
 
     friction = state.friction
     observation_nm_per_s = 0.0
@@ -165,9 +186,9 @@ def controller_step(
         gain_share * config.pi.proportional_a_per_rps, gain_share * config.pi.integral_a_per_rev + learned_a_per_rev
     )
     proportional_a, integral_a = pi_step(
-        gains, state.integral_a, driving_rps, feedforward_a, limit_a, state.limited, config.period_s
+        gains, integral_a, driving_rps, hold.current_a + feedforward_a, limit_a, state.limited, config.period_s
     )
-    requested_a = proportional_a + integral_a + feedforward_a
+    requested_a = proportional_a + integral_a + hold.current_a + feedforward_a
     command_a = min(max(requested_a, -limit_a), limit_a)
     limited = command_a != requested_a
     terms = ControllerTerms(
@@ -175,6 +196,7 @@ def controller_step(
         driving_rps,
         proportional_a,
         integral_a,
+        hold.current_a,
         friction.torque_nm,
         inertia_nm,
         observation_nm_per_s,
@@ -182,23 +204,23 @@ def controller_step(
         command_a,
         limited,
     )
-    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest)
+    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest, hold)
 
 
 @njit
 def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, noting whether the envelope limited the command as well."""
     either = state.limited or limited
-    return ControllerState(state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest)
+    return ControllerState(
+        state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest, state.hold
+    )
 
 
 @njit
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
     """Bumpless change of gains: the integrator takes over what the proportional term loses."""
     change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
-    return ControllerState(
-        state.integral_a + change_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
-    )
+    return _with_integral(state, state.integral_a + change_a)
 
 
 @njit
@@ -210,10 +232,7 @@ def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> b
 @njit
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
     """Bumpless end of a feed-forward torque: the integrator takes it over."""
-    integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
-    return ControllerState(
-        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest
-    )
+    return _with_integral(state, state.integral_a + torque_nm / config.torque_constant_nm_per_a)
 
 
 CONTROLLER_NAMES = flat_names(ControllerConfig)

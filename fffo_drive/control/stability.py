@@ -92,19 +92,23 @@ def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
 
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
-    error_filter_s: float = 0.0,
+    error_filter_s: float = 0.0, hold_a_per_rev_s: float = 0.0,
 ) -> Margins:  # fmt: skip
-    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter."""
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter.
+
+    `hold_a_per_rev_s`: the integral of the position at rest. The position is no older than the velocity.
+    """
     omega = sweep_rad_per_s(axis.estimator)
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
     controller = controller / (1.0 + error_filter_s * s)
-    rational = controller / impedance_nm_per_rps(axis, s)
+    impedance = impedance_nm_per_rps(axis, s)
+    hold = hold_a_per_rev_s * kt / (s * s)
     if axis.estimator is None:
-        return margins_of(omega, rational, axis.delay_s)
+        return margins_of(omega, (controller + hold) / impedance, axis.delay_s)
     known = _response(axis.estimator)
-    by_position = known.of_position_per_s / s * np.exp(-s * axis.delay_s) * rational
+    by_position = (known.of_position_per_s / s * controller + hold) * np.exp(-s * axis.delay_s) / impedance
     by_command = known.of_command_rps_per_a * controller / kt
     at_velocity = margins_of(omega, by_position + by_command, 0.0)
     at_current = margins_of(omega, by_position / (1.0 + by_command), 0.0)

@@ -82,7 +82,7 @@ Integers = np.ndarray[Any, np.dtype[np.int64]]
 TERMS = (
     "error_rps", "filtered_error_rps", "proportional_a", "integral_a", "friction_nm", "inertia_nm", "effects_nm",
     "observation_nm_per_s", "requested_a", "estimated_rps", "disturbance_nm", "adapted_nm", "adapted_offset_nm",
-    "adapted_coulomb_nm", "adapted_viscous_nm_per_rps",
+    "adapted_coulomb_nm", "adapted_viscous_nm_per_rps", "hold_a",
 )  # fmt: skip
 COMMANDS = ("limited_a", "i2t_a2s")
 WORDS = ("limits", "trip", "controlword")
@@ -248,7 +248,7 @@ def replay_into(
                 )
                 terms, controller = controller_step(
                     config, controller, toggle, reference, row["velocity_rps"], effects_nm + adapted.torque_nm,
-                    estimate.followed_rps,
+                    estimate.followed_rps, row["position_rev"],
                 )  # fmt: skip
                 requested_a, limited = terms.command_a, terms.limited
                 out.terms[k, 0] = terms.error_rps
@@ -266,6 +266,7 @@ def replay_into(
                 out.terms[k, 12] = learned.offset_nm
                 out.terms[k, 13] = learned.coulomb_nm
                 out.terms[k, 14] = learned.viscous_nm_per_rps
+                out.terms[k, 15] = terms.hold_a
             else:
                 controller, estimator = controller_at_rest(), estimator_at_rest()
                 compensation_rest(effects_memory)

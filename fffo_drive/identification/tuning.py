@@ -28,6 +28,8 @@ REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to i
 # of Kp and Ki at rest, the largest first: half costs nothing in motion and covers an axis that differs by 30 %
 # (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
+# of the largest hold with the margin at rest: a contact that is loaded towards its Coulomb friction is softer
+HOLD_SHARE = 0.25
 FRICTION_SPAN = 100.0  # required range of friction damping
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
@@ -58,6 +60,7 @@ class Gains(NamedTuple):
     integral_a_per_rev: float
     observer_nm_per_rev: float
     rest_share: float = 1.0  # of Kp and Ki while the reference stands at zero
+    hold_a_per_rev_s: float = 0.0  # integral of the position while it does
 
     @property
     def in_motion(self) -> tuple[float, float, float]:
@@ -175,6 +178,30 @@ def largest_that(most: float, holds: Callable[[float], bool]) -> float:
     return least
 
 
+def rest_margins(stuck: LinearAxis, gains: Gains) -> Margins:
+    """Margins with the gains at rest."""
+    share = gains.rest_share
+    return loop_margins(
+        stuck, share * gains.proportional_a_per_rps, share * gains.integral_a_per_rev, 0.0, 0.0, gains.hold_a_per_rev_s
+    )
+
+
+def hold_gain(stuck: LinearAxis, gains: Gains) -> float:
+    """Integral gain of the hold (A/rev/s): a share of the largest with `REST_MARGIN_DEG` on the stuck axis.
+
+    On the contact's spring k alone the hold is an integrator of bandwidth gain Kt / k. It can be no faster than the
+    spring's resonance.
+    """
+
+    def holds(gain: float) -> bool:
+        margins = rest_margins(stuck, gains._replace(hold_a_per_rev_s=gain))
+        return margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0
+
+    contact, constant = stuck.contact_nm_per_rev, stuck.torque_constant_nm_per_a
+    most = math.sqrt(contact / stuck.inertia_nm_s2_per_rev) * contact / constant
+    return HOLD_SHARE * largest_that(most, holds)
+
+
 def rest_share(stuck: LinearAxis, proportional: float, integral: float) -> float:
     """The largest share of Kp and Ki with `REST_MARGIN_DEG` on the sticking axis; the smallest if none has it."""
     for share in REST_SHARES:
@@ -214,8 +241,11 @@ def design(
     """
     wish = wish or Wish()
     proportional, integral, observer = gains_in_motion(axis, wish)
-    share = rest_share(stuck, proportional, integral) if stuck is not None else 1.0
-    return judge(axis, attraction_nm_per_rev, Gains(proportional, integral, observer, share), wish, stuck)
+    gains = Gains(proportional, integral, observer)
+    if stuck is not None:
+        gains = gains._replace(rest_share=rest_share(stuck, proportional, integral))
+        gains = gains._replace(hold_a_per_rev_s=hold_gain(stuck, gains))
+    return judge(axis, attraction_nm_per_rev, gains, wish, stuck)
 
 
 def judge(
@@ -224,7 +254,7 @@ def judge(
 ) -> Design:  # fmt: skip
     """Evaluate given gains on an axis."""
     wish = wish or Wish()
-    proportional, integral, observer, share = gains
+    proportional, integral, observer = gains.in_motion
     integral_time_s = proportional / integral if integral > 0.0 else math.inf
     duration_s = max(8.0 * integral_time_s, 0.5) if math.isfinite(integral_time_s) else 1.0
     response = step_response(axis, proportional, integral, duration_s)
@@ -239,7 +269,7 @@ def judge(
         gains,
         loop_margins(axis, proportional, integral, 0.0),
         margins_observer,
-        loop_margins(stuck or axis, share * proportional, share * integral, 0.0),
+        rest_margins(stuck or axis, gains),
         excess,
         bound,
         100.0 * max(0.0, float(response.max()) - 1.0),

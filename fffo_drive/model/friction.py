@@ -20,6 +20,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..jit import njit
 
 # How the hysteresis amplitude Omega follows from F at the reversal (4)
@@ -29,6 +31,7 @@ OMEGA_LITERAL = 2  # sgn(w) |sgn(w) Fc - F|, the text of (2): unstable once sgn(
 
 # Below this share of Vs the Stribeck exponential is at its limit; a power of zero or an overflow is never computed.
 STRIBECK_FLOOR = 1e-9
+SLIDING_FROM, SLIDING_POINTS = 1e-4, 100  # of the highest speed: where the search for the least friction begins
 PRESLIDING_OVER = 40.0  # travel since the reversal, in 1/K: exp(-40) of Omega is below the last digit of F
 
 
@@ -70,6 +73,15 @@ def steady_friction_nm(config: FrictionConfig, velocity_rps: float) -> float:
         stribeck = 0.0
     excess_nm = config.static_nm - config.coulomb_nm
     return config.coulomb_nm + excess_nm * stribeck + config.viscous_nm_per_rps * speed
+
+
+def least_sliding_nm(config: FrictionConfig, highest_rps: float) -> float:
+    """The smallest steady-state friction torque at any speed up to `highest_rps`.
+
+    A fit that sees few slow speeds may put Fc at almost zero, under a Stribeck curve that never gets there.
+    """
+    speeds_rps = highest_rps * np.geomspace(SLIDING_FROM, 1.0, SLIDING_POINTS)
+    return min(steady_friction_nm(config, float(speed_rps)) for speed_rps in speeds_rps)
 
 
 @njit

@@ -150,6 +150,11 @@ def _gains(tuning: Tuning) -> Table:
         Row(label="Ti", unit="s", cells=[number(tuning.integral_time_s, 4), _text("integral time, Kp / Ki")]),
         Row(label="L", unit="Nm/rev", cells=[number(g.observer_nm_per_rev, 4), _text("gain of the friction observer")]),
         Row(label="at rest", unit="-", cells=[number(g.rest_share, 3), _text("share of Kp and Ki at standstill")]),
+        Row(
+            label="hold",
+            unit="A/rev/s",
+            cells=[number(g.hold_a_per_rev_s, 4), _text("integral gain of the hold of the position at standstill")],
+        ),
     ]
     return Table(
         name="gains", title="Gains", corner="gain", rows=rows,

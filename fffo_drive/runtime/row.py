@@ -64,6 +64,7 @@ def write_row(
     row["filtered_error_rps"] = law.terms.filtered_error_rps
     row["proportional_a"] = law.terms.proportional_a
     row["integral_a"] = law.terms.integral_a
+    row["hold_a"] = law.terms.hold_a
     row["friction_nm"] = law.terms.friction_nm
     row["inertia_nm"] = law.terms.inertia_nm
     row["effects_nm"] = law.effects_nm

@@ -358,7 +358,7 @@ def law_step(
         mode = MODE_VELOCITY
         terms, controller = controller_step(
             config, controller, toggle, reference, feedback["velocity_rps"], effects_nm + adapted.torque_nm,
-            estimate.followed_rps,
+            estimate.followed_rps, feedback["position_rev"],
         )  # fmt: skip
     output = LawOutput(mode, reference, terms, effects_nm, estimate)
     return output, LawMemory(controller, estimator, memory.learned, adapted)
@@ -367,7 +367,7 @@ def law_step(
 @njit
 def terms_of_current(current_a: float) -> ControllerTerms:
     """An open-loop current has no other terms."""
-    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
+    return ControllerTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, current_a, current_a, False)
 
 
 @njit

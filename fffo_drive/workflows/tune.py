@@ -71,7 +71,11 @@ def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
             "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
             "learns_in": "integral",
         },
-        "at_rest": {"gain_share": _rounded(found.gains.rest_share), "release_friction": True},
+        "at_rest": {
+            "gain_share": _rounded(found.gains.rest_share),
+            "release_friction": True,
+            "hold_a_per_rev_s": _rounded(found.gains.hold_a_per_rev_s),
+        },
     }
 
 

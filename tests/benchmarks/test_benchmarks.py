@@ -49,7 +49,9 @@ def test_the_compiled_loop_does_what_the_loop_in_c_does_at_its_cost():
         assert facts["socket pair, estimated velocity: estimated ticks"] > 900  # of 1000
         assert facts["socket pair: ticks that learn"] == 0
         assert facts["socket pair, adaptation: ticks that learn"] > 500
-    for bus in ("socket pair", "loopback bus", "socket pair, estimated velocity") if facts else ():
+        assert facts["socket pair: ticks that hold"] == 0
+        assert facts["socket pair, hold: ticks that hold"] > 300
+    for bus in ("socket pair", "loopback bus", "socket pair, estimated velocity", "socket pair, hold") if facts else ():
         assert facts[f"{bus}: differing fields"] == []
         assert facts[f"{bus}: largest command"] > 0.1  # it did control
     if facts:

@@ -162,7 +162,7 @@ def test_the_command_does_not_jump_where_the_toggle_changes(before, after):
         for toggle in toggles:
             given, controller = give_adapted(LAW, STATE, controller, MODE_VELOCITY, reference, toggle, True, last_nm)
             last_nm = given.torque_nm
-            terms, controller = controller_step(LAW, controller, toggle, reference, 5.0, last_nm, 5.0)
+            terms, controller = controller_step(LAW, controller, toggle, reference, 5.0, last_nm, 5.0, 0.0)
             commands.append(terms.command_a)
             given_nm.append(last_nm)
         return np.array(commands), np.array(given_nm)

@@ -38,7 +38,7 @@ CONFIG = ControllerConfig(
 
 def step(config, state, toggle, reference, velocity_rps, effects_nm):
     """The law with an error of the drive's own velocity."""
-    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps)
+    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps, 0.0)
 
 
 def run(config, toggles, references, velocities, state=None):

@@ -18,7 +18,7 @@ GAINS = st.floats(0.05, 5.0)
 
 def step(config, state, toggle, reference, velocity_rps, effects_nm):
     """The law with an error of the drive's own velocity."""
-    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps)
+    return controller_step(config, state, toggle, reference, velocity_rps, effects_nm, velocity_rps, 0.0)
 
 
 def law(proportional: float, integral: float, observer: float) -> ControllerConfig:

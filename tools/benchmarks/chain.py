@@ -33,6 +33,7 @@ from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.envelope import TRIP_NONE
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from fffo_drive.control.position_hold import NO_HOLD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from fffo_drive.control.stability import linear_axis
 from fffo_drive.documents import DocumentError
@@ -65,7 +66,7 @@ CREEP_MEAN_S = 0.2  # over which a position is averaged
 MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
 COUNTS_PER_REV = 2.0**15
 CRASHED = "crashed"
-BATCH_AXES = 40  # between two writes of the rows
+BATCH_AXES = 10  # between two writes of the rows
 
 
 class Outcome(NamedTuple):
@@ -80,7 +81,8 @@ class Outcome(NamedTuple):
     nominal: str  # ... with those of the scenario
     creep_counts: float  # nan where it was not run
     nominal_creep_counts: float
-    open_creep_counts: float  # with the tuned gains in motion and none at rest: a constant command
+    unheld: str  # verdict with the tuned gains, the position not held at rest
+    unheld_creep_counts: float
     phase_deg: float  # margin of the design
     rest_share: float
     seconds: float
@@ -152,7 +154,12 @@ def tuned(base: Any, model: ModelFile, measured_s: float) -> tuple[Candidate, fl
     observer = section.observer.model_copy(
         update={"gain_nm_per_rev": found.gains.observer_nm_per_rev, "learns_in": "integral"}
     )
-    rest = section.at_rest.model_copy(update={"gain_share": found.gains.rest_share, "release_friction": True})
+    at_rest = {
+        "gain_share": found.gains.rest_share,
+        "release_friction": True,
+        "hold_a_per_rev_s": found.gains.hold_a_per_rev_s,
+    }
+    rest = section.at_rest.model_copy(update=at_rest)
     feedforward = section.feedforward.model_copy(update={"inertia": True, "preview": True, "delay_aware": True})
     changed = section.model_copy(
         update={
@@ -208,15 +215,15 @@ def run_job(job: Job) -> Outcome:
     except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
         refused = f"{CRASHED}: {type(error).__name__}: {error}"
     verdict, creep = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan)
-    open_creep = math.nan
+    unheld = verdict, math.nan
     if candidate is not None:
         verdict, creep = probe(case, candidate).verdict, creep_counts(case, candidate)
         law = candidate.controller
-        no_gains = law._replace(rest=law.rest._replace(gain_share=0.0))
-        open_creep = creep_counts(case, candidate._replace(controller=no_gains))
+        without = candidate._replace(controller=law._replace(rest=law.rest._replace(hold=NO_HOLD)))
+        unheld = probe(case, without).verdict, creep_counts(case, without)
     return Outcome(
         axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
-        open_creep, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s, commit(),
+        *unheld, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s, commit(),
     )  # fmt: skip
 
 
@@ -234,9 +241,13 @@ def table(found: list[Outcome]) -> list[str]:
         "|---|" + "---|" * 9,
     ]
     verdicts = (STABLE, HUNTING, CYCLE, UNSTABLE, TRIPPED, "refused", CRASHED)
-    for name, which in (("as in the scenario", "nominal"), ("identified and tuned", "verdict")):
+    for name, which, creep in (
+        ("as in the scenario", "nominal", "nominal_creep_counts"),
+        ("identified and tuned, position not held at rest", "unheld", "unheld_creep_counts"),
+        ("identified and tuned", "verdict", "creep_counts"),
+    ):
         counted = Counter(getattr(one, which) for one in passive)
-        creeps = np.array([one.creep_counts if which == "verdict" else one.nominal_creep_counts for one in passive])
+        creeps = np.array([getattr(one, creep) for one in passive])
         known = creeps[np.isfinite(creeps)]
         cells = [str(counted[verdict]) for verdict in verdicts]
         beyond = f"{int(np.sum(known > MOST_CREEP_COUNTS))} of {known.size}"
@@ -253,13 +264,7 @@ def table(found: list[Outcome]) -> list[str]:
             )
     creeping = [one for one in passive if one.verdict == STABLE and one.creep_counts > MOST_CREEP_COUNTS]
     lines += ["", "Stable ones that creep, by friction law: " + _by_law(creeping) + ".", ""]
-    anyway = [one for one in found if one.passive and one.open_creep_counts > MOST_CREEP_COUNTS]
-    both = [one for one in creeping if one.open_creep_counts > MOST_CREEP_COUNTS]
-    lines += [
-        f"With no gains at rest, that is with a constant command, {len(anyway)} creep over {MOST_CREEP_COUNTS:g} "
-        f"counts; {len(both)} of them are among the {len(creeping)}.",
-        "",
-    ]
+    lines += _creeping(creeping)
     lines += ["Measured delay less the true one, ms (5 %, median, 95 % quantile): " + _delays(passive) + ".", ""]
     return lines
 
@@ -284,6 +289,18 @@ def _delays(found: list[Outcome]) -> str:
         low, median, high = 1e3 * np.nanquantile(errors_s, [0.05, 0.5, 0.95])
         texts.append(f"{name} {low:.2f}, {median:.2f}, {high:.2f}")
     return "; ".join(texts)
+
+
+def _creeping(found: list[Outcome]) -> list[str]:
+    if not found:
+        return []
+    lines = ["| axis | friction | effects | creep in counts, position not held | held |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {one.number} | {one.law} | {', '.join(one.effects)} | {one.unheld_creep_counts:.1f} "
+        f"| {one.creep_counts:.1f} |"
+        for one in found
+    ]
+    return [*lines, ""]
 
 
 def _by_law(found: list[Outcome]) -> str:

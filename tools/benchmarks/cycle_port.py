@@ -6,6 +6,7 @@ loop itself does, SYNC to housekeeping, and every pass sees the same feedback, t
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 from typing import Any, NamedTuple
@@ -35,6 +36,7 @@ from fffo_drive.workflows.plan import Plan
 STATUS_EVERY = 10  # SYNCs between answers with statusword and current
 ENABLED_STATUSWORD = 0x1637  # operation enabled
 DELAY_TICKS = 6  # of the velocity that the drive reports behind its reference
+WANDER_COUNTS, WANDER_HZ = 20.0, 5.0  # of the position, so that there is something to hold at rest
 
 # words
 CYCLE = 0  # number of the cycle under way
@@ -186,6 +188,8 @@ def _motion(config: CanopenDriveConfig, profile: Profile) -> np.ndarray[Any, np.
     velocity_rps += np.random.default_rng(1).normal(0.0, 0.008, velocity_rps.size)
     velocity = np.round(velocity_rps * config.velocity_units_per_rps).astype("<i4")
     travel_rev = np.cumsum(profile.values) * profile.period_s
+    time_s = np.arange(travel_rev.size) * profile.period_s
+    travel_rev += WANDER_COUNTS / config.counts_per_rev * np.sin(2.0 * math.pi * WANDER_HZ * time_s)
     position = np.round(travel_rev * config.counts_per_rev).astype("<i4")
     frames = np.zeros((velocity.size, can.FRAME_SIZE), np.uint8)
     frames[:] = np.frombuffer(can.pack_frame(config.answers[0].cob_id, bytes(8)), np.uint8)

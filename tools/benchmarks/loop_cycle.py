@@ -25,8 +25,8 @@ from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 
 from fffo_drive.can import frame
-from fffo_drive.config.sections import AdaptationSection, VelocitySection
-from fffo_drive.control import adaptation, envelope, friction_observer, reference, velocity_estimator
+from fffo_drive.config.sections import AdaptationSection, RestSection, VelocitySection
+from fffo_drive.control import adaptation, envelope, friction_observer, position_hold, reference, velocity_estimator
 from fffo_drive.control.adaptation import AdaptationState, Adapted
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
@@ -61,6 +61,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),
     (velocity_estimator, ("COMMANDS", "BRIDGED_TICKS")),
+    (position_hold, ("SETTLED",)),
     (adaptation, ("EXCITED_SHARE", "FOLLOWS_IN", "OFFSET_AT", "COULOMB_AT", "VISCOUS_AT")),
     (tick, ("FLAG_",)),
 )
@@ -174,6 +175,18 @@ def with_adaptation(plan: Plan) -> Plan:
     return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}), profile=profile)
 
 
+def with_hold(plan: Plan) -> Plan:
+    """The same plan with a hold of the position in short rests between two motions."""
+    at_rest = RestSection(gain_share=0.5, release_friction=True, time_s=0.005, hold_a_per_rev_s=2000.0)
+    controller = plan.axis.controller.model_copy(update={"at_rest": at_rest})
+    times_s = np.array([0.0, 0.05, 0.1, 0.3])
+    profile = reference.piecewise_linear(
+        "stop and go", reference.MODE_VELOCITY, plan.axis.loop.period_s, times_s, np.array([0.0, 2.0, 0.0, 0.0])
+    )
+    profile = profile._replace(values=np.tile(profile.values, 10), derivatives=np.tile(profile.derivatives, 10))
+    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}), profile=profile)
+
+
 def zeros(kind: type) -> Any:
     """A NamedTuple of numbers and of such NamedTuples, all zero."""
     types = get_type_hints(kind).values()
@@ -203,17 +216,20 @@ def run() -> int:
     )
     plan = make_plan(AXIS)
     loop, estimating, adapting = Cycles(plan), Cycles(with_estimate(plan)), Cycles(with_adaptation(plan))
+    holding = Cycles(with_hold(plan))
     buses = {
         "socket pair": (loop, socket_pair),
         "loopback bus": (loop, loopback_bus),
         "socket pair, estimated velocity": (estimating, socket_pair),
         "socket pair, adaptation": (adapting, socket_pair),
+        "socket pair, hold": (holding, socket_pair),
     }
     for text, (one_loop, bus) in buses.items():
         one, other = one_loop.run("numba", bus, cycles).rows, one_loop.run("C", bus, cycles).rows
         report.facts[f"{text}: estimated ticks"] = int((one["flags"] & tick.FLAG_ESTIMATED_VELOCITY != 0).sum())
         differing = differing_fields(one, other)
         report.facts[f"{text}: ticks that learn"] = int((one["flags"] & tick.FLAG_ADAPTS != 0).sum())
+        report.facts[f"{text}: ticks that hold"] = int((one["hold_a"] != 0.0).sum())
         report.facts[f"{text}: differing fields"] = differing
         report.facts[f"{text}: largest command"] = float(np.abs(one["current_command_a"]).max())
         if differing:

@@ -80,7 +80,9 @@ def _run(
             reference = read_reference(feedforward, values, derivatives, length, sample)
             if kind == OWN_LAW:
                 config = unpack_controller(parameters)
-                terms, state = controller_step(config, state, toggle, reference, velocity_rps, 0.0, velocity_rps)
+                terms, state = controller_step(
+                    config, state, toggle, reference, velocity_rps, 0.0, velocity_rps, feedback["position_rev"]
+                )
                 command_a = terms.command_a
             elif kind == LUGRE:
                 command_a = lugre_step(parameters, memory, reference, velocity_rps)

@@ -141,11 +141,33 @@ static struct velocity_estimator_terms velocity_estimator_step(const struct velo
     return terms;
 }
 
+/* ---- the hold of the position at rest ---- */
+
+static void hold_step(const struct hold_config *c, struct hold_state *state, double rest, double position_rev,
+                      bool limited, double period_s)
+{
+    if (!isfinite(position_rev))
+        return;
+    if (!state->latched) {
+        *state = (struct hold_state){rest >= SETTLED, position_rev, 0.0};
+        return;
+    }
+    double away_rev = position_rev - state->position_rev;
+    if (fabs(away_rev) > c->travel_rev) {
+        away_rev = copysign(c->travel_rev, away_rev);
+        state->position_rev = position_rev - away_rev;
+    }
+    double beyond_rev = larger(fabs(away_rev) - c->dead_band_rev, 0.0);
+    if (!limited)
+        state->current_a -= c->integral_a_per_rev_s * period_s * copysign(beyond_rev, away_rev);
+    state->current_a = smaller(larger(state->current_a, -c->bound_a), c->bound_a);
+}
+
 /* ---- the law ---- */
 
 static void controller_step(const struct controller_config *c, struct controller_state *state, int64_t toggle,
                             const struct reference *reference, double velocity_rps, double added_nm, double followed_rps,
-                            struct controller_terms *terms)
+                            double position_rev, struct controller_terms *terms)
 {
     if (toggle != state->toggle)
         hand_over(c, state, toggle, reference, velocity_rps);
@@ -157,6 +179,13 @@ static void controller_step(const struct controller_config *c, struct controller
     bool at_rest = reference->value == 0.0 && reference->ahead == 0.0;
     state->rest = at_rest ? state->rest + c->rest.fade_share * (1.0 - state->rest) : 0.0;
     double gain_share = 1.0 - state->rest * (1.0 - c->rest.gain_share);
+    if (at_rest && c->rest.hold.bound_a > 0.0) {
+        hold_step(&c->rest.hold, &state->hold, state->rest, position_rev, state->limited, c->period_s);
+    } else {
+        state->integral_a += state->hold.current_a;
+        state->hold = (struct hold_state){0, 0.0, 0.0};
+    }
+    double hold_a = state->hold.current_a;
     double observation_nm_per_s = 0.0, learned_a_per_rev = 0.0;
     if (toggle != TOGGLE_OFF) {
         if (!(state->limited || at_rest))
@@ -182,14 +211,15 @@ static void controller_step(const struct controller_config *c, struct controller
     double proportional_a = gain_share * c->pi.proportional_a_per_rps * driving_rps;
     double integral_a_per_rev = gain_share * c->pi.integral_a_per_rev + learned_a_per_rev;
     double candidate_a = state->integral_a + integral_a_per_rev * driving_rps * c->period_s;
-    double sum_a = proportional_a + candidate_a + feedforward_a;
+    double sum_a = proportional_a + candidate_a + (hold_a + feedforward_a);
     if (!((fabs(sum_a) > limit_a || state->limited) && driving_rps * sum_a > 0.0))
         state->integral_a = candidate_a;
-    double requested_a = proportional_a + state->integral_a + feedforward_a;
+    double requested_a = proportional_a + state->integral_a + hold_a + feedforward_a;
     double command_a = smaller(larger(requested_a, -limit_a), limit_a);
     state->limited = command_a != requested_a;
     *terms = (struct controller_terms){
         .error_rps = error_rps, .filtered_error_rps = driving_rps, .proportional_a = proportional_a, .integral_a = state->integral_a,
+        .hold_a = hold_a,
         .friction_nm = state->friction.torque_nm, .inertia_nm = inertia_nm,
         .observation_nm_per_s = observation_nm_per_s, .requested_a = requested_a, .command_a = command_a,
         .limited = state->limited,

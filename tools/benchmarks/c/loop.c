@@ -164,7 +164,7 @@ static struct velocity_estimator_terms estimate_velocity(const struct controller
 
 static struct law_output apply_law(const struct controller_config *config, struct controller_state *state, int64_t mode,
                             const struct reference *reference, double velocity_rps, int64_t toggle, bool active,
-                            double added_nm, double followed_rps)
+                            double added_nm, double followed_rps, double position_rev)
 {
     struct law_output law = {.mode = MODE_IDLE};
     if (!active || mode == MODE_CURRENT) {
@@ -177,7 +177,7 @@ static struct law_output apply_law(const struct controller_config *config, struc
     }
     law.mode = MODE_VELOCITY;
     law.reference = *reference;
-    controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps, &law.terms);
+    controller_step(config, state, toggle, reference, velocity_rps, added_nm, followed_rps, position_rev, &law.terms);
     return law;
 }
 
@@ -260,6 +260,7 @@ static void write_row(struct row *row, int64_t head, const struct timing *timing
     row->filtered_error_rps = law->terms.filtered_error_rps;
     row->proportional_a = law->terms.proportional_a;
     row->integral_a = law->terms.integral_a;
+    row->hold_a = law->terms.hold_a;
     row->friction_nm = law->terms.friction_nm;
     row->inertia_nm = law->terms.inertia_nm;
     row->observation_nm_per_s = law->terms.observation_nm_per_s;
@@ -364,7 +365,8 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         given = give_adapted(&controller_config, &learned, &controller, cursor.mode, &reference, toggle, active,
                              given.torque_nm);
         struct law_output law = apply_law(&controller_config, &controller, cursor.mode, &reference, feedback->velocity_rps,
-                                   toggle, active, given.torque_nm, estimate.followed_rps);
+                                   toggle, active, given.torque_nm, estimate.followed_rps,
+                                   feedback->position_rev);
 
         struct envelope_inputs seen = look(feedback, config, &timing, &baseline, &law, wanted, enabled,
                                            timing.tick - tick);
