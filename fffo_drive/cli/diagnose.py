@@ -33,7 +33,7 @@ from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
-from ..report.diagnose_verdict import doubts
+from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
@@ -150,6 +150,8 @@ def _print(found: Diagnosis) -> None:
             f"  {finding.name}{family}: {share:.0f} % of the squared residual that all others leave, p {chance:.2g}; "
             f"{numbers}"
         )
+        if unproven(finding):
+            print("    on the held-out runs it does not lower the error")
         if finding.doubt:
             print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:

@@ -224,8 +224,9 @@ def verdict_of(
     doubtful = ", ".join(dict.fromkeys(f.name for f in accepted if f.doubt))
     beside = f" In the model, but in doubt as a cause: {doubtful}." if doubtful else ""
     if effects:
+        shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
-            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in effects)
+            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in shown)
         )
         return "effects_found", f"The model lacks: {names}.{beside}{form}{left}"
     if rest is not None:
@@ -245,8 +246,6 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
     split = least_steady(selected.data, selected.fitted, selected.matrix, number)
     if split.is_uneven:
         return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
-    if finding.regime_before is not None and finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0:
-        return "on the held-out runs it does not lower the error"
     if rest is not None and finding.curve is not None and finding.explained_fraction < CURVE_OF_REST * rest.share:
         return "it takes away little beside what nothing here explains, and may be a part of that"
     return ""
@@ -303,7 +302,9 @@ def _finding(
     if across:
         both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
         reason += f"; a table over {' and '.join(both)}"
-    if proof is not None and before is None:
+    if unseen is not None and not unseen[0] > 0.0:
+        reason += "; on the held-out runs it does not lower the error"
+    elif proof is not None and before is None:
         reason += "; the held-out runs hardly excite it: it rests on the fit runs"
     return Finding(
         name=effect.name,

@@ -162,10 +162,10 @@ def test_progress_is_told_and_goes_up_to_one():
     assert shares[-1] == 1.0
 
 
-def accepted(*names):
+def accepted(*names, held_out_gain=(5.0, 1.0)):
     """Findings that stand, by name."""
     template = next(f for f in found().findings if f.name == "torque_offset")
-    return [template.__class__(**{**vars(template), "name": n}) for n in names]
+    return [template.__class__(**{**vars(template), "name": n, "held_out_gain": held_out_gain}) for n in names]
 
 
 OF_INERTIA = "The runs contradict each other: the inertia is not the same in all of them."
@@ -208,7 +208,9 @@ def test_the_verdict_by_what_was_found(names, worse, rest, remarks, verdict, wor
     assert words in headline
 
 
-def test_the_headline_names_what_the_data_do_not_separate():
+def test_what_does_not_lower_the_held_out_error_is_no_headline():
+    page = [*accepted("cogging"), *accepted("quadratic_drag", held_out_gain=(-3.0, 1.0))]
+    assert verdict_of(page, "", None, ())[1] == "The model lacks: cogging."
     with_alternative = accepted("cogging")[0]
     object.__setattr__(with_alternative, "alternatives", ("unbalance", "torque_ripple"))
     assert "cogging (or unbalance or torque_ripple)" in verdict_of([with_alternative], "", None, ())[1]
