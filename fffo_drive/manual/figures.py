@@ -277,7 +277,7 @@ def diagnosis() -> Figure:
         if index:
             _arrow(axes, [(-0.4 + 2.8 * index, 4.4), (0.08 + 2.8 * index, 4.4)])
     lower = (
-        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5, 6 form of friction?\nplausible? in doubt?", BLUE), ("7 proof on\nheld-out runs", ORANGE),  # noqa: E501
+        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4 form? 5 plausible?\n6 in doubt?", BLUE), ("7 proof on\nheld-out runs", ORANGE),  # noqa: E501
         ("8 model, page,\nunexplained rest", GREEN),
     )  # fmt: skip
     for index, (text, colour) in enumerate(lower):
