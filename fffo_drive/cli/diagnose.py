@@ -117,7 +117,7 @@ def _require(options: argparse.Namespace, out: Path) -> None:
 def searched_names() -> list[str]:
     """Everything that a search can leave out: laws, curves over an axis, kinds of curves, tables over two axes."""
     from ..diagnosis.curves import Curve, axes_of, kind_of_curve, pairs_of
-    from ..model.effects.laws.lookup import RESPONSE, UNKNOWN, WOUND
+    from ..model.effects.laws.lookup import UNKNOWN, WOUND
     from ..model.effects.registry import LAWS
 
     laws = [name for name, law in LAWS.items() if law.name != "lookup" and not law.in_base]
@@ -125,7 +125,7 @@ def searched_names() -> list[str]:
     turns = float("inf")  # a motion over so many has every axis
     shapes = [(axis.word, {"kind": axis.kind, "scale": axis.scale, "of_current": axis.of_current})
               for axis in axes_of(turns)]  # fmt: skip
-    shapes += [("frequency", {"kind": RESPONSE}), ("memory", {"kind": WOUND})]
+    shapes.append(("memory", {"kind": WOUND}))
     curves = [Curve(UNKNOWN + word, shape, nothing) for word, shape in shapes]
     tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
     both = [*curves, *tables]
