@@ -227,9 +227,8 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
     if split.is_uneven:
         return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
     law, share = law_of(finding.name), finding.explained_fraction
-    told_apart = (
-        law.wave or law.needs_current
-    )  # its order, or the measured current, tells it from whatever else is there
+    # a wave by its order, a voltage limit by the measured current, whatever else is there
+    told_apart = law.wave or law.needs_current
     if rest is not None and not told_apart and share < LEAST_BESIDE * rest.share * (1.0 - share):
         return "it takes away little beside what nothing here explains, and may be a part of that"
     return ""

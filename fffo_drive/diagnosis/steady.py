@@ -21,7 +21,7 @@ from .scenes import load_rows
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-STEADY = 0.4  # rms change of an effect's strength over two parts of the data, as a share of it, at most
+STEADY = 0.3  # rms change of an effect's strength over two parts of the data, as a share of it, at most
 DETERMINED = 0.1  # of the square of such a change, that all else that is fitted must leave: or it could say it itself
 
 

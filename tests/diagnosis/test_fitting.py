@@ -19,7 +19,7 @@ from fffo_drive.diagnosis.fitting import (
     stepped,
     with_levels,
 )
-from fffo_drive.identification.criterion import huber
+from fffo_drive.identification.criterion import huber, unseen_loss
 
 OFFSET_NM = 0.006
 TOLERANCES = {
