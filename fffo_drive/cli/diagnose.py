@@ -33,7 +33,7 @@ from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..model.effects.laws.lookup import KindWord
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
-from ..report.diagnose_verdict import doubts
+from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
 from .progress import progress_bar
@@ -117,7 +117,7 @@ def _require(options: argparse.Namespace, out: Path) -> None:
 def searched_names() -> list[str]:
     """Everything that a search can leave out: laws, curves over an axis, kinds of curves, tables over two axes."""
     from ..diagnosis.curves import Curve, axes_of, kind_of_curve, pairs_of
-    from ..model.effects.laws.lookup import RESPONSE, UNKNOWN, WOUND
+    from ..model.effects.laws.lookup import UNKNOWN, WOUND
     from ..model.effects.registry import LAWS
 
     laws = [name for name, law in LAWS.items() if law.name != "lookup" and not law.in_base]
@@ -125,7 +125,7 @@ def searched_names() -> list[str]:
     turns = float("inf")  # a motion over so many has every axis
     shapes = [(axis.word, {"kind": axis.kind, "scale": axis.scale, "of_current": axis.of_current})
               for axis in axes_of(turns)]  # fmt: skip
-    shapes += [("frequency", {"kind": RESPONSE}), ("memory", {"kind": WOUND})]
+    shapes.append(("memory", {"kind": WOUND}))
     curves = [Curve(UNKNOWN + word, shape, nothing) for word, shape in shapes]
     tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
     both = [*curves, *tables]
@@ -150,6 +150,8 @@ def _print(found: Diagnosis) -> None:
             f"  {finding.name}{family}: {share:.0f} % of the squared residual that all others leave, p {chance:.2g}; "
             f"{numbers}"
         )
+        if unproven(finding):
+            print("    on the held-out runs it does not lower the error")
         if finding.doubt:
             print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:

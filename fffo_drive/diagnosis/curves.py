@@ -1,4 +1,4 @@
-"""What has no name: free curves over one axis, tables over two, a response over frequency, springs along the travel.
+"""What has no name: free curves over one axis, tables over two, springs along the travel.
 
 Each is a table of the library's `lookup` law: what is found here is refitted, written to a model file and, over an axis
 that a feed-forward knows, compensated like any other effect. Knots lie where the data are.
@@ -19,7 +19,6 @@ from ..model.effects.laws.lookup import (
     FRICTION,
     KNOTS,
     PLAIN,
-    RESPONSE,
     UNKNOWN,
     VISCOUS,
     WOUND,
@@ -191,14 +190,7 @@ def kind_of_curve(curve: Curve) -> str:
     """What a search without a kind of curve leaves out: the channel of a table, `kind(axis)` of a curve."""
     if curve.pair is not None:
         return curve.pair.name
-    kinds = {
-        PLAIN: "torque",
-        FRICTION: "friction",
-        VISCOUS: "viscous",
-        RESPONSE: "response",
-        WOUND: "wound",
-        BRAKE: "drag",
-    }
+    kinds = {PLAIN: "torque", FRICTION: "friction", VISCOUS: "viscous", WOUND: "wound", BRAKE: "drag"}
     current = ", current" if curve.shapes.get("of_current", 0.0) else ""
     turns = curve.shapes.get("scale", 0.0)
     period = f", {turns:g}" if curve.name.removeprefix(UNKNOWN) in ANGLES and turns > 1.0 else ""
@@ -246,14 +238,9 @@ def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[CurveAxi
     return found
 
 
-def has_states(shapes: Mapping[str, float]) -> bool:
-    """Whether the values stand for bands or springs with a state of their own, in place of places on an axis."""
-    return shapes["kind"] in (RESPONSE, WOUND)
-
-
 def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_: Filter) -> Floats:
     """What each value of a curve or table gives, per unit of it, at the rows of a scene. (m, values)"""
-    if has_states(shapes):
+    if shapes["kind"] == WOUND:  # springs, each with a state of its own
         units = (load_along(scene, name, {**shapes, f"y{k:02d}": 1.0}) for k in range(values_of(shapes)))
         return np.stack([filter_.rows(unit) for unit in units], axis=1)
     weight = factor(scene, shapes["kind"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
 from ..identification.ranking import ranked
 from ..identification.runs import RunsLook, look_at_runs
-from ..model.effects.laws.lookup import PLAIN, RESPONSE, UNKNOWN, VISCOUS, across_word
+from ..model.effects.laws.lookup import PLAIN, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity, effect_model
 from ..units import axis_word_on, inertia_kg_m2, inertia_nm_s2_per_rev
@@ -29,13 +29,14 @@ from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standa
 from .gates import NEGLIGIBLE, needed_rows
 from .own_pictures import own_picture
 from .pictures import ceiling, picture, run_figures
-from .proof import Proof, data_of, error_figures, inertia_of, with_own_datum
+from .proof import Proof, error_figures, inertia_of
 from .propose import WAVE_RUNG
 from .rest import refused_rest, rest_of
 from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord, in_words_of_axis
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
-from .select import Accepted, Refused, Selection, Selector, base_of, settled
+from .select import Accepted, Refused, Selection, Selector
+from .select import DiagnosisSettings as DiagnosisSettings
 from .startup import starting_data
 from .steady import least_steady
 
@@ -44,21 +45,11 @@ Progress = Callable[[float, str], None]
 
 # that can be ablated
 MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
-CURVE_OF_REST = 0.2  # of what is left and could be explained, that a curve takes away whose axis is believed
-KIND_UNITS = {VISCOUS: "Nm/rps", RESPONSE: "-"}  # of the values of a free curve that is no torque
+LEAST_BESIDE = 0.5  # of what is left and could be explained, that a finding explains, or it may be a part of it
 ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
 LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
 DELAY_TOLERANCE_S = 0.0015  # beyond the declared delay, from which on it is noted
 SHOWN_TRIALS = 30
-
-
-class DiagnosisSettings(NamedTuple):
-    """What a diagnosis goes by."""
-
-    false_alarm_rate: float = 0.01  # over the whole search
-    without: frozenset[str] = frozenset()  # laws, `unknown:AXIS`, kinds of curves or pairs that are left out
-    ablate: frozenset[str] = frozenset()  # of MECHANISMS, switched off
-    cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
 
 
 def prepared(records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter) -> Data:
@@ -85,17 +76,6 @@ def physical_of(model: ModelFile) -> Floats:
         **{name: getattr(f, name).value for name in NAMES if hasattr(f, name)},
     }
     return np.array([values.get(name, 0.0) for name in NAMES])
-
-
-def base_figures(
-    fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, model: ModelFile | None = None
-) -> ErrorFigures:
-    """Errors of the base model alone on held-out runs: the `before` of a diagnosis without effects."""
-    filter_ = filter_for(fit, facts, DiagnosisSettings())
-    base = settled(data := prepared(fit, facts, model, filter_), base_of(data))[1].fitted
-    data = data_of(held_out, filter_, base)
-    found = with_own_datum(data, base)[0]
-    return error_figures(data, found, needed_rows(data, found), inertia_of(found))
 
 
 def diagnose(
@@ -225,8 +205,9 @@ def verdict_of(
     doubtful = ", ".join(dict.fromkeys(f.name for f in accepted if f.doubt))
     beside = f" In the model, but in doubt as a cause: {doubtful}." if doubtful else ""
     if effects:
+        shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
-            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in effects)
+            dict.fromkeys(f.name + (f" (or {' or '.join(f.alternatives)})" if f.alternatives else "") for f in shown)
         )
         return "effects_found", f"The model lacks: {names}.{beside}{form}{left}"
     if rest is not None:
@@ -246,9 +227,10 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
     split = least_steady(selected.data, selected.fitted, selected.matrix, number)
     if split.is_uneven:
         return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
-    if finding.regime_before is not None and finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0:
-        return "on the held-out runs it does not lower the error"
-    if rest is not None and finding.curve is not None and finding.explained_fraction < CURVE_OF_REST * rest.share:
+    law, share = law_of(finding.name), finding.explained_fraction
+    # a wave by its order, a voltage limit by the measured current, whatever else is there
+    told_apart = law.wave or law.needs_current
+    if rest is not None and not told_apart and share < LEAST_BESIDE * rest.share * (1.0 - share):
         return "it takes away little beside what nothing here explains, and may be a part of that"
     return ""
 
@@ -304,7 +286,9 @@ def _finding(
     if across:
         both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
         reason += f"; a table over {' and '.join(both)}"
-    if proof is not None and before is None:
+    if unseen is not None and not unseen[0] > 0.0:
+        reason += "; on the held-out runs it does not lower the error"
+    elif proof is not None and before is None:
         reason += "; the held-out runs hardly excite it: it rests on the fit runs"
     return Finding(
         name=effect.name,
@@ -366,7 +350,7 @@ def _numbers(effect: Effect, number: int, selected: Selection, sd: Floats) -> li
     spread = effect_sd(effect, number, selected.fitted, selected.data, sd)
     found = []
     for p in law_of(effect.name).parameters:
-        unit = KIND_UNITS.get(effect.shapes.get("kind", PLAIN), p.unit)
+        unit = "Nm/rps" if effect.shapes.get("kind", PLAIN) == VISCOUS else p.unit
         if p.name in effect.strengths:
             for run, value in enumerate(effect.strengths[p.name]):
                 key = run if p.name in effect.per_run else -1

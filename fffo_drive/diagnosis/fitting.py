@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
-from ..identification.criterion import HUBER, clipped, huber, levels, unseen_loss
+from ..identification.criterion import HUBER, Folds, clipped, huber, levels
 from ..identification.threads import in_threads
 from ..model.effects import slots
 from ..model.effects.law import PER_TURN, SHAPE
@@ -67,6 +67,11 @@ class Data(NamedTuple):
     def used(self) -> Integers:
         """Rows that count. (q,)"""
         return np.flatnonzero(self.weight)
+
+    @property
+    def folds(self) -> Folds:
+        """Of the rows that count. (q,) each"""
+        return Folds(*(part[self.used] for part in self.rows.folds))
 
     def white(self, values: Floats) -> Floats:
         """Values (m,) or (m, k) at the rows that count, at unit variance. (q,) or (q, k)"""
@@ -163,14 +168,6 @@ def _free(data: Data, matrix: Floats) -> Floats:
     if "static_nm" not in data.free:
         found[:, BASE.index("coulomb_nm")] += matrix[:, BASE.index("static_nm")]
     return np.asarray(found)
-
-
-def unseen(data: Data, fitted: Fitted, matrix: Floats | None = None) -> Floats:
-    """Loss of each row (q,) in nats by a fit of the other folds: one step from the fit of all."""
-    matrix = jacobian(data, fitted) if matrix is None else matrix
-    used = data.used
-    folds = data.rows.folds
-    return unseen_loss(fitted.white, matrix, type(folds)(*(part[used] for part in folds)))
 
 
 def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -> list[Scene]:

@@ -103,9 +103,8 @@ class Proof:
         """What one effect explains of the held-out rows, given the others."""
         others = tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
         without = evaluate(self.data, self.fitted.physical, others)[0]
-        used = self.data.used
-        scored = self.scored[used]
-        folds = Folds(*(part[used][scored] for part in self.data.rows.folds))
+        scored = self.scored[self.data.used]
+        folds = Folds(*(part[scored] for part in self.data.folds))
         return gain(huber(without.white[scored]), huber(self.fitted.white[scored]), folds)
 
     def worse(self) -> str:

@@ -85,8 +85,7 @@ def evidence_of(data: Data, fitted: Fitted, known: Floats, negligible_nm: float 
     basis = orthonormal(known)
     residual = clipped(fitted.white)
     residual = residual - basis @ (basis.T @ residual)
-    folds = Folds(*(part[data.used] for part in data.rows.folds))
-    return Evidence(residual, basis, folds, 1.0 / data.weight[data.used], negligible_nm)
+    return Evidence(residual, basis, data.folds, 1.0 / data.weight[data.used], negligible_nm)
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:

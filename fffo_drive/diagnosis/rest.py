@@ -17,6 +17,7 @@ from ..model.effects import slots
 from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, Rest, share_above
 from .scenes import Scene
+from .spectra import time_spectrum
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -51,7 +52,7 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     # in levels of noise, or the rows just after each reversal say it all
     before, after = (float(np.sum(np.clip(one, -PULLED, PULLED) ** 2)) for one in (white, white - predicted))
     trees_nm = rms * float(np.sqrt(after / before))
-    own = gain(huber(white), huber(white - predicted), type(data.rows.folds)(*(p[used] for p in data.rows.folds)))
+    own = gain(huber(white), huber(white - predicted), data.folds)
     floor = trees_nm if own.holds else rms
     repeats = ceiling.left_repeatable_fraction
     if ceiling.noise_rms_nm is not None and repeats is not None and repeats > 0.0:
@@ -88,7 +89,7 @@ def _groups(data: Data) -> npt.NDArray[np.int64]:
     run = data.rows.run[data.used]
     _, group = np.unique(run, return_inverse=True)
     if group.max(initial=0) + 1 < LEAST_RUNS:
-        return data.rows.folds.fold[data.used]
+        return data.folds.fold
     return np.asarray(group % FOLDS, dtype=np.int64)
 
 
@@ -152,14 +153,7 @@ def _heat(scene: Scene) -> Floats:
 
 def _clock(data: Data, fitted: Fitted) -> float:
     """Period of the comb of lines that holds most of the residual's power over time, s; 0 where there is none."""
-    rows = data.rows
-    longest = max(end - begin for begin, end in rows.bounds)
-    length = 1 << (4 * longest - 1).bit_length()
-    power = np.zeros(length // 2 + 1)
-    for begin, end in rows.bounds:
-        part = np.where(rows.kept[begin:end], fitted.residual_nm[begin:end] * data.weight[begin:end], 0.0)
-        power += np.abs(np.fft.rfft(np.clip(part, -6.0, 6.0), length)) ** 2
-    frequency = np.fft.rfftfreq(length, rows.filter.row_period_s)
+    frequency, power = time_spectrum(data.rows, np.clip(fitted.residual_nm * data.weight, -6.0, 6.0))
     low, high = np.searchsorted(frequency, COMB_HZ)
     base = np.arange(max(1, low), min(high, (power.size - 1) // COMB_LINES))
     if not base.size:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,6 @@ from .fitting import (
     share_gone,
     slots_of,
     torque_of,
-    unseen,
     with_levels,
 )
 from .gates import ReferenceAxis, misshapen, objection
@@ -112,26 +111,19 @@ class Selection(NamedTuple):
     negligible_nm: float  # rms torque of what is too small to be an effect
 
 
-class Rules(Protocol):
-    """Of a diagnosis' settings, what a search goes by."""
+class DiagnosisSettings(NamedTuple):
+    """What a diagnosis goes by."""
 
-    @property
-    def false_alarm_rate(self) -> float:
-        """Over the whole search."""
-
-    @property
-    def without(self) -> frozenset[str]:
-        """Laws and curves that are left out."""
-
-    @property
-    def ablate(self) -> frozenset[str]:
-        """Mechanisms that are switched off."""
+    false_alarm_rate: float = 0.01  # over the whole search
+    without: frozenset[str] = frozenset()  # laws, `unknown:AXIS`, kinds of curves or pairs that are left out
+    ablate: frozenset[str] = frozenset()  # of diagnose.MECHANISMS, switched off
+    cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
 
 
 class Selector:
     """The search over one data set."""
 
-    def __init__(self, facts: DriveFacts, rules: Rules, told: Callable[[float, str], None]) -> None:
+    def __init__(self, facts: DriveFacts, rules: DiagnosisSettings, told: Callable[[float, str], None]) -> None:
         self.facts, self.rate, self.ablate, self.told = facts, rules.false_alarm_rate, rules.ablate, told
         self.search = Search(facts, rules.without, rules.ablate)
         self.refused: dict[str, Refused] = {}
@@ -190,7 +182,7 @@ class Selector:
         chosen = self._smallest(rigid, sets, standings)
         simple = standings[chosen]
         whole, bare = in_threads(lambda own: fitted(data, own), (sets[chosen], ()))
-        folds = folds_used(data)
+        folds = data.folds
         if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, folds).holds:
             data, whole, bare = rigid, simple, standings[0]
         share = share_gone(bare.fitted, whole.fitted)
@@ -212,7 +204,7 @@ class Selector:
         physical = standing.fitted.physical.copy()
         physical[static] *= whole.start[static] / whole.start[coulomb]
         found = stand(freed, fit(freed, physical, standing.fitted.effects, LADDER_ITERATIONS))
-        if not gain(standing.unseen, found.unseen, folds_used(data)).holds:
+        if not gain(standing.unseen, found.unseen, data.folds).holds:
             return data, standing
         return settled(freed, found.fitted)
 
@@ -221,7 +213,7 @@ class Selector:
 
         A constant torque stands before a friction that differs by direction.
         """
-        folds = folds_used(data)
+        folds = data.folds
 
         def best(of: Sequence[int]) -> Standing:
             return standings[min(of, key=lambda k: float(standings[k].unseen.sum()))]
@@ -419,7 +411,7 @@ class Selector:
         alone = without(data, standing, [*aside, number], refit)
         place = number - sum(k < number for k in aside)
         return replace(
-            note, gain=gain(alone.unseen, beside.unseen, folds_used(data)),
+            note, gain=gain(alone.unseen, beside.unseen, data.folds),
             share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
         )  # fmt: skip
 
@@ -463,7 +455,7 @@ def _linear(data: Data, standing: Standing, one: Proposal, folds: Folds) -> Floa
 def stand(data: Data, fitted: Fitted) -> Standing:
     """A fit with its sensitivities and unseen losses."""
     matrix = jacobian(data, fitted)
-    return Standing(fitted, matrix, unseen(data, fitted, matrix))
+    return Standing(fitted, matrix, unseen_loss(fitted.white, matrix, data.folds))
 
 
 def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool) -> Standing:
@@ -483,12 +475,7 @@ def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool)
     residual_nm = fitted.residual_nm.copy()
     residual_nm[data.used] = left / data.weight[data.used]
     moved = Fitted(fitted.physical, tuple(effects), float(huber(left).mean()), residual_nm, left)
-    return Standing(moved, others, unseen_loss(target, others, folds_used(data)))
-
-
-def folds_used(data: Data) -> Folds:
-    """Folds of the rows that count."""
-    return Folds(*(part[data.used] for part in data.rows.folds))
+    return Standing(moved, others, unseen_loss(target, others, data.folds))
 
 
 def numbers_of(fitted: Fitted) -> int:

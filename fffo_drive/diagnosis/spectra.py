@@ -108,16 +108,21 @@ def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[float]:
 
 def frequency_peaks(rows: DiagnosisRows, values: Floats, count: int) -> list[Peak]:
     """Strongest frequencies of values (m,) over time."""
-    period_s = rows.filter.row_period_s
+    frequency, power = time_spectrum(rows, values)
+    use = frequency < rows.filter.cutoff_hz
+    longest_s = max(end - begin for begin, end in rows.bounds) * rows.filter.row_period_s
+    return _peaks(frequency[use], power[use], count, least=4.0 / longest_s)
+
+
+def time_spectrum(rows: DiagnosisRows, values: Floats) -> tuple[Floats, Floats]:
+    """Frequencies, Hz, and the power of values (m,) at each, the sum over the stretches."""
     longest = max(end - begin for begin, end in rows.bounds)
     length = 1 << (4 * longest - 1).bit_length()
-    frequency = np.asarray(np.fft.rfftfreq(length, period_s), dtype=np.float64)
-    power = np.zeros(frequency.size)
+    power = np.zeros(length // 2 + 1)
     for begin, end in rows.bounds:
         part = np.where(rows.kept[begin:end], values[begin:end], 0.0)
         power += np.abs(np.fft.rfft(part - part.mean() * rows.kept[begin:end], length)) ** 2
-    use = frequency < rows.filter.cutoff_hz
-    return _peaks(frequency[use], power[use], count, least=4.0 / (longest * period_s))
+    return np.asarray(np.fft.rfftfreq(length, rows.filter.row_period_s), dtype=np.float64), power
 
 
 def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak]:

@@ -91,12 +91,9 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
 
 
 def starting_data(
-    facts: DriveFacts,
-    stretches: Sequence[DiagnosisStretch],
-    rows: DiagnosisRows,
-    runs: int,
+    facts: DriveFacts, stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows, runs: int,
     physical: Floats | None = None,
-) -> Data:
+) -> Data:  # fmt: skip
     """Data with the parameters to begin with, and one level of noise: that of the regression with its wave.
 
     `physical`: parameters to begin with, where they are known. Raises DataError where the data cannot carry a fit.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import HUBER, Folds, gain, unseen_loss
+from ..identification.criterion import HUBER, gain, unseen_loss
 from .fitting import Data, Fitted, consistent_scenes
 from .propose import orthonormal
 from .scenes import load_rows
@@ -21,7 +21,7 @@ from .scenes import load_rows
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-STEADY = 0.4  # rms change of an effect's strength over two parts of the data, as a share of it, at most
+STEADY = 0.3  # rms change of an effect's strength over two parts of the data, as a share of it, at most
 DETERMINED = 0.1  # of the square of such a change, that all else that is fitted must leave: or it could say it itself
 
 
@@ -70,6 +70,5 @@ def least_steady(data: Data, fitted: Fitted, matrix: Floats, number: int) -> Spl
                 found, most = Split(words, spread, spread > STEADY), np.where(part, load, 0.0)
     if not found.is_uneven:
         return found
-    folds = Folds(*(part[data.used] for part in data.rows.folds))
-    beside, split = (unseen_loss(fitted.white, one, folds) for one in (matrix, np.column_stack([matrix, most])))
-    return found._replace(is_uneven=gain(beside, split, folds).holds)
+    beside, split = (unseen_loss(fitted.white, one, data.folds) for one in (matrix, np.column_stack([matrix, most])))
+    return found._replace(is_uneven=gain(beside, split, data.folds).holds)

@@ -22,7 +22,7 @@ from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import inertia_kg_m2
 from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
-from .diagnose_verdict import diagnosis_verdict, names_of
+from .diagnose_verdict import diagnosis_verdict, names_of, unproven
 from .document import (
     Cell,
     Heading,
@@ -101,7 +101,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
         Section(
             "What convinces",
             "Each effect over the axis on which it lives.",
-            effect_figures(sorted(accepted, key=lambda finding: bool(finding.doubt)), words),
+            effect_figures(sorted(accepted, key=unproven), words),
         ),
         Section(
             "Before and after",

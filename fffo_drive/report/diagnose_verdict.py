@@ -50,9 +50,10 @@ def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
 
 
 def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path: str, words: DiagnosisWords) -> Verdict:
-    """The first effect in five lines; the others by name."""
-    lead = effects[0]
-    others = list(dict.fromkeys(plain_name(finding) for finding in effects[1:]))
+    """The first effect that the held-out runs show in five lines; the others by name."""
+    shown = [finding for finding in effects if not unproven(finding)] or list(effects)
+    lead = shown[0]
+    others = list(dict.fromkeys(plain_name(finding) for finding in shown[1:]))
     more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
     more += f" and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
     law = law_of(lead.name)
@@ -61,7 +62,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     step, next_line = _next(lead, model_path)
     return Verdict(
         headline=words.text(f"The model lacks {plain_name(lead)}{more}.{cause}"),
-        finding=f"{len(effects)} effects" if len(effects) > 1 else words.text(plain_name(lead)),
+        finding=f"{len(shown)} effects" if len(shown) > 1 else words.text(plain_name(lead)),
         confidence=_confidence(diagnosis, lead),
         next_step=step,
         lines=[
@@ -240,8 +241,14 @@ def _reason(finding: Finding, words: DiagnosisWords) -> str:
         f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
         f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
+        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
         + (f" Its name is in doubt: {words.text(finding.doubt)}." if finding.doubt else "")
     )
+
+
+def unproven(finding: Finding) -> bool:
+    """The held-out runs were asked, and do not show it."""
+    return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
 
 
 def names_of(names: Sequence[str]) -> str:

@@ -17,10 +17,9 @@ from fffo_drive.diagnosis.fitting import (
     slots_of,
     standard_deviations,
     stepped,
-    unseen,
     with_levels,
 )
-from fffo_drive.identification.criterion import huber
+from fffo_drive.identification.criterion import huber, unseen_loss
 
 OFFSET_NM = 0.006
 TOLERANCES = {
@@ -122,7 +121,7 @@ def test_a_step_stays_within_what_an_axis_can_be():
 
 def test_the_loss_of_unseen_rows_is_a_little_above_that_of_the_fit():
     data, base = axis()
-    loss = unseen(data, base)
+    loss = unseen_loss(base.white, jacobian(data, base), data.folds)
     assert loss.size == data.used.size
     assert huber(base.white).mean() < loss.mean() < 1.1 * huber(base.white).mean()
 

@@ -20,7 +20,6 @@ from fffo_drive.diagnosis.select import (
     Selector,
     Standing,
     base_of,
-    folds_used,
     numbers_of,
     refitted,
     settled,
@@ -219,7 +218,7 @@ def believed(data, standing, *laws):
         unseen = standing.unseen - loss + 0.01 * np.sin(0.1 * np.arange(rows))
         proposal = Proposal(name, name, rung, own, np.zeros((1, 1)), Score(1.0, np.zeros(1), 1, 1e-9))
         model = Standing(standing.fitted._replace(effects=(own,)), standing.matrix, unseen)
-        items.append((proposal, model, gain(standing.unseen, unseen, folds_used(data))))
+        items.append((proposal, model, gain(standing.unseen, unseen, data.folds)))
     return items
 
 
@@ -262,7 +261,7 @@ def test_a_law_that_says_most_of_what_a_curve_does_comes_first():
     data, standing, _ = at_the_start()
     laws = believed(data, standing, ("quadratic_drag", 3, 1, 0.2))
     curves = [Contender(None, standing.unseen - loss) for loss in (0.25, 0.5, 0.19)]
-    folds = folds_used(data)
+    folds = data.folds
     assert select._beyond_laws(standing, laws, curves, folds) == [curves[1]]
     assert select._beyond_laws(standing, [], curves, folds) == curves
     assert LAW_OF_CURVE * 0.25 < 0.2

@@ -399,6 +399,13 @@ def test_a_linear_axis_is_told_in_its_own_units():
     assert (effect.x.unit, effect.y.label, effect.y.unit) == ("m", "residual force", "N")
 
 
+def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
+    shown, hidden = finding(), finding(name="unbalance", held_out_gain=(-3.0, 5.0))
+    reasons = diagnosis_report(SOURCE, diagnosis(findings=(shown, hidden))).verdict.reasons
+    said = "On the held-out runs it does not lower the error."
+    assert [said in reason for reason in reasons[:2]] == [False, True]
+
+
 DOUBT = "its strength changes by 60 % from slow to fast motion: it may be part of something else"
 
 

@@ -48,14 +48,24 @@ def floor_of(truth_path: Path, answer: Path) -> None:
     """Held-out torque error (rms, Nm) of the base model on the twin without effects, to `answer`."""
     if answer.exists():
         return
-    from fffo_drive.diagnosis.diagnose import base_figures
-
     truth = json.loads(truth_path.read_text())
     drive = drive_from_truth(truth)
     facts = DriveFacts.model_validate(drive.facts())
     records = {run.profile.name: record_of(run, facts) for run in drive.runs(with_effects=False)}
-    figures = base_figures([records[name] for name in FITTED], [records[HELD_OUT]], facts)
-    write_answer(answer, {"torque_rms_nm": figures.torque_rms_nm.value})
+    write_answer(answer, {"torque_rms_nm": base_rms_nm([records[name] for name in FITTED], [records[HELD_OUT]], facts)})
+
+
+def base_rms_nm(fit: list[Record], held_out: list[Record], facts: DriveFacts) -> float:
+    """Torque error of the base model alone on held-out runs: the `before` of a diagnosis without effects."""
+    from fffo_drive.diagnosis.diagnose import DiagnosisSettings, filter_for, prepared
+    from fffo_drive.diagnosis.proof import data_of, with_own_datum
+    from fffo_drive.diagnosis.select import base_of, settled
+
+    filter_ = filter_for(fit, facts, DiagnosisSettings())
+    base = settled(data := prepared(fit, facts, None, filter_), base_of(data))[1].fitted
+    data = data_of(held_out, filter_, base)
+    left_nm = with_own_datum(data, base)[0].residual_nm[data.rows.kept]
+    return float(np.sqrt(np.mean(left_nm**2)))
 
 
 def drive_from_truth(truth: dict[str, Any]) -> BlindDrive:
