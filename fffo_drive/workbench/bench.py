@@ -142,7 +142,7 @@ class Workbench:
             raise DocumentError(f"no method of the axis is called {method!r}; known: {', '.join(CALLS)}")
         self._require(asker, METHODS[method].role)
         result = self.served.call(self.sockets(), asker, method, wish)
-        if not wish.get("renews"):  # what renews a jog is no news
+        if not (wish.get("renews") and wish.get("to_rps")):  # what renews a jog is no news, its end is
             told = {name: value for name, value in wish.items() if name not in ("page", "epoch")}
             self._told(asker, method, {"axis": told})
         return result

@@ -52,6 +52,7 @@ class Served:
         axis["controller"] |= GENTLE
         axis["controller"]["observer"]["gain_nm_per_rev"] = 0.1
         axis["profile"] = SINE
+        axis["daemon"]["set_points"] = {"jog_timeout_s": 5}  # a page on a machine without time renews it in time
 
     def __enter__(self) -> Served:
         self._drive.__enter__()

@@ -145,7 +145,7 @@ def test_set_points_and_a_profile_and_its_end(shown):
     shown.page.click("#start")
     shown.page.click("#ask-yes")
     shown.state("running")
-    shown.until("document.querySelector('#axis-doing').textContent.includes('default')")
+    shown.until("document.querySelector('#axis-doing').textContent.includes(' %')")
     shown.page.click("#disable")
     shown.state("ready")
     shown.page.check("input[name=friction][value=off]")
@@ -162,7 +162,7 @@ def test_a_gain_is_tried_with_a_step_before_and_after_and_taken_back(shown):
     shown.until("fffoWorkbench.state.trials.some((trial) => trial.state !== 'running')")
     assert shown.page.evaluate("fffoWorkbench.state.trials[0].says") == "done"
     shown.page.locator("#trial .uplot canvas").wait_for()
-    figures = shown.page.locator("#trial tbody tr")
+    figures = shown.page.locator("#trial > table tbody tr")
     assert [figures.nth(k).locator("td").first.text_content() for k in range(2)] == ["before", "after"]
     assert shown.served.client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.12
     shown.page.get_by_role("button", name="Take it back: 0.1").click()

@@ -1,9 +1,10 @@
-"""Screenshots of the workbench, with an effect that it found on the simulated drive, in headless Chromium."""
+"""Screenshots of the workbench in headless Chromium: an effect that it found, and an axis whose gain it tries."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -13,14 +14,18 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
 from headless import chromium  # noqa: E402
-from playwright.sync_api import Page  # noqa: E402
+from playwright.sync_api import Browser, Page  # noqa: E402
 
+from fffo_drive.can.link import free_loopback_port  # noqa: E402
 from fffo_drive.workbench.bench import Workbench  # noqa: E402
 from fffo_drive.workbench.server import WorkbenchServer  # noqa: E402
+from fffo_drive.workflows.simulated_process import SimulatedProcess  # noqa: E402
 
 PICTURE = Path(__file__).with_suffix(".png")
 REPORT = PICTURE.with_name("report.png")
-SCREEN = {"width": 1280, "height": 800}
+AXIS = PICTURE.with_name("workbench_axis.png")
+SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1060}
+PATIENCE_S = 180.0  # a first start compiles
 AT_WORK = "fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
 
 
@@ -33,8 +38,47 @@ def do(page: Page, button: str) -> None:
     time.sleep(1.0)
 
 
+def until(page: Page, expression: str) -> None:
+    """Wait until it is so."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not page.evaluate(expression):
+        if time.monotonic() > deadline_s:
+            raise RuntimeError(f"never: {expression}; the page says: {page.text_content('#axis-said')}")
+        time.sleep(0.1)
+
+
+def try_a_gain(browser: Browser, place: Path) -> None:
+    """An axis that a daemon has: enable, a step, another gain, the step again."""
+    axis, bus = place / "configs" / "axis_canopen.yaml", f"loopback:{free_loopback_port()}"
+    sockets = place / "sockets"
+    command = [sys.executable, "-m", "fffo_drive", "serve", str(axis), "--bus", bus, "--sockets", str(sockets)]
+    with SimulatedProcess(place / "configs" / "simulated_drive.yaml", bus):
+        daemon = subprocess.Popen([*command, "--uncommissioned", "--scope", "0"], stderr=subprocess.DEVNULL)
+        server = WorkbenchServer(Workbench(place / "runs" / "axis", axis, None, (), sockets))
+        server.start()
+        try:
+            page = browser.new_page(viewport=TALL)
+            page.goto(server.url("tune"))
+            page.click("#tab-axis")
+            until(page, "fffoAxis.status && fffoAxis.status.state === 'ready'")
+            page.click("#enable")
+            page.click("#ask-yes")
+            until(page, "fffoAxis.status.state === 'enabled'")
+            page.locator("#gains input").first.fill("0.4")
+            page.locator("#gains button").nth(1).click()
+            page.click("#ask-yes")
+            until(page, "fffoWorkbench.state.trials.some((trial) => trial.state !== 'running')")
+            page.locator("#trial .uplot canvas").wait_for()
+            time.sleep(1.0)
+            page.screenshot(path=AXIS, animations="disabled")
+        finally:
+            server.close()
+            daemon.terminate()
+            daemon.wait()
+
+
 def main() -> None:
-    """Record three runs, diagnose, show."""
+    """Record three runs, diagnose, show; then the axis."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
         os.chdir(place)  # paths are shown as they are typed there
         shutil.copytree(ROOT / "configs", Path(place) / "configs")
@@ -58,7 +102,8 @@ def main() -> None:
         report.wait_for_selector("figure canvas")
         report.screenshot(path=REPORT, animations="disabled")
         server.close()
-    print(PICTURE, REPORT, sep="\n")
+        try_a_gain(browser, Path(place))
+    print(PICTURE, REPORT, AXIS, sep="\n")
 
 
 if __name__ == "__main__":
