@@ -74,7 +74,7 @@ def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
     served.run()
     page.see(3.0)
     page.tab.click("#pause")
-    page.until("fffoScope.taken")
+    page.until("!!fffoScope.taken")
     box = plot(page)
     for share in (0.3, 0.7):
         page.tab.mouse.click(box["x"] + share * box["width"], box["y"] + 40)
@@ -158,6 +158,7 @@ def test_a_level_triggers_at_its_edge_and_holds(served, page):
     page.tab.select_option("#trigger", "level")
     page.tab.select_option("#trigger-signal", "reference_rps")
     page.tab.fill("#level", "1.5")
+    page.tab.press("#level", "Enter")
     page.tab.select_option("#edge", "falling")
     page.tab.select_option("#pre", "25")
     served.run()
@@ -178,21 +179,21 @@ def test_normal_waits_for_the_next_and_auto_goes_on_live(served, page):
     assert page.js("fffoScope.view") is None
     page.until(f"fffoScope.event > {first_s}")
     page.tab.select_option("#mode", "auto")
-    page.until("fffoScope.held")
+    page.until("!!fffoScope.held")
     served.client.call("stop")  # the loop goes on without a reversal
     page.until("fffoScope.held === null && fffoScope.trigger.pending === null")
 
 
 def test_a_trigger_is_set_with_keys_alone(served, page):
     choose(page, "trigger", "l")
-    choose(page, "trigger-signal", "r")  # the first of that letter: reference_rps
+    choose(page, "trigger-signal", "v")
     page.reach("level")
     page.tab.keyboard.type("0.5")
     choose(page, "mode", "w")
     told = page.js("fffoScope.trigger.settings")
-    assert (told["kind"], told["signal"], told["level"], told["mode"]) == ("level", "reference_rps", 0.5, "normal")
+    assert (told["kind"], told["signal"], told["level"], told["mode"]) == ("level", "velocity_rps", 0.5, "normal")
     served.run()
-    page.until("fffoScope.held")
+    page.until("!!fffoScope.held")
 
 
 def test_views_are_saved_by_name_and_as_files(served, page, tmp_path):
@@ -352,8 +353,8 @@ def test_the_phase_of_the_feedback_after_the_reference(served, page):
     assert "lag" in told
     assert "coherence" in told
     found = page.js("fffoScope.analyses.phase.found")
-    strongest = max(range(1, len(found["cross"])), key=lambda k: found["cross"][str(k)])
-    assert found["at"][str(strongest)] < 1.6  # of the sine at 0.5 Hz, in steps of 0.8 Hz
+    strongest = max(range(1, len(found["cross"])), key=lambda k: found["cross"][k])
+    assert found["at"][strongest] < 1.6  # of the sine at 0.5 Hz, in steps of 0.8 Hz
     page.tab.select_option("[data-analysis=phase] [data-setting=as]", "ms")
     page.until("document.querySelector('[data-analysis=phase] b').textContent.endsWith('ms of lag')")
     page.tab.select_option("[data-analysis=phase] [data-setting=response]", "set_point_rps")
