@@ -62,10 +62,10 @@ def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
 
 
 def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:
-    """The pictures of each finding: the residual over its axis, and beside it what its law asks for."""
+    """The pictures of each finding: what its law asks for, and beside it the residual over its axis."""
     found = []
     for number, finding in enumerate((f for f in findings if f.picture is not None or f.own_picture is not None), 1):
-        both = {f"effect-{number}": finding.picture, f"effect-{number}-own": finding.own_picture}
+        both = {f"effect-{number}-own": finding.own_picture, f"effect-{number}": finding.picture}
         found += [(name, picture) for name, picture in both.items() if picture is not None and picture.curves]
     width = "full" if len(found) == 1 else "half"
     return tuple(_effect(name, picture, width, words) for name, picture in found)

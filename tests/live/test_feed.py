@@ -112,6 +112,25 @@ def test_the_feed_follows_the_loop_and_the_next_one():
     assert feed.poll().loop == 2
 
 
+def test_some_signals_of_a_capture_are_their_columns_packed_in_that_order():
+    ring = new_ring(4096)
+    feed = Feed(lambda: FeedSource(3, ring, 2000.0, 0.148))
+    feed.begin()
+    feed.poll()
+    rows = rows_of(0, 3000)
+    write(ring, rows)
+    feed.poll()
+    names = ["tick", "velocity_rps", "trip"]
+    packed = np.dtype([(name, ROW[name]) for name in names])
+    parts = [frames.taken_apart(frame) for frame in feed.captured(1.0, 2499, names, 17)]
+    assert {(head["id"], head["loop"], head["total"]) for head, _ in parts} == {(17, 3, 2000)}
+    assert parts[0][0]["signals"] == names
+    taken = np.frombuffer(b"".join(payload for _, payload in parts), packed)
+    for name in names:
+        np.testing.assert_array_equal(taken[name], rows[name][500:2500])
+    assert len(parts) < len(feed.captured(1.0, 2499)) / 4  # some signals cost less than all
+
+
 def test_nothing_is_kept_while_nobody_listens():
     ring = new_ring(64)
     feed = Feed(lambda: FeedSource(1, ring, 2000.0, 0.1))

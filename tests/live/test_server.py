@@ -157,7 +157,19 @@ def test_a_token_cannot_be_guessed_in_peace(scope):
 
 
 @pytest.mark.parametrize(
-    "message", ["no json", "[]", "1", '{"do": "dance"}', '{"do": "capture", "seconds": 1e9}', "[" * 4000, b"bytes"]
+    "message",
+    [
+        "no json",
+        "[]",
+        "1",
+        '{"do": "dance"}',
+        '{"do": "capture", "seconds": 1e9}',
+        '{"do": "capture", "seconds": 1, "signals": "tick"}',
+        '{"do": "capture", "seconds": 1, "signals": ["bogus"]}',
+        '{"do": "capture", "seconds": 1, "signals": ["tick", "tick"]}',
+        "[" * 4000,
+        b"bytes",
+    ],
 )
 def test_who_talks_nonsense_is_dropped_and_nobody_else(scope, message):
     good, bad = scope.open(), scope.open()

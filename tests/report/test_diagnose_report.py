@@ -20,6 +20,7 @@ from fffo_drive.diagnosis.results import (
     Interval,
     Number,
     Picture,
+    PictureMark,
     ResidualChannel,
     Rest,
     Rival,
@@ -58,6 +59,16 @@ def picture():
     return Picture("cogging over the motor angle", "motor angle", "rev", "residual torque", "Nm", curves)
 
 
+def own_picture():
+    order = np.linspace(0.1, 24.0, 240)
+    peak = 0.008 / (1.0 + (4.0 * (order - 12.0)) ** 2)
+    curves = (FoundCurve("without", order, peak, kind="line"), FoundCurve("with", order, 0.05 * peak, kind="line"))
+    marks = (PictureMark(12.0, "cogging, 12"),)
+    return Picture(
+        "Cogging: spectrum", "order", "", "amplitude", "Nm", curves, marks=marks, says="Amplitude of a wave."
+    )
+
+
 def finding(**changes):
     content = {
         "name": "cogging", "alternatives": ("torque_ripple",), "axis": "motor_angle", "explained_fraction": 0.62,
@@ -66,7 +77,7 @@ def finding(**changes):
         "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
         "torque_rms_nm": 0.008,
         "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
-        "picture": picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
+        "picture": picture(), "own_picture": own_picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
         "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
     }  # fmt: skip
     return Finding(**{**content, **changes})
@@ -78,7 +89,10 @@ def diagnosis(**changes):
     run = RunFigure("check", "held_out", time_s, -band, band, -0.3 * band, 0.3 * band)
     content = {
         "verdict": "effects_found", "headline": "Cogging is missing in the model.",
-        "findings": (finding(), finding(name="unbalance", accepted=False, reason="within chance", picture=None)),
+        "findings": (
+            finding(),
+            finding(name="unbalance", accepted=False, reason="within chance", picture=None, own_picture=None),
+        ),
         "before": errors(0.0052), "after": errors(0.0021), "fit_before": errors(0.005), "fit_after": errors(0.002),
         "ceiling": Ceiling(0.9, None, 0.001, 0.95, "2 repeats of the staircase"),
         "channels": (ResidualChannel("motor_angle", 0.6, 0.02, True, False, 100_000),),
@@ -189,7 +203,12 @@ def test_a_family_comes_with_the_experiment_that_decides_and_a_sure_one_without(
 
 def test_each_finding_has_its_picture_and_each_run_its_residual():
     figures = {figure.name: figure for figure in diagnosis_report(SOURCE, diagnosis()).figures}
-    assert set(figures) == {"effect-1", "run-1", "run-2", "channels"}
+    assert set(figures) == {"effect-1", "effect-1-own", "run-1", "run-2", "channels"}
+    own = figures["effect-1-own"]  # what its law asks for, with the orders that were found
+    assert next(iter(figures)) == "effect-1-own"
+    assert [(level.value, level.label, level.upright) for level in own.levels] == [(12.0, "cogging, 12", True)]
+    assert [series.dash for series in own.series] == ["solid", "dashed"]
+    assert own.caption == "Amplitude of a wave."
     effect = figures["effect-1"]
     assert [series.draw for series in effect.series] == ["points", "points", "line"]
     assert effect.series[0].low is not None
@@ -350,17 +369,18 @@ def test_what_is_left_and_repeats_is_said():
 def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     """Page, summary and report.json: sentences, units, names of parameters, axes."""
     viscous = finding(
-        name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None,
+        name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None, own_picture=None,
         parameters=(Number("excess_nm_per_rps", -39.0, 1.0, "Nm/rps"),), regime="high torque, at every angle",
         reason="it buys its error with another axis: the inertia would be twice that without it",
         experiment=law_of("cogging").experiment,
     )  # fmt: skip
-    curve = finding(name="unknown:output_angle", axis="output_angle", alternatives=(), picture=None, parameters=tuple(
+    curve = finding(name="unknown:output_angle", axis="output_angle", alternatives=(), picture=None,
+                    own_picture=None, parameters=tuple(
         Number(key, value, None, "") for key, value in {
             "kind": 2.0, "count": 2.0, "x00": 0.0, "x01": 0.2, "y00": 1.0, "y01": 2.0}.items()))  # fmt: skip
     remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
     reason = "no machine is so: second_surface with memory_rev 1e-06 rev is outside of 1e-06 to 10000"
-    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None)
+    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None, own_picture=None)
     told = in_words_of_axis(diagnosis(
         units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
         cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),

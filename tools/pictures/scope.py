@@ -62,7 +62,10 @@ def every_way(page: Page, directory: Path, prefix: str) -> None:
             page.set_viewport_size({"width": width, "height": height})
             time.sleep(1.0)  # for the pictures to be drawn anew
             shoot(page, directory / f"{prefix}{name}_{scheme}.png")
-        shoot(page, directory / f"{prefix}whole_{scheme}.png", whole=True)
+        for name in ("telephone", "laptop"):
+            page.set_viewport_size(dict(zip(("width", "height"), SIZES[name], strict=True)))
+            time.sleep(1.0)
+            shoot(page, directory / f"{prefix}whole_{name}_{scheme}.png", whole=True)
 
 
 def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> None:
@@ -85,6 +88,11 @@ def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> No
             shoot(page, PICTURE)
             return
         every_way(page, everything, "")
+        axis.keep_running("browser")  # the profile may have ended meanwhile
+        for key in "spab":  # spectrum, phase, cursors
+            page.keyboard.press(key)
+        wait(page, "fffoScope.analyses.phase.found && fffoScope.analyses.spectrum.found")
+        every_way(page, everything, "measured_")
         page.select_option("#trigger", "fault")
         with open_link(bus) as link:
             link.send(pack_frame(EMERGENCY + 1, bytes([0x10, 0x23, 0x03, 0, 0, 0, 0, 0])))

@@ -205,8 +205,9 @@ class Chart {
   }
 
   putCursor(name) {
-    const { min, max } = this.plot.scales.x;
-    if (min == null) return;
+    const { min: from, max: to } = this.plot.scales.x, at = this.plot.data[0];
+    if (from == null) return;
+    const [min, max] = at.length ? [Math.max(from, at[0]), Math.min(to, at[at.length - 1])] : [from, to]; // where there is something
     const mouse = this.plot.cursor.left >= 0 ? this.plot.posToVal(this.plot.cursor.left, "x") : null, now = this.cursors.at[name];
     const free = now !== null && now >= min && now <= max ? now : min + (name === "a" ? 1 : 2) / 3 * (max - min);
     this.cursors.set(name, this.nearest(mouse === null ? free : mouse));
