@@ -1,7 +1,7 @@
-"""From records to channels: for each law one number a run, free of what weather and the run's own motion do to it.
+"""Records to channels: one number a run for each law, without what weather and the run's own motion do to it.
 
-The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and Coulomb
-friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
+The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and
+Coulomb friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
 So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
 information and S the covariance between runs, both as a fleet shows it,
 
@@ -97,9 +97,7 @@ class Stack(NamedTuple):
         cut = {name: getattr(self, name)[runs] for name in _BY_RUN}
         bounds = np.concatenate([[0], np.cumsum(ends - begins)]).astype(np.int64)
         names = tuple(self.drives[k] for k in drives)
-        return self._replace(
-            drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut
-        )
+        return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut)
 
 
 _BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "run")
@@ -198,9 +196,12 @@ def _scales(bounds: Integers, theta: Floats, information: Floats, columns: Seque
     summed = np.concatenate([np.zeros((1, moment.shape[1])), np.cumsum(moment, axis=0)])
     sizes = np.sqrt(np.maximum(np.einsum("dii->di", total), 1e-300))
     scaled = total / (sizes[:, :, None] * sizes[:, None, :])
-    mean = np.linalg.solve(
-        scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
-    )[:, :, 0] / sizes
+    mean = (
+        np.linalg.solve(
+            scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
+        )[:, :, 0]
+        / sizes
+    )
     found = np.ones_like(mean)
     for k, name in enumerate(columns):
         scale = COLUMNS[name][1]
@@ -476,7 +477,7 @@ def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _Dr
     spread: Floats = np.diag(np.linalg.inv(normal))[1:]
     clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
     lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
-    return _DriveFit(solution[1:], spread, scale**2, known.size - 3.0, lag, energy)
+    return _DriveFit(np.asarray(solution[1:], dtype=np.float64), spread, scale**2, known.size - 3.0, lag, energy)
 
 
 def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
