@@ -24,6 +24,7 @@ from ..report.document import (
     Section,
     Table,
     Verdict,
+    count,
     number,
     of_linear_axis,
     provenance,
@@ -45,6 +46,7 @@ KIND = "fleet-compare"
 RANGE = ".."
 LEAST_HASH = 6  # characters of a content hash that name a run
 COLOURS = ("grey", "blue")
+LONGEST_LABEL = 15  # characters below a bar
 
 
 class Side(NamedTuple):
@@ -144,9 +146,9 @@ def _short(side: Side) -> str:
 
 def _verdict(found: Difference) -> Verdict:
     different = [law for law in found.laws if law.differs]
-    count = f"{len(different)} of {len(found.laws)} laws differ beyond chance"
+    said = f"{len(different)} of {len(found.laws)} laws differ beyond chance"
     return Verdict(
-        headline=count if different else "Nothing differs beyond chance",
+        headline=said if different else "Nothing differs beyond chance",
         finding=", ".join(law.law for law in different) or "no difference",
         confidence="probable" if different else "certain" if found.laws else "cannot tell",
         next_step="look at the runs" if different else "nothing to do",
@@ -204,7 +206,7 @@ def _conditions(first: Side, second: Side) -> Table:
     starts = [column_of(side.records, "duration_s") for side in sides]
     days = [side.history.time_s for side in sides]
     rows = [
-        Row(label="runs", cells=[number(float(side.records.num_rows)) for side in sides]),
+        Row(label="runs", cells=[count(side.records.num_rows) for side in sides]),
         Row(label="time", unit="s", cells=[number(float(values.sum())) for values in starts]),
         Row(label="from", cells=[Cell(text=day_of(float(values.min()))) for values in days]),
         Row(label="to", cells=[Cell(text=day_of(float(values.max()))) for values in days]),
@@ -225,8 +227,12 @@ def _mean(side: Side, column: str) -> Cell:
     return number(float(known.mean())) if known.size else Cell(text="not logged")
 
 
+def _brief(law: str) -> str:
+    return law if len(law) <= LONGEST_LABEL else f"{law[: LONGEST_LABEL - 1].rstrip()}…"
+
+
 def _changes(found: Difference) -> Figure:
-    names = tuple(law.law for law in found.laws) or ("nothing",)
+    names = tuple(_brief(law.law) for law in found.laws) or ("nothing",)
     values = np.array([100.0 * law.change for law in found.laws] or [0.0])
     low, high = (np.array([100.0 * law.interval[end] for law in found.laws] or [0.0]) for end in (0, 1))
     place = np.arange(values.size, dtype=np.float64)

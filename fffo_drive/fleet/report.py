@@ -43,6 +43,7 @@ SHOWN_POINTS = 2000  # drives in a figure, drawn evenly from all
 SHOWN_RUNS = 2000  # of a history: the last ones
 LISTED_DRIVES = 100
 DAY_S = 86_400.0
+DRAWN = PARAMETERS[:3]  # whose histories are drawn of every drive; of one that stands outside that number, too
 SMALL = 0.05  # of the largest of its unit: a median that is smaller makes no percentage
 
 
@@ -224,7 +225,7 @@ def _listed(spread: ModelSpread) -> Iterable[int]:
 
 
 def _drives(spreads: Sequence[ModelSpread]) -> Table:
-    names = PARAMETERS[:3]
+    names = DRAWN
     rows = []
     for spread in spreads:
         for k in _listed(spread):
@@ -306,8 +307,12 @@ def _days(history: RunHistory) -> Floats:
 def _parameter_figures(name: str, drive: str, history: RunHistory, spread: ModelSpread) -> list[Figure]:
     figures = []
     medians = {one.name: one for one in spread.spreads}
+    outside = {one.quantity for one in spread.outsiders if one.drive == drive}
+    sds = sds_of(history)
     for k, parameter in enumerate(history.names):
-        sd = sds_of(history)[:, k]
+        if parameter not in (*DRAWN, *outside):
+            continue
+        sd = sds[:, k]
         known = np.flatnonzero(np.isfinite(sd))[-SHOWN_RUNS:]
         if not known.size or parameter not in medians:
             continue
