@@ -1,7 +1,7 @@
-"""From records to channels: for each law one number a run, free of what weather and the run's own motion do to it.
+"""Records to channels: one number a run for each law, without what weather and the run's own motion do to it.
 
-The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and Coulomb
-friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
+The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and
+Coulomb friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
 So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
 information and S the covariance between runs, both as a fleet shows it,
 
@@ -15,6 +15,7 @@ That is how viscous friction serves as the thermometer.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -44,7 +45,10 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {
 }
 WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
 UNMODELLED = "what no column explains (backlash, elasticity)"
+LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
+LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of weather, before any drive is seen
+LARGEST_STEPS = 3.0  # along that line
 LEANING = -0.4  # typical correlation of viscous and Coulomb friction between runs: on each other, less weather
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
 PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
@@ -97,9 +101,7 @@ class Stack(NamedTuple):
         cut = {name: getattr(self, name)[runs] for name in _BY_RUN}
         bounds = np.concatenate([[0], np.cumsum(ends - begins)]).astype(np.int64)
         names = tuple(self.drives[k] for k in drives)
-        return self._replace(
-            drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut
-        )
+        return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut)
 
 
 _BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "run")
@@ -113,6 +115,7 @@ class FleetPrior(NamedTuple):
     weather_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
     slope: Floats  # (p,) per step of temperature
     slope_sd: Floats  # (p,) between drives
+    line: Floats  # (p,) what a step of temperature moves, or one like it where none is logged
     directions: Floats  # (p, p) what each law moves, by its row: its column, and what goes along
     orders: tuple[float, ...]
 
@@ -189,25 +192,36 @@ def _of_known(information: Floats, theta: Floats) -> Floats:
 
 
 def _scales(bounds: Integers, theta: Floats, information: Floats, columns: Sequence[str]) -> Floats:
-    """Size of each column for each drive, by the fit to its first runs together. (d, p)"""
-    begin, end = bounds[:-1], np.minimum(bounds[:-1] + BURN_IN, bounds[1:])
-    moment = np.einsum("nij,nj->ni", information, theta)
-    pairs = np.column_stack([begin, end]).ravel()
-    whole = np.concatenate([np.zeros((1, *information.shape[1:])), np.cumsum(information, axis=0)])
-    total = whole[pairs[1::2]] - whole[pairs[::2]]
-    summed = np.concatenate([np.zeros((1, moment.shape[1])), np.cumsum(moment, axis=0)])
-    sizes = np.sqrt(np.maximum(np.einsum("dii->di", total), 1e-300))
-    scaled = total / (sizes[:, :, None] * sizes[:, None, :])
-    mean = np.linalg.solve(
-        scaled + 1e-9 * np.eye(theta.shape[1]), ((summed[pairs[1::2]] - summed[pairs[::2]]) / sizes)[:, :, None]
-    )[:, :, 0] / sizes
-    found = np.ones_like(mean)
-    for k, name in enumerate(columns):
-        scale = COLUMNS[name][1]
-        if scale in columns:
-            found[:, k] = np.abs(mean[:, columns.index(scale)])
-    usual = np.median(found, axis=0)
-    return np.where(found > 0.05 * usual, found, np.where(usual > 0.0, usual, 1.0))
+    """Size of each column for each drive, by its first runs. (d, p)
+
+    With the scatter between runs counted, or the run that says most would set it; near that of the other drives.
+    """
+    lengths = np.minimum(np.diff(bounds), BURN_IN)
+    runs = np.concatenate([np.arange(begin, begin + n) for begin, n in zip(bounds[:-1], lengths, strict=True)])
+    of_column = np.array([columns.index(s) if (s := COLUMNS[name][1]) in columns else k
+                          for k, name in enumerate(columns)])  # fmt: skip
+    usual = np.array([_typical_size(theta[runs, k], information[runs, k, k]) for k in of_column])
+    both = np.outer(usual, usual)
+    inverse = inverse_total(information[runs] * both, typical_covariance(columns))
+    begins = np.concatenate([[0], np.cumsum(lengths)])[:-1]
+    own = theta[runs] / usual
+    weight = np.ones(runs.size)
+    for _ in range(3):
+        weighted = inverse * weight[:, None, None]
+        moment = np.einsum("nij,nj->ni", weighted, own)
+        total = np.add.reduceat(weighted, begins, axis=0) + 1e-6 * np.eye(usual.size)
+        mean = np.linalg.solve(total, np.add.reduceat(moment, begins, axis=0)[:, :, None])[:, :, 0]
+        away = own - np.repeat(mean, lengths, axis=0)
+        distance = np.einsum("ni,nij,nj->n", away, inverse, away)
+        weight = np.minimum(1.0, 2.0 * usual.size / np.maximum(distance, 1e-9))
+    return np.asarray(np.clip(np.abs(mean[:, of_column]), 1.0 / LARGEST_RATIO, LARGEST_RATIO) * usual)
+
+
+def _typical_size(values: Floats, known: Floats) -> float:
+    """Median magnitude of a column where runs determine it; 1 where none does."""
+    sizes = np.abs(values[known > 0.0])
+    size = float(np.median(sizes)) if sizes.size else 0.0
+    return size if size > 0.0 else 1.0
 
 
 def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None) -> tuple[tuple[float, ...], Floats]:
@@ -263,7 +277,44 @@ def learn(stack: Stack) -> FleetPrior:
         spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
         slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * slope_sd**2)
     weather, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
-    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, _directions(stack), stack.orders)
+    line = slope if logged.size else _line(stack, weather)
+    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, line, _directions(stack), stack.orders)
+
+
+def _line(stack: Stack, covariance: Floats) -> Floats:
+    """What weather moves, where none is logged: friction that neighbours in time have in common. (p,)
+
+    What a run's own motion does to its estimates is another thing in the next run; a season is not. Of the size of
+    weather's standard deviation.
+    """
+    friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
+    line = np.zeros(len(stack.columns))
+    if _VISCOUS not in stack.columns:
+        return line
+    inverse = inverse_total(stack.information, covariance)
+    common = np.zeros((len(friction), len(friction)))
+    for number in range(len(stack.drives)):
+        runs = stack.of(number)
+        known = np.einsum("nii->n", inverse[runs]) > 0.0
+        theta = stack.theta[runs][known]
+        if theta.shape[0] < LEAST_TEACHING:
+            continue
+        away = theta - np.median(theta, axis=0)
+        limit = CLIP * np.sqrt(np.diag(covariance))
+        away = np.clip(away, -limit, limit)[:, friction]
+        product = away[1:].T @ away[:-1]
+        common += product + product.T
+    place = stack.columns.index(_VISCOUS)
+    typical = np.sqrt(np.diag(typical_covariance(stack.columns)))
+    if not common.any():
+        line[place], line[stack.columns.index(_COULOMB)] = typical[place], LINE_COULOMB * typical[place]
+        return line
+    scale = typical[friction]
+    _, directions = np.linalg.eigh(common / np.outer(scale, scale))
+    found = directions[:, -1] * scale
+    found = found * np.sign(found[friction.index(place)] or 1.0)
+    line[friction] = -found * (0.7 * math.sqrt(covariance[place, place]) / max(abs(found[friction.index(place)]), 1e-9))
+    return line
 
 
 def _directions(stack: Stack) -> Floats:
@@ -320,13 +371,15 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     laws = [COLUMNS[name][0] for name in stack.columns]
     y = np.full((stack.time_s.size, size), np.nan)
     variance = np.ones_like(y)
+    steps = np.nan_to_num(stack.temperature)
     for logged, covariance in ((True, prior.covariance), (False, prior.weather_covariance)):
         drives = np.flatnonzero(stack.logged == logged)
         if not drives.size:
             continue
         runs = np.flatnonzero(by_run == logged)
-        y[runs], variance[runs] = _projected(stack, prior, drives, runs, covariance)
+        y[runs], variance[runs], along_line = _projected(stack, prior, drives, runs, covariance)
         if not logged:
+            steps[runs] = np.clip(along_line, -LARGEST_STEPS, LARGEST_STEPS)
             unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
             y[np.ix_(runs, unwatched)] = np.nan
     y[~np.isfinite(stack.temperature)] = np.nan
@@ -335,7 +388,7 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
         y[variance > LARGEST_NOISE * usual] = np.nan
     names = [f"ripple of order {order:g}" for order in stack.orders] + [UNMODELLED]
     extra_variance = np.full(stack.extras.shape, EXTRA_SD**2)
-    covariates = np.column_stack([np.nan_to_num(stack.temperature), stack.log_speed - np.median(stack.log_speed)])
+    covariates = np.column_stack([steps, stack.log_speed - np.median(stack.log_speed)])
     return Channels(
         (*laws, *names), np.column_stack([y, stack.extras]),
         np.column_stack([np.where(np.isfinite(y), variance, 1.0), extra_variance]), covariates,
@@ -344,8 +397,11 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
 
 def _projected(
     stack: Stack, prior: FleetPrior, drives: Integers, runs: Integers, covariance: Floats
-) -> tuple[Floats, Floats]:
-    """Estimates (n, p) of a change along each column, and their variances, for some drives and their runs."""
+) -> tuple[Floats, Floats, Floats]:
+    """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of weather.
+
+    The population's slope is taken out. Of some drives and their runs.
+    """
     size = len(stack.columns)
     theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
     inverse = inverse_total(stack.information[runs], covariance)
@@ -363,8 +419,11 @@ def _projected(
     level, slope = _references(theta, steps, inverse, own, place, drives.size, prior)
     which = np.maximum(place // REFERENCE_EVERY - 1, 0)
     reference = level[which, own] + steps[:, None] * slope[which, own]
-    y = np.einsum("nij,nj->ni", weights, theta - reference) + reference @ usual.T
-    return y.reshape(-1, size), variance
+    constant = reference - steps[:, None] * prior.slope
+    y = np.einsum("nij,nj->ni", weights, theta - reference) + constant @ usual.T
+    of_line = inverse @ prior.line
+    squared = np.maximum(of_line @ prior.line, 1e-12)
+    return y.reshape(-1, size), variance, np.einsum("ni,ni->n", of_line, theta - reference) / squared
 
 
 def _references(
@@ -476,7 +535,7 @@ def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _Dr
     spread: Floats = np.diag(np.linalg.inv(normal))[1:]
     clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
     lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
-    return _DriveFit(solution[1:], spread, scale**2, known.size - 3.0, lag, energy)
+    return _DriveFit(np.asarray(solution[1:], dtype=np.float64), spread, scale**2, known.size - 3.0, lag, energy)
 
 
 def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:

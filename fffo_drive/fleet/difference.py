@@ -1,6 +1,6 @@
-"""Two sets of runs compared: what differs, by how much, and whether that is more than chance.
+"""Two sets of runs compared: what differs, by how much, and whether beyond chance.
 
-Each law of each run is estimated as in `channels`; the difference of the sets' means is a generalised least squares with
+Each law of each run is estimated as in `channels`; the difference of the means is a generalised least squares with
 the scatter between runs, with temperature and speed beside it. That scatter and the slopes are those of the fleet, so
 that two single runs can be compared. Of so many laws one may differ by chance: p is corrected after Holm (Scand. J.
 Statist. 6, 1979), and the intervals are as wide as that asks for (Bonferroni).
@@ -55,9 +55,7 @@ class Difference(NamedTuple):
         return {**self._asdict(), "laws": [law._asdict() for law in self.laws], "temperature_degc": degc}
 
 
-def difference(
-    first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHistory] | None = None
-) -> Difference:
+def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHistory] | None = None) -> Difference:
     """Compare two sets of runs of one drive, or of two drives of one model.
 
     `fleet`: what scatter and slopes are learned from; None: from these runs themselves. Raises ValueError for a set
@@ -79,27 +77,27 @@ def difference(
     kept = [(c, one) for c, one in enumerate(found) if one is not None]
     corrected = _holm([one[2] for _, one in kept])
     share = 1.0 - (1.0 - CONFIDENCE) / max(len(kept), 1)
-    laws = [
-        _law(stack, channels, c, one, p, share) for (c, one), p in zip(kept, corrected, strict=True)
-    ]
+    laws = [_law(stack, channels, c, one, p, share) for (c, one), p in zip(kept, corrected, strict=True)]
     laws.sort(key=lambda law: (not law.differs, law.p))
     remarks = []
     unlogged = not stack.logged[0]
     if unlogged:
         remarks.append(
-            f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} serves as the thermometer and is not compared, "
-            "and a change that moves it together with Coulomb friction, as temperature does, cannot be told from weather"
+            f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} is the thermometer and not compared. A change "
+            "that moves it together with Coulomb friction, as temperature does, cannot be told from weather"
         )
     return Difference(tuple(laws), counts, degc, tuple(remarks))
 
 
 def _joined(first: RunHistory, second: RunHistory) -> RunHistory:
-    by_run = {
-        name: np.concatenate([getattr(first, name), getattr(second, name)])
-        for name in RunHistory._fields
-        if name not in ("names", "orders")
-    }
-    return first._replace(**by_run)
+    return RunHistory(
+        np.concatenate([first.time_s, second.time_s]), np.concatenate([first.theta, second.theta]),
+        np.concatenate([first.information, second.information]), first.names,
+        np.concatenate([first.rms_nm, second.rms_nm]),
+        np.concatenate([first.order_amplitude_nm, second.order_amplitude_nm]), first.orders,
+        np.concatenate([first.speed_rms_rps, second.speed_rms_rps]),
+        np.concatenate([first.temperature_degc, second.temperature_degc]), np.concatenate([first.run, second.run]),
+    )  # fmt: skip
 
 
 def _compared(

@@ -106,7 +106,7 @@ def population_of(histories: Mapping[str, RunHistory]) -> Population:
 
 
 def random_effects(information: Floats, moment: Floats) -> tuple[Floats, Floats]:
-    """Mean (p,) and covariance (p, p) between drives, from each one's information (d, p, p) and that times theta (d, p).
+    """Mean (p,) and covariance (p, p) between drives, by each one's information (d, p, p) and that times theta (d, p).
 
     Outliers weigh less. What no drive determines keeps the smallest spread.
     """
