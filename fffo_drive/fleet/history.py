@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,15 @@ class RunHistory(NamedTuple):
 def history(store: FleetStore, drive: str) -> RunHistory:
     """A drive's records. Raises DocumentError where there is none of it, with the nearest names."""
     return history_of(store.records(HISTORY_COLUMNS, pc.field("drive") == drive), drive)
+
+
+def histories(store: FleetStore, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
+    """Histories of drives (None: of all), by drive; one without records is left out."""
+    where = None if drives is None else pc.field("drive").isin(list(drives))
+    table = store.records(("drive", *HISTORY_COLUMNS), where)
+    names = sorted(set(table.column("drive").to_pylist())) if drives is None else drives
+    parts = {drive: table.filter(pc.field("drive") == drive) for drive in names}
+    return {drive: history_of(part, drive) for drive, part in parts.items() if part.num_rows}
 
 
 def history_of(table: pa.Table, drive: str) -> RunHistory:

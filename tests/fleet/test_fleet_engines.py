@@ -194,7 +194,7 @@ def test_who_stops_the_work_leaves_no_try_behind(six_runs, tmp_path, monkeypatch
     def stopped(_entry):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(work_module, "_row", stopped)
+    monkeypatch.setattr(work_module, "record_row", stopped)
     with pytest.raises(KeyboardInterrupt):
         work(store.place.address, store.waiting(), workers=1)
     assert not store.place.files("failed", "")
