@@ -1,6 +1,7 @@
-"""What commissioning may not exceed, and the envelopes made of it.
+"""Bounds of commissioning, and the envelopes derived from them.
 
-The envelope of the axis file is only ever tightened. It trips before a bound, so that what stopping takes stays inside.
+The envelope of the axis file is only ever tightened. It trips before a bound, so that the braking distance stays
+inside.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ NEVER = float("inf")
 
 
 class BoundsError(Exception):
-    """There is no room to commission the axis inside its limits."""
+    """The limits leave no room to commission the axis."""
 
 
 class Bounds(NamedTuple):
-    """Largest magnitudes. Travel is counted from where the axis stood at the beginning."""
+    """Largest magnitudes. Travel is counted from the initial position."""
 
     current_a: float
     speed_rps: float
@@ -45,7 +46,7 @@ def make_bounds(
     speed_rps: float | None = None,
     travel_rev: float | None = None,
 ) -> Bounds:
-    """Bounds as wished (None: a default), inside the envelope. Raises BoundsError for a wish beyond it."""
+    """Bounds as requested (None: default), inside the envelope. Raises BoundsError for a request beyond it."""
     highest_a = min(envelope.continuous_current_a, envelope.current_limit_a)
     bounds = Bounds(
         CURRENT_SHARE * highest_a if current_a is None else current_a,
@@ -65,7 +66,7 @@ def make_bounds(
 
 
 def bounded_envelope(envelope: EnvelopeConfig, bounds: Bounds, start_rev: float) -> EnvelopeConfig:
-    """The axis' envelope with the bounds of commissioning, round where the axis stands.
+    """The axis' envelope with the bounds of commissioning, around the present position.
 
     Over-speed and the position window always brake: a coasting axis would leave the bounds. Raises BoundsError when
     the position window of the axis file leaves no room.
@@ -91,5 +92,5 @@ def bounded_envelope(envelope: EnvelopeConfig, bounds: Bounds, start_rev: float)
 
 
 def open_loop(controller: ControllerConfig) -> ControllerConfig:
-    """A law without gains and without a current to spend: whatever mode the loop is in, feedback makes no current."""
+    """A law without gains and with zero current limit: in any mode of the loop, feedback causes no current."""
     return controller._replace(pi=PiConfig(0.0, 0.0), feedforward=NO_FEEDFORWARD, current_limit_a=0.0)

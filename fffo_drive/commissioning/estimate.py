@@ -1,7 +1,7 @@
 """Estimators on pulses: scale and age of the velocity against the position, gain and delay from current to motion.
 
-All are linear least squares with one delay searched for; each sliding stretch has its own offset, so that nothing of
-the friction at rest enters:
+All are linear least squares with a search over one delay; each sliding segment has its own offset, so that friction at
+rest has no influence:
 
     velocity against position     V(t) = q p(t - a) + b
     motion under current          v(t) = g I(t - Td) - c t - d V(t) + b
@@ -39,7 +39,7 @@ class HeldCurrent(NamedTuple):
     """0x6078 under a current that the axis stands under."""
 
     ratio: float  # mean of what the drive reports, over what was sent
-    resolution: float  # one per mille, over what was sent: how far a right drive may be off
+    resolution: float  # one per mille, over what was sent: the resolution, and so the tolerance
 
 
 class ScaleFit(NamedTuple):
@@ -54,7 +54,7 @@ class GainFit(NamedTuple):
 
     gain_rps2_per_a: float  # Kt/J in the units of the velocity word
     delay_s: float  # from the tick that computes a command to the velocity that shows it, without the hold
-    unexplained: float  # share of the velocity's variance that the fit leaves
+    unexplained: float  # residual of the fit, as a share of the velocity's variance
 
     @property
     def rigid(self) -> bool:
@@ -82,7 +82,7 @@ def _held_integral(time_s: Floats, values: Floats) -> Floats:
 
 
 def travel_ratio(motions: Sequence[PulseMotion]) -> float:
-    """A first, rough look: the integral of the velocity over the position, by least squares. NaN at rest."""
+    """First rough estimate: the integral of the velocity over the position, by least squares. NaN at rest."""
     above = below = 0.0
     for motion in motions:
         for window in pulse_windows(motion):
@@ -119,7 +119,7 @@ def _rows_of(windows: Sequence[slice]) -> tuple[Integers, Integers]:
 
 
 def sliding_stretches(motion: PulseMotion, share: float) -> list[slice]:
-    """Stretches in which a pulse moves the axis one way at more than a share of its own peak speed."""
+    """Segments in which a pulse moves the axis one way at more than a share of its peak speed."""
     found = []
     for window in pulse_windows(motion):
         velocity = motion.velocity_rps[window]
@@ -154,7 +154,7 @@ def _shortest_onset_s(motion: PulseMotion) -> float:
 
 
 def fit_gain(motion: PulseMotion) -> GainFit | None:
-    """Gain and delay from the sliding stretches of all pulses; None when the axis does not slide in them.
+    """Gain and delay from the sliding segments of all pulses; None if the axis does not slide in them.
 
     Gain and delay can be trusted only where the fit is `rigid`.
     """
@@ -182,7 +182,7 @@ def fit_gain(motion: PulseMotion) -> GainFit | None:
 
 
 def update_interval_s(motion: PulseMotion, period_s: float) -> float:
-    """How long the velocity word stays the same while the axis moves fast: median distance of its changes, or NaN."""
+    """Update interval of the velocity word while the axis moves fast: median distance of its changes, or NaN."""
     intervals: list[float] = []
     for stretch in sliding_stretches(motion, FAST_SHARE):
         changes = np.flatnonzero(np.diff(motion.velocity_rps[stretch]) != 0.0)
@@ -224,7 +224,7 @@ def fall_rate_rps2(motion: PulseMotion, high_rps: float, low_rps: float) -> floa
 
 
 def coasting_s(motion: PulseMotion, share: float = 0.03) -> float:
-    """How long after the last current the axis still moves faster than a share of its highest speed."""
+    """Time after the last current for which the axis still moves faster than a share of its highest speed."""
     driven = np.flatnonzero(motion.command_a)
     speed = np.abs(motion.velocity_rps)
     moving = np.flatnonzero(speed > share * speed.max()) if motion.size else driven

@@ -1,4 +1,4 @@
-"""Verdicts: a measured number against a range that is ok and a wider one that is a warning."""
+"""Verdicts: a measured number against a range that is ok and a wider range that is a warning."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CHECKS = {
 
 
 class Range(NamedTuple):
-    """What is ok lies in [lowest, highest]; what is a warning in [least, most]."""
+    """Ok in [lowest, highest], a warning in [least, most], else failed."""
 
     lowest: float
     highest: float
@@ -39,7 +39,7 @@ class Range(NamedTuple):
     most: float
 
     def verdict(self, value: float) -> Verdict:
-        """Of a number; one that is none has failed."""
+        """Verdict on a number; NaN has failed."""
         if not math.isfinite(value):
             return FAILED
         if self.lowest <= value <= self.highest:
@@ -61,7 +61,7 @@ def graded(
     name: str, measured: float, expected: float, limits: Range, unit: str, text: str, remedy: str,
     numbers: Mapping[str, float] | None = None,
 ) -> CheckRecord:  # fmt: skip
-    """A check of a number. The remedy is kept only where it is needed."""
+    """A check of a number. The remedy is kept only if the check is not ok."""
     verdict = limits.verdict(measured)
     return CheckRecord(
         name=name,

@@ -1,4 +1,4 @@
-"""Checks of what stops the axis: limits set so tight that a small pulse meets them, and the drive's quick stop."""
+"""Checks of the stops: limits set so tight that a small pulse reaches them, and the drive's quick stop."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .record import FAILED, OK, WARNING, CheckRecord
 
 QUIET_SHARE = 0.05  # of the highest speed: below, the axis counts as stopped
 QUIET_RPS = 0.05
-STAND_S = 0.1  # at the end: an axis that has not moved in it stands, however noisy its velocity is
+STAND_S = 0.1  # at the end: an axis without travel in it is at rest, however noisy its velocity is
 LEAVE_S = 0.1  # for the drive to leave Operation Enabled after a trip
 HIGH, LOW = 0.85, 0.35  # of the speed at which braking begins: between them decelerations are compared
 BRAKES_OK, BRAKES_WARNING = 1.3, 1.1
-SHORTEST_FALL_S = 0.01  # an axis that friction stops so fast does not show what its drive does
+SHORTEST_FALL_S = 0.01  # if friction stops the axis this fast, the braking of the drive cannot be seen
 ENVELOPE_REMEDY = (
     "do not enable this axis: this is a fault of the program or of the drive's state machine; report it with the record"
 )
 
 
 def current_limit(motion: PulseMotion, limit_a: float, asked_a: float, resolution_a: float) -> CheckRecord:
-    """A pulse beyond the limit comes out at the limit, which does not move the axis."""
+    """A pulse beyond the limit is clamped to the limit, which does not move the axis."""
     highest_a = float(np.abs(motion.command_a).max())
     told_limited = bool((motion.limits & LIMIT_CURRENT).any())
     moved_rev = max((abs(r.net_rev) for r in responses(motion)), default=math.nan)
@@ -53,7 +53,8 @@ def trip_row(motion: PulseMotion) -> int:
 def stop_after_trip(
     name: str, motion: PulseMotion, expected_trip: int, reached: float, limit: float, unit: str
 ) -> CheckRecord:
-    """A limit was met on purpose: the right trip, no current from then on, the drive lets go, the axis stands.
+    """A limit was reached on purpose: the right trip, no current from then on, the drive without torque, the axis at
+    rest.
 
     `reached`: how far the axis got, in the unit of the limit.
     """
@@ -140,7 +141,7 @@ def quick_stop(stops: Sequence[PulseMotion], coasting: Sequence[PulseMotion]) ->
 
 
 def _coast_rate_rps2(coasting: Sequence[PulseMotion], speed_rps: float) -> float:
-    """Mean over pulses of how fast the axis slows down by itself through the same speeds."""
+    """Mean over pulses of the free deceleration through the same speeds."""
     rates = [
         fall_rate_rps2(motion.part(_rows(motion, window)), HIGH * speed_rps, LOW * speed_rps)
         for motion in coasting

@@ -1,4 +1,4 @@
-"""What a run of the loop left behind, as columns over time, and simple questions to it."""
+"""Rows of a run of the loop as columns over time, with simple evaluations."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class PulseMotion(NamedTuple):
     """Columns of a run, all of shape (n,); only rows with fresh feedback. Time 0 is the first row."""
 
     time_s: Floats
-    command_a: Floats  # on the wire; held until the next row, acts with the delay of the drive
+    command_a: Floats  # on the bus; held until the next row, acts with the delay of the drive
     velocity_rps: Floats
     position_rev: Floats
     current_a: Floats  # as the drive reports it
     current_fresh: Bools
     enabled: Bools
-    braking: Bools  # the drive says Quick Stop Active
+    braking: Bools  # the drive reports Quick Stop Active
     limits: Integers
     trip: Integers
 
@@ -40,7 +40,7 @@ class PulseMotion(NamedTuple):
 
 
 def motion_of(rows: np.ndarray[Any, np.dtype[np.void]]) -> PulseMotion:
-    """Columns of recorded rows, without those whose feedback is old."""
+    """Columns of recorded rows, without rows with old feedback."""
     fresh = rows[rows["velocity_age"] == 0]
     first_ns = int(fresh["deadline_ns"][0]) if fresh.size else 0
     words, index = np.unique(fresh["statusword"], return_inverse=True)
@@ -79,12 +79,12 @@ def extreme(values: Floats) -> float:
 
 
 class PulseResponse(NamedTuple):
-    """What one pulse did, counted in the direction of its current."""
+    """Effect of one pulse, positive in the direction of its current."""
 
     current_a: float  # magnitude
     speed_rps: float  # extreme of the velocity
     travel_rev: float  # extreme of the excursion
-    net_rev: float  # what was left of it in the end, by the position: friction at rest springs back
+    net_rev: float  # remaining travel at the end, by the position: friction at rest springs back
     net_by_velocity_rev: float  # and by the integral of the velocity
     duration_s: float
 

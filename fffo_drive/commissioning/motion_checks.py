@@ -1,4 +1,4 @@
-"""Checks on how the axis answers to current: signs, scales, ages, gain, delay, friction."""
+"""Checks of the response of the axis to current: signs, scales, ages, gain, delay, friction."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .motion import PulseMotion, PulseResponse
 from .objects import NamePlate
 from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
 
-MOVED_REV = 0.02  # beyond what gear play and the elasticity of standing friction allow
+MOVED_REV = 0.02  # beyond gear play and the elasticity of friction at rest
 STILL_REV = 0.005
 OFFSET_RPS = 0.05
 NOISE_SIGMAS = 5.0
 SCALE_OK, SCALE_WARNING = 0.01, 0.03
-ROUGH_SCALE = 1.5  # a ratio beyond this is seen in the first motion, and nothing grows any more
+ROUGH_SCALE = 1.5  # a ratio beyond this is detected in the first motion, and the pulses do not grow any more
 CURRENT_OK, CURRENT_WARNING = 0.05, 0.15
 GAIN_OK, GAIN_WARNING = 1.25, 1.5
 FRICTION_OK = 2.5
@@ -28,14 +28,14 @@ PLATE_OK, PLATE_WARNING = 0.02, 0.1
 
 
 class Beliefs(NamedTuple):
-    """What the model says about the numbers that are measured."""
+    """Expected values from the model."""
 
     gain_rps2_per_a: float
     delay_s: float
     sensor_delay_s: float
     static_nm: float
     torque_constant_nm_per_a: float
-    assumed_kg_m2: float | None = None  # an inertia that nobody has said: its check measures it, and cannot fail
+    assumed_kg_m2: float | None = None  # an inertia that was not declared: its check measures it, and cannot fail
     delay_assumed: bool = False
 
 
@@ -55,7 +55,7 @@ def beliefs_of(model: ModelFile) -> Beliefs:
 
 
 def standstill(motion: PulseMotion) -> CheckRecord:
-    """Without voltage the axis must stand, and the feedback must say so."""
+    """Without voltage the axis must be at rest, and the feedback must show it."""
     if not motion.size:
         return told(
             "standstill", FAILED, "no feedback answers SYNC", "see the TPDO mapping and the cut-off (loop.cutoff_share)"
@@ -78,7 +78,7 @@ def standstill(motion: PulseMotion) -> CheckRecord:
 
 
 def has_moved(move: PulseResponse, noise_rps: float, period_s: float) -> bool:
-    """Whether a pulse has left the axis elsewhere, by either word: neither is trusted yet, and one may be dead."""
+    """Whether a pulse has moved the axis, by either word: neither is trusted yet, and one may be dead."""
     steps = max(1.0, move.duration_s / period_s)
     noise_rev = NOISE_SIGMAS * noise_rps * period_s * math.sqrt(steps)
     by_velocity = max(0.0, abs(move.net_by_velocity_rev) - noise_rev)
@@ -87,7 +87,7 @@ def has_moved(move: PulseResponse, noise_rps: float, period_s: float) -> bool:
 
 
 def signs(moves: Sequence[PulseResponse]) -> list[CheckRecord]:
-    """Three signs, of which the odd one out is wrong: current, velocity, position."""
+    """Three signs, current, velocity and position: the one that differs from the other two is wrong."""
     by_position = float(np.median([move.net_rev for move in moves]))
     by_velocity = float(np.median([move.net_by_velocity_rev for move in moves]))
     numbers = {"travel_rev": by_position, "travel_by_velocity_rev": by_velocity}
@@ -120,10 +120,10 @@ def signs(moves: Sequence[PulseResponse]) -> list[CheckRecord]:
 
 
 def suspects(fit: ScaleFit, gain: GainFit | None, plate: NamePlate, facts: DeclaredFacts, model: Beliefs) -> set[str]:
-    """Where velocity and position disagree: which of the two checks has failed.
+    """If velocity and position disagree: which of the two checks has failed.
 
-    The encoder objects decide where the drive has them; else that word is wrong which makes Kt/J absurd. Both are
-    suspect where neither tells.
+    The encoder objects decide if the drive has them; else the word that gives an absurd Kt/J is wrong. If neither
+    decides, both are suspect.
     """
     if within(1.0, SCALE_OK, SCALE_WARNING).verdict(fit.ratio) != FAILED:
         return set()
@@ -140,7 +140,7 @@ def suspects(fit: ScaleFit, gain: GainFit | None, plate: NamePlate, facts: Decla
 
 
 def scales(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> list[CheckRecord]:
-    """Counts per revolution and velocity units: against each other and against what the drive says."""
+    """Counts per revolution and velocity units: against each other and against the objects of the drive."""
     return [_counts(fit, suspected, plate, facts), _velocity_units(fit, suspected, plate, facts)]
 
 
@@ -208,7 +208,7 @@ def velocity_age(fit: ScaleFit, period_s: float, believed_s: float) -> CheckReco
 def current_scale(
     slope: float, samples: int, held: HeldCurrent | None, plate: NamePlate, beliefs: Beliefs
 ) -> CheckRecord:
-    """0x6077 (and 0x6078 with 0x6075, where they are) against the commanded current, and Kt against the name plate."""
+    """0x6077 (and 0x6078 with 0x6075, if present) against the commanded current, and Kt against the name plate."""
     ratio, source, count = (slope, "0x6077", 0.0) if held is None else (held.ratio, "0x6078", held.resolution)
     limits = within(1.0, CURRENT_OK + count, CURRENT_WARNING + count)
     numbers = {"by_0x6077": slope, "samples": float(samples), "resolution": count}
@@ -251,7 +251,7 @@ def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
 
 
 def delay(measured_s: float, period_s: float, beliefs: Beliefs) -> CheckRecord:
-    """The margins are computed with the model's delay: a shorter one leaves more of them, and never fails."""
+    """The margins are computed with the model's delay: a shorter one increases them, and never fails."""
     expected_s = beliefs.delay_s
     limits = within(expected_s, max(period_s, 0.2 * expected_s), max(3.0 * period_s, 0.6 * expected_s))
     limits = limits._replace(least=0.0)
@@ -266,7 +266,7 @@ def delay(measured_s: float, period_s: float, beliefs: Beliefs) -> CheckRecord:
 
 
 def static_friction(breakaway_a: float, beliefs: Beliefs) -> CheckRecord:
-    """Rough: a pulse finds the level within its step of growth. Never more than a warning."""
+    """A rough check: pulses find the level within one increment. Never more than a warning."""
     measured_nm = breakaway_a * beliefs.torque_constant_nm_per_a
     limits = factor(beliefs.static_nm, FRICTION_OK, FRICTION_OK)._replace(least=0.0, most=math.inf)
     text = f"moves from {breakaway_a:.3g} A on, {measured_nm:.3g} Nm; the model says {beliefs.static_nm:.3g} Nm"

@@ -1,4 +1,4 @@
-"""What the drive says about its own scaling: name plate and encoder objects, where it has them."""
+"""The drive's own scaling: name plate and encoder objects, if it has them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class ObjectSource(Protocol):
     """A drive whose objects can be read, also while the loop runs."""
 
     def read_object(self, index: int, sub: int) -> bytes:
-        """Raises DriveRefusedError when the drive does not have it."""
+        """Raises DriveRefusedError if the drive does not have the object."""
         ...
 
 
 class NamePlate(NamedTuple):
-    """None where the drive does not say."""
+    """Scaling objects; None if the drive does not have them."""
 
     counts_per_rev: float | None = None  # 0x608F: increments over revolutions; 0x60A8 where the position has a unit
     velocity_units_per_rps: float | None = None  # 0x6090: increments a second over revolutions a second; else 0x60A9
@@ -32,7 +32,7 @@ class NamePlate(NamedTuple):
 
 
 def read_number(source: ObjectSource, index: int, sub: int, *, signed: bool = False) -> int | None:
-    """An object as a number; None where the drive does not have it. Raises BusUnavailableError."""
+    """An object as a number; None if the drive does not have it. Raises BusUnavailableError."""
     try:
         return int.from_bytes(source.read_object(index, sub), "little", signed=signed)
     except DriveRefusedError:
@@ -46,7 +46,7 @@ class _Objects:
         self._source = source
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """There is such an object, and it can be read."""
+        """Whether the object exists and can be read."""
         return self.value(index, sub) is not None
 
     def value(self, index: int, sub: int = 0) -> int | None:

@@ -1,7 +1,7 @@
-"""The order of commissioning: listen, probe until the axis moves a little, measure, then provoke each limit.
+"""The procedure of commissioning: listen, probe until the axis moves a little, measure, then provoke each limit.
 
-Nothing grows after the first surprise: a trip, a wrong sign, a velocity that is not the derivative of the position.
-What could not be checked then is not done, and the axis has not passed.
+Pulses do not grow after the first unexpected result: a trip, a wrong sign, a velocity that is not the derivative of the
+position. The remaining checks are marked as not done, and the axis has not passed.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ REST_TAIL_S = 0.05
 FIRST_SHARE = 0.01  # of the current bound: the first pulse
 GROWTH = 1.25
 WANTED_SHARE = 0.4  # of the speed bound: fast enough to measure
-LARGEST_SPEED_SHARE = 0.6  # of the bound: nothing that is expected to go beyond is tried
+LARGEST_SPEED_SHARE = 0.6  # of the bound: a pulse expected to exceed it is not tried
 LARGEST_TRAVEL_SHARE = 0.4
 LONGEST_MEASURING_S = 7.0
 MEASURING_PAIRS = 5
 REST_FACTOR = 1.3  # of the time that the axis coasted
 HOLD_SHARE = 0.6  # of the current that just moves the axis
 HOLD_S = 1.0
-FEWEST_PERMILLE = 20.0  # of the rated current: below, the steps of 0x6078 say more than the current
+FEWEST_PERMILLE = 20.0  # of the rated current: below, the resolution of 0x6078 dominates
 FEWEST_READINGS = 5
 CLAMP_SHARE, CLAMP_ASK = 0.5, 1.5  # of the current that just moves the axis
 TRIP_SHARE = 0.6  # of what the same pulse reached without the limit
@@ -70,14 +70,14 @@ Seen = Callable[[CheckRecord, PulseMotion | None], None]  # a check, and the las
 
 
 class CommissioningOutcome(NamedTuple):
-    """What commissioning found, on which drive."""
+    """Result of commissioning, with the drive."""
 
     identity: DriveIdentity
     checks: list[CheckRecord]
 
 
 class _SurpriseError(Exception):
-    """Stop here: nothing more is tried."""
+    """Abort: nothing more is tried."""
 
 
 class _Probe(NamedTuple):
@@ -101,8 +101,8 @@ def commission(
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
-    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError where the drive
-    cannot be brought up, BoundsError where there is no room, RealtimeRefusedError.
+    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError if the drive cannot be brought
+    up, BoundsError if there is no room, RealtimeRefusedError.
     """
     procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell, seen)
     reason = ""
@@ -189,7 +189,7 @@ class _Procedure:
         return probe
 
     def _run(self, runner: Runner, profile: Profile, meanwhile: Callable[[], None] | None = None) -> PulseRun:
-        """A profile that must run to its end."""
+        """Run a profile that must reach its end."""
         run = runner.run(profile, meanwhile=meanwhile)
         self._note_rest(run.motion)
         if run.fault_text is not None:
@@ -198,7 +198,7 @@ class _Procedure:
         return run
 
     def _explain(self, run: PulseRun, current_a: float) -> None:
-        """Why a pulse did not end as it should: a scale that is far off trips where the axis has hardly moved."""
+        """Why a pulse did not end as planned: a scale that is far off trips although the axis has hardly moved."""
         ratio = travel_ratio([run.motion])
         limit_met = run.trip in (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)
         if limit_met and math.isfinite(ratio) and not 1.0 / ROUGH_SCALE < abs(ratio) < ROUGH_SCALE:
@@ -247,7 +247,7 @@ class _Procedure:
                 continue
             best = _Probe(amplitude_a, length_s, 0.5 * (stood_a + moved_a), stood_a, motions, moves)
             if not 1.0 / ROUGH_SCALE < travel_ratio(motions) < ROUGH_SCALE:
-                break  # a surprise: measured with what has moved it, and no further
+                break  # unexpected: measure with the pulse that moved it, and do not grow further
             if min(move.speed_rps for move in moves) > WANTED_SHARE * self.bounds.speed_rps:
                 break
         if best is None:
@@ -299,7 +299,7 @@ class _Procedure:
         self.add(told("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
 
     def _hold(self, runner: Runner, current_a: float) -> HeldCurrent | None:
-        """0x6078 over the current on the wire, while the axis stands under it. None where it cannot be told."""
+        """0x6078 over the commanded current, with the axis at rest under it. None if it cannot be determined."""
         source = self.rig.drive
         rated_a = self.plate.rated_current_a
         if not isinstance(source, ObjectSource) or rated_a is None or current_a * PERMILLE < FEWEST_PERMILLE * rated_a:
@@ -353,7 +353,7 @@ class _Procedure:
         raise _SurpriseError(text)
 
     def _is_not_rigid(self, unexplained: float) -> None:
-        """It slides, but not as one inertia: a warning, the rest is measured all the same."""
+        """It slides, but not as a single inertia: a warning, and the remaining checks continue."""
         moved = self.found["motion"]
         text = f"{moved.text}; {_unexplained_text(unexplained)}"
         remedy = (
@@ -363,7 +363,7 @@ class _Procedure:
         self.add(told("motion", WARNING, text, remedy, moved.numbers | {"unexplained_share": unexplained}))
 
     def _trusted_gain(self, by_velocity: float, scale: ScaleFit) -> float:
-        """Acceleration per ampere by the word whose scale is right."""
+        """Acceleration per ampere, by the word with the right scale."""
         wrong = self.found["velocity_scale"].verdict == FAILED
         return by_velocity / scale.ratio if wrong and scale.ratio else by_velocity
 

@@ -1,4 +1,4 @@
-"""A client of the daemon's socket, for programs without asyncio: calls, and what was subscribed."""
+"""A client of the daemon's socket, for programs without asyncio: calls and subscriptions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Self
 
 
 class ClientError(Exception):
-    """No daemon on that socket, or it went away."""
+    """There is no daemon on that socket, or it has ended."""
 
 
 class CallError(Exception):
@@ -25,7 +25,7 @@ class DaemonClient:
     """A connection. One thread uses it."""
 
     def __init__(self, path: Path, timeout_s: float | None = 30.0) -> None:
-        """`timeout_s`: for an answer beyond what the call itself waits. Raises ClientError."""
+        """`timeout_s`: for an answer, in addition to the waiting time of the call. Raises ClientError."""
         self.path = path
         self._timeout_s = timeout_s
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
@@ -57,7 +57,7 @@ class DaemonClient:
                 return message["result"]
 
     def next_notification(self, timeout_s: float | None = None) -> dict[str, Any]:
-        """The next one, in order. Raises ClientError when none comes in time or the daemon goes away."""
+        """The next notification, in order. Raises ClientError if none arrives in time or the daemon ends."""
         if self.notifications:
             return self.notifications.pop(0)
         self._socket.settimeout(timeout_s)
@@ -87,7 +87,7 @@ class DaemonClient:
         return message
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
     def __enter__(self) -> Self:

@@ -1,12 +1,12 @@
-"""The thread that owns the sockets: it accepts, reads, splits lines, and sees a stop on arrival.
+"""The thread that owns the sockets: it accepts, reads, splits lines, and recognises a stop on arrival.
 
-Whatever the control socket's clients send is read at once, up to a bound, and the lines wait here. A line that asks for
-a stop goes to the supervisor before anything else is parsed, costs no budget, and finds a place beyond the limit of
-clients. Those who only watch are read a moment at a time, after that, and can delay nobody else. All other
-lines are answered one at a time, clients in turn, from a budget of bytes a second that all clients of a socket share.
+Data from clients of the control socket are read at once, up to a bound, and the lines are queued here. A line that
+requests a stop goes to the supervisor before anything else is parsed, uses no budget, and is accepted beyond the limit
+of clients. Read-only clients are read after that, for a short time each, and cannot delay others. All other lines are
+answered one at a time, clients in turn, from a budget of bytes per second shared by all clients of a socket.
 
-Each line carries the epoch in which it arrived. Before a stop is acknowledged, everything that lies in the sockets is
-read as of the epoch that ends with it: a start that was sent before the acknowledgement is never carried out after it.
+Each line carries the epoch in which it arrived. Before a stop is acknowledged, everything still in the sockets is read
+and assigned to the ending epoch: a start sent before the acknowledgement is never carried out after it.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from .one_client import CONTROL_LIMITS, WATCH_LIMITS, Budget, Client, Handler, R
 from .rpc import RpcError
 from .states import Epoch
 
-READ_BYTES = 256 * 1024  # more than the kernel keeps for a Unix socket: one read empties it
+READ_BYTES = 256 * 1024  # more than the kernel buffers for a Unix socket: one read empties it
 WATCH_READ_BYTES = 8 * 1024
-SEND_LIMIT = 256 * 1024  # bytes that wait for a client before it is cut off
+SEND_LIMIT = 256 * 1024  # unsent bytes for a client before it is disconnected
 WAITING_LINES = 1000  # of one client, before it is cut off
-WAITING_CALLS = 16  # of one client, that the supervisor has not answered
-STOP_LINE_BYTES = 4096  # a line that asks for a stop is shorter
+WAITING_CALLS = 16  # unanswered calls of one client to the supervisor
+STOP_LINE_BYTES = 4096  # a line that requests a stop is shorter
 IDLE_S = 300.0
 PARTIAL_S = 10.0  # for the rest of a line
-STOP_PLACES = 64  # connections to the control socket beyond the limit, for stops alone
+STOP_PLACES = 64  # connections to the control socket beyond the limit, for stops only
 STOP_PLACE_S = 2.0
 BACKLOG = 128
 ACCEPTS_PER_ROUND = 64
 WATCH_ACCEPTS_PER_ROUND = 4
-PAUSE_S = 0.05  # of a listening socket that too many want to watch through, or without descriptors left
-ROUND_S = 0.25  # the longest time between two looks at what has been forgotten
-SHARE_S = 0.002  # of those who watch, and of answers, before the control socket is read again: a stop waits no longer
+PAUSE_S = 0.05  # pause of a listening socket with too many clients, or without free file descriptors
+ROUND_S = 0.25  # the longest time between checks for silent clients
+SHARE_S = 0.002  # for read-only clients and answers before the control socket is read again: the longest wait of a stop
 BUDGET_WAIT_S = 0.01
 
 ENDING = ("stop", "disable", "quick_stop")  # methods
@@ -50,21 +50,21 @@ _STOP = re.compile(rb'"method"\s*:\s*"(?:' + "|".join(ENDING).encode() + rb')"')
 
 
 class Clients:
-    """Both sockets and everybody on them, from `start` to `close`."""
+    """Both sockets and all their clients, from `start` to `close`."""
 
     def __init__(self, sockets: tuple[socket.socket, socket.socket], handler: Handler, epoch: Epoch, most: int) -> None:
         """`sockets`: listening, for control and for watching; `most`: clients of each, at a time."""
         self._listeners, self._handler, self._epoch, self._most = sockets, handler, epoch, most
         self._control, self._watch = selectors.DefaultSelector(), selectors.EpollSelector()
-        self._first = 0  # whose turn it is among those who watch
+        self._first = 0  # order of the read-only clients
         self._buffer = memoryview(bytearray(READ_BYTES))
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._waking = threading.Lock()  # so that nobody writes to a number that is another file by now
+        self._waking = threading.Lock()  # so that a file descriptor reused for another file is not written to
         self._posts: deque[Callable[[], None]] = deque()
         self._clients: dict[int, Client] = {}
         self._turn: deque[Client] = deque()  # those whose lines wait
         self._stamp: int | None = None  # epoch of what is read before an acknowledgement
-        self._too_poor = False  # nobody whose lines wait can pay for one
+        self._too_poor = False  # no client with queued lines has enough budget for one
         now_s = time.monotonic()
         self._budgets = {False: Budget(CONTROL_LIMITS, now_s), True: Budget(WATCH_LIMITS, now_s)}
         self._paused: dict[bool, float] = {}  # listeners, until then
@@ -86,7 +86,7 @@ class Clients:
         self._thread.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Hang up on everybody and end the thread."""
+        """Disconnect all clients and end the thread."""
         self._ending = True
         with self._waking:
             os.eventfd_write(self._wake, 1)
@@ -96,7 +96,7 @@ class Clients:
             os.close(wake)
 
     def post(self, what: Callable[[], None]) -> None:
-        """Do this on the thread of the clients, soon."""
+        """Schedule this on the clients' thread."""
         self._posts.append(what)
         with self._waking:
             if self._wake >= 0:
@@ -109,7 +109,7 @@ class Clients:
 
     @property
     def anybody_listens(self) -> bool:
-        """Somebody has subscribed to statuses."""
+        """Whether any client has subscribed to statuses."""
         return any(client.status_period_s for client in list(self._clients.values()))
 
     # -- its own thread --------------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ class Clients:
         return self._watch if watching else self._control
 
     def _read_control(self, patience_s: float) -> bool:
-        """Whatever has arrived on the control socket, from everybody. Returns whether something waits on the other."""
+        """Read all data that have arrived on the control socket. Return whether data are waiting on the other."""
         watched = False
         for key, events in self._control.select(patience_s):
             if key.data is self._watch:
@@ -157,7 +157,7 @@ class Clients:
         return watched
 
     def _read_watch(self) -> None:
-        """Of those who watch and have something, some, in turn."""
+        """Read some of the read-only clients that have data, in turn."""
         begun_s = time.monotonic()
         ready = self._watch.select(0)
         for _ in ready:
@@ -188,7 +188,7 @@ class Clients:
                 sock, _ = listener.accept()
             except BlockingIOError:
                 return
-            except OSError as error:  # out of descriptors: those who are here come first
+            except OSError as error:  # out of file descriptors: existing clients come first
                 self._handler.turned_away(watching, f"no connection can be accepted: {os.strerror(error.errno or 0)}")
                 self._pause(watching)
                 return
@@ -215,13 +215,13 @@ class Clients:
         return f"cut off: {self._most} clients are connected already (daemon.clients)"
 
     def _make_room_for_a_stop(self) -> None:
-        """The oldest connection beyond the limit gives way, unless its stop is under way."""
+        """Disconnect the oldest connection beyond the limit, unless its stop is in progress."""
         beyond = [client for client in self._clients.values() if not client.has_place and not client.calls]
         if len(beyond) >= STOP_PLACES:
             self._drop(beyond[0])
 
     def _pause(self, watching: bool) -> None:
-        """Leave newcomers in the kernel's queue for a moment."""
+        """Leave new connections in the kernel's queue for a moment."""
         if watching not in self._paused:
             self._paused[watching] = time.monotonic() + PAUSE_S
             self._selector(watching).unregister(self._listeners[watching])
@@ -284,7 +284,7 @@ class Clients:
         )
 
     def end_epoch(self) -> int:
-        """Read whatever lies in the sockets as of the present epoch, then begin a new one. Returns the new one."""
+        """Read everything in the sockets as of the present epoch, then begin a new one and return it."""
         self._stamp = self._epoch.value
         self._read_control(0.0)
         self._stamp = None
@@ -293,13 +293,13 @@ class Clients:
     # whose turn it is
 
     def _answer(self) -> None:
-        """Lines, for a moment; then whatever has arrived meanwhile is read."""
+        """Answer lines for a short time; then data that have arrived meanwhile are read."""
         begun_s = now_s = time.monotonic()
         while now_s - begun_s < SHARE_S and self._answer_one(now_s):
             now_s = time.monotonic()
 
     def _answer_one(self, now_s: float) -> bool:
-        """One line of the first client that can pay for it. False when there is none."""
+        """Answer one line of the first client with enough budget. False if there is none."""
         self._too_poor = True
         for _ in range(len(self._turn)):
             client = self._turn.popleft()
@@ -325,7 +325,7 @@ class Clients:
     # what goes out
 
     def send(self, client: Client, line: bytes) -> None:
-        """One encoded line; a client that does not read is cut off."""
+        """Send one encoded line; a client that does not read is disconnected."""
         if client.closed:
             return
         if len(client.out) + len(line) > SEND_LIMIT:
@@ -335,13 +335,13 @@ class Clients:
         self._flush(client)
 
     def broadcast_event(self, line: bytes) -> None:
-        """To everybody who listens to events."""
+        """Send to all clients that subscribed to events."""
         for client in list(self._clients.values()):
             if client.wants_events:
                 self.send(client, line)
 
     def broadcast_status(self) -> None:
-        """To everybody for whom a status is due, made once."""
+        """Send a status, encoded once, to all clients for which it is due."""
         now_s = time.monotonic()
         line: bytes | None = None
         for client in list(self._clients.values()):
@@ -366,7 +366,7 @@ class Clients:
         self._drop_when_done(client)
 
     def _await(self, client: Client) -> None:
-        """Tell the selector what to wait for; one that has ended its side would be ready to read for ever."""
+        """Update the selector; a client that has closed its side would be ready to read for ever."""
         wanted = (0 if client.ended else selectors.EVENT_READ) | (selectors.EVENT_WRITE if client.out else 0)
         if wanted == client.awaited:
             return
@@ -382,17 +382,17 @@ class Clients:
     # the end of a connection
 
     def answered(self, client: Client) -> None:
-        """A line that was handed on has its answer."""
+        """Called when a line passed to the supervisor has its answer."""
         client.calls -= 1
         self._drop_when_done(client)
 
     def _drop_when_done(self, client: Client) -> None:
-        """It has ended its side, and everything that it asked is answered."""
+        """Whether it has closed its side, and all its requests are answered."""
         if client.ended and not (client.lines or client.calls or client.out or client.closed):
             self._drop(client)
 
     def cut_off(self, client: Client, reason: str) -> None:
-        """Say why, then hang up."""
+        """Send the reason, then disconnect."""
         if client.closed:
             return
         self._handler.cut_off(client, reason)
@@ -413,7 +413,7 @@ class Clients:
         self._handler.left(client)
 
     def _look_after(self, now_s: float) -> None:
-        """Listen again, and cut off what has been forgotten."""
+        """Listen again, and disconnect silent clients."""
         for watching, until_s in list(self._paused.items()):
             if now_s >= until_s:
                 del self._paused[watching]
@@ -423,7 +423,7 @@ class Clients:
             self.tidy(now_s)
 
     def tidy(self, now_s: float) -> None:
-        """Cut off who has been silent for too long."""
+        """Disconnect clients that have been silent for too long."""
         for client in list(self._clients.values()):
             silent_s = now_s - client.heard_s
             if client.ended and _hung_up(client.sock):
@@ -439,7 +439,7 @@ class Clients:
 
 
 def _hung_up(sock: socket.socket) -> bool:
-    """It does not only say no more, it does not listen any more either."""
+    """Whether the client no longer reads either."""
     poller = select.poll()
     poller.register(sock, 0)
     return bool(poller.poll(0))

@@ -1,4 +1,4 @@
-"""A drive with a running loop: brought up and left again, both on a thread that may wait for the bus."""
+"""A drive with a running loop: brought up and released, both on a thread that may wait for the bus."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..workflows.plan import Plan, open_drive, plan_session
 
 @dataclasses.dataclass
 class Connection:
-    """A drive, and the loop that talks to it; SYNC runs, without torque until somebody asks for it."""
+    """A drive and its loop; SYNC runs, without torque until it is requested."""
 
     number: int  # from 1, in the life of the daemon
     drive: Drive
@@ -32,7 +32,7 @@ class Connection:
 
     @property
     def running(self) -> bool:
-        """The loop's thread lives."""
+        """Whether the loop's thread is alive."""
         return self.session.running
 
     @property
@@ -46,12 +46,12 @@ class Connection:
         return copy_row(self.session.ring, head - 1) if head else None
 
     def beat(self) -> None:
-        """Tell the loop that somebody is in charge."""
+        """Tell the loop that the supervisor is alive."""
         words = self.session.blocks.control
         self.session.request(b.SUPERVISOR_BEAT, int(words[b.SUPERVISOR_BEAT]) + 1)
 
     def in_fault(self) -> bool:
-        """The drive itself is in a fault state."""
+        """Whether the drive itself is in a fault state."""
         return state_of(self.session.status(b.STATUSWORD)) in (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
 
     @property
@@ -66,18 +66,18 @@ class Connection:
 
     @property
     def clear(self) -> bool:
-        """Nothing is latched, neither here nor in the drive."""
+        """Whether no fault is latched, neither here nor in the drive."""
         return self.trip == TRIP_NONE and not self.in_fault()
 
 
 class OnPaper(NamedTuple):
-    """A drive that is not there yet."""
+    """A drive that is not connected yet."""
 
     port: Any
 
 
 def require_served(plan: Plan) -> None:
-    """Raise DocumentError for an axis that cannot be served."""
+    """Raise DocumentError if the axis cannot be served."""
     if not isinstance(plan.axis.drive, CanopenDriveSection):
         text = (
             "a daemon needs a drive on a bus; for the simulated one run `fffo-drive sim` beside it and give "
@@ -87,7 +87,7 @@ def require_served(plan: Plan) -> None:
 
 
 def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
-    """Connect, compile, start the loop. Raises DriveError, LinkError, RealtimeRefusedError; the bus is left then."""
+    """Connect, compile, start the loop. Raises DriveError, LinkError, RealtimeRefusedError, with the bus released."""
     drive = open_drive(plan, bus)
     try:
         if isinstance(drive, CanopenDrive):
@@ -109,7 +109,7 @@ def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
 
 
 def leave(connection: Connection) -> LoopHungError | None:
-    """End the loop, then leave the drive without torque. Returns why that cannot be gone on after."""
+    """End the loop, then leave the drive without torque. Return the reason if the service cannot continue after it."""
     try:
         connection.session.close()
     except LoopHungError as error:

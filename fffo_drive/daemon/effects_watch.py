@@ -1,7 +1,7 @@
-"""The model's effects in a running daemon: which are in service, and the monitor that takes out what does harm.
+"""The model's effects in a running daemon: which are in service, and the monitor that removes harmful ones.
 
-What the monitor has taken out stays out, over a lost drive too, until another model (or the same one again) is put in
-service. The rows are read ten times a second, and only while something is compensated and watched.
+An effect removed by the monitor stays out, also across a lost drive, until a model (even the same) is put in service.
+The rows are read ten times a second, and only while effects are compensated and monitored.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class EffectsWatch:
         self.begin(plan)
 
     def begin(self, plan: Plan) -> None:
-        """Another model, or the same one once more: everything that can be compensated is in service again."""
+        """A new model, or the same again: all effects that can be compensated are in service."""
         self._monitor = effect_monitor(plan)
         self._items = [Item(s.effect.name, bit, s.reason) for s, bit in service_bits(plan.axis, plan.model)]
         if self._connection is not None:
             self.attach(self._connection)
 
     def attach(self, connection: Connection | None) -> None:
-        """The loop to watch from now on; None for none."""
+        """The loop to monitor from now on; None for none."""
         self._connection, self._reader = connection, None
         if connection is None:
             return
@@ -59,11 +59,11 @@ class EffectsWatch:
 
     @property
     def wanted(self) -> int:
-        """Bits that are to be in service now."""
+        """Bits wanted in service now."""
         return ALL_EFFECTS if self._monitor is None else self._monitor.effects
 
     def look(self, now_s: float) -> None:
-        """Judge the rows that came since the last look, and change what is in service."""
+        """Evaluate the rows since the last call, and change the effects in service."""
         monitor, reader, connection = self._monitor, self._reader, self._connection
         if monitor is None or reader is None or connection is None or now_s - self._looked_s < LOOK_S:
             return
@@ -77,12 +77,12 @@ class EffectsWatch:
 
     @property
     def in_service(self) -> list[str]:
-        """Names of the effects that no trial has taken out."""
+        """Names of the effects not removed by a trial."""
         kept = ALL_EFFECTS if self._monitor is None else self._monitor.state.kept
         return [item.name for item in self._items if item.bit is not None and kept >> item.bit & 1]
 
     def status(self) -> dict[str, Any]:
-        """For the API: what the monitor does, and each effect with the reason that keeps it out of service."""
+        """For the API: activity of the monitor, and each effect with the reason why it is out of service."""
         kept = ALL_EFFECTS if self._monitor is None else self._monitor.state.kept
         found = []
         for item in self._items:

@@ -1,4 +1,4 @@
-"""What happened, once for everybody: the journal, the recording, and clients that listen."""
+"""Distribution of events: to the journal, the recording, and subscribed clients."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..recording.events import Level, utc_text
 from .journal import Journal
 
 KEPT = 1000
-# kinds that clients can cause as often as they like, and how many are told in a second; more are counted. They are kept
-# apart, so that they displace nothing else.
+# kinds that clients can cause at any rate, and the number reported per second; more are only counted. They are stored
+# separately, so that they do not displace others.
 CAUSED_BY_CLIENTS = {"client": 1, "command": 20, "parameters": 20}
 
 Listener = Callable[[dict[str, Any]], None]
@@ -30,7 +30,7 @@ class EventLog:
         self._journal = journal
         self._context = context
         self._clock = clock
-        self._lock = threading.RLock()  # a listener may have something to say, too
+        self._lock = threading.RLock()  # a listener may add an event, too
         self._events: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self._caused: deque[dict[str, Any]] = deque(maxlen=KEPT)  # by clients
         self._number = 0
@@ -45,9 +45,9 @@ class EventLog:
         return self._number
 
     def add(self, kind: str, text: str, level: Level = Level.INFO, data: Mapping[str, Any] | None = None) -> None:
-        """Add an event and tell everybody. `kind` is a key of journal.MESSAGE_IDS.
+        """Add an event and distribute it. `kind` is a key of journal.MESSAGE_IDS.
 
-        What clients cause too often is counted, and told in one event when the second is over.
+        Events that clients cause too often are counted, and reported as one event at the end of the second.
         """
         with self._lock:
             self.turn()
@@ -59,7 +59,7 @@ class EventLog:
             self._add(kind, text, level, data)
 
     def turn(self) -> None:
-        """Tell what was counted, once its second is over. To be called from time to time."""
+        """Report counted events once their second is over. Call this periodically."""
         with self._lock:
             now_s = self._clock()
             if now_s - self._second_s < 1.0:
@@ -86,7 +86,9 @@ class EventLog:
             listener(event)
 
     def since(self, number: int, limit: int) -> list[dict[str, Any]]:
-        """The newest `limit` events after `number`, oldest first; what clients caused fills half, or what is left."""
+        """The newest `limit` events after `number`, oldest first; events caused by clients fill half, or the free
+        space.
+        """
         with self._lock:
             others = [event for event in self._events if event["number"] > number][-limit:]
             caused = [event for event in self._caused if event["number"] > number]

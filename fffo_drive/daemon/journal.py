@@ -42,7 +42,7 @@ MESSAGE_IDS = {
 
 
 class Journal:
-    """Writes messages; one that cannot be written is counted and never waited for."""
+    """Writes messages without waiting; one that cannot be written is counted."""
 
     def __init__(
         self, environment: Mapping[str, str] = os.environ, stream: TextIO | None = None, address: str = SOCKET
@@ -97,7 +97,7 @@ class Journal:
 
 
 def quoted(value: str) -> str:
-    """A value as it stands in a line: a JSON string, where it is more than one plain word."""
+    """A value in a line: a JSON string unless it is one plain word."""
     return value if _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=not value.isprintable())
 
 

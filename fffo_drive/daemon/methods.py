@@ -74,7 +74,7 @@ class Caller(Protocol):
 class Api:
     """The methods of `parameters.METHODS`, each by its name, on one supervisor.
 
-    `holder` is the connection that the axis hangs on, if there is one.
+    `holder` is the connection in charge of the axis, if there is one.
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
@@ -88,20 +88,20 @@ class Api:
     # what only looks
 
     def info(self, wanted: p.Info, caller: Caller) -> Any:
-        """Protocol version, axis, what may be asked for."""
+        """Protocol version, axis, drive, profiles, keys, states."""
         return info_of(self.supervisor, __version__, wanted.protocol)
 
     def status(self, _: p.Nothing, caller: Caller) -> Any:
-        """The status of this moment, or of the last turn."""
+        """The present status, or that of the last cycle."""
         return self.latest
 
     @property
     def latest(self) -> dict[str, Any]:
-        """The newest status, for any thread; its epoch is that of this moment."""
+        """The newest status, for any thread, with the present epoch."""
         return {**self._latest, "epoch": self.supervisor.machine.epoch.value}
 
     def publish(self) -> None:
-        """Take the status of this moment, with who is in charge."""
+        """Store the present status, with the client in charge."""
         holder = None if self.holder is None else self.holder.name
         self._latest = {**status_of(self.supervisor, time.monotonic()), "held_by": holder}
 
@@ -183,7 +183,7 @@ class Api:
         return await self._reached(lambda: supervisor.state is not State.RUNNING, wanted.wait_s, "the profile's end")
 
     async def jog(self, wanted: p.Jog, caller: Caller) -> Any:
-        """A velocity as long as it is renewed."""
+        """A velocity for as long as it is renewed."""
         motion = self.supervisor.motion
         if wanted.renews is not None and (motion is None or not motion.can_renew(wanted.renews)):
             text = f"jog {wanted.renews} is over: it lapsed, or another set point or a stop came; jog again"
@@ -192,12 +192,12 @@ class Api:
         return await self._follow(asked, wanted, caller, 0.0)
 
     async def velocity(self, wanted: p.SetVelocity, caller: Caller) -> Any:
-        """A velocity until another one comes."""
+        """A velocity until the next set point."""
         asked = set_points.velocity(self.supervisor.plan, wanted.to_rps, wanted.for_s)
         return await self._follow(asked, wanted, caller, wanted.wait_s)
 
     async def step(self, wanted: p.Step, caller: Caller) -> Any:
-        """A change of the set point in force."""
+        """A change of the present set point."""
         motion = self.supervisor.motion
         from_rps = 0.0 if motion is None else motion.target_rps
         asked = set_points.step(self.supervisor.plan, from_rps, wanted.by_rps, wanted.for_s)
@@ -211,7 +211,7 @@ class Api:
         motion = supervisor.follow(asked, wanted.epoch)
         number = motion.set_point_number
         to_rps, hold_ticks = asked.set_point.target_rps, asked.set_point.hold_ticks
-        if asked != before:  # what renews a jog is no news
+        if asked != before:  # renewals of a jog are not reported
             self._command(caller, wanted, f"{asked.kind} {to_rps:g} rps")
         if wait_s > 0:
             await self._reached(

@@ -69,32 +69,32 @@ class MotionRequests:
 
     @property
     def blocked(self) -> bool:
-        """The last set point leads out of the position window, and was braked before its edge."""
+        """Whether the last set point would leave the position window, and was braked before its edge."""
         return self._session.status(b.SET_POINT_BLOCKED) == self.set_point_number != 0
 
     def newly_blocked(self) -> bool:
-        """It has just come to the edge of the window; once."""
+        """True once, when the motion has just reached the edge of the window."""
         newly = self.blocked and not self._told_blocked
         self._told_blocked = self._told_blocked or newly
         return newly
 
     @property
     def target_rps(self) -> float:
-        """The set point in force; 0 where none is."""
+        """The present set point; 0 without one."""
         if self.asked is None:
             return 0.0
         set_point = self.asked.set_point
         return set_point.after_rps if self.lapsed else set_point.target_rps
 
     def there(self, number: int, velocity_rps: float) -> bool:
-        """The reference has come to this velocity by this set point, or the motion has ended there."""
+        """Whether the reference has reached this velocity by this set point, or the motion has ended there."""
         if self.asked is None and self.set_point_number == number:
             return velocity_rps == 0.0
         row = self.connection.last_row()
         return row is not None and int(row["set_point_number"]) == number and row["reference_rps"] == velocity_rps
 
     def can_renew(self, number: int) -> bool:
-        """It is a jog, the last that came, and it still holds."""
+        """Whether it is the latest jog and still valid."""
         jogs = self.asked is not None and self.asked.kind == JOG
         return jogs and number == self.set_point_number and not self.lapsed
 
@@ -125,7 +125,7 @@ class MotionRequests:
 
     @property
     def braking(self) -> bool:
-        """It is being braked to standstill, or is about to."""
+        """Whether the axis is being braked to standstill, or is about to be."""
         if self.asked is not None:
             return self.asked.kind == STOP
         return self._brake_pending or (self.profile is not None and self.profile.name == STOP)
@@ -139,7 +139,7 @@ class MotionRequests:
         self._brake_pending = self._brake_pending or not self.braking
 
     def brake_when_settled(self, plan: Plan) -> Profile | None:
-        """Replace the profile by a ramp, not before the loop has taken the profile. Returns a ramp that begins."""
+        """Replace the profile by a ramp, once the loop has taken the profile. Return a ramp that begins."""
         if not self._brake_pending or self._session.status(b.TICK) < self._handed_tick + SETTLED_TICKS:
             return None
         self._brake_pending = False

@@ -15,7 +15,7 @@ LONGEST_WAIT_S = 0.1  # for room in its queue
 
 
 class Notifier:
-    """Says to the service manager how the service is."""
+    """Reports the state of the service to the service manager."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
@@ -24,7 +24,7 @@ class Notifier:
         self._status = ""
 
     def ready(self) -> None:
-        """The control API answers."""
+        """Ready: the control API answers."""
         self._send("READY=1")
 
     def reloading(self) -> None:
@@ -32,11 +32,11 @@ class Notifier:
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() * US_PER_S // NS_PER_S}")
 
     def stopping(self) -> None:
-        """The service has been told to end."""
+        """The service is stopping."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`; sent when it changes, and again while the manager is too busy to take it."""
+        """One line for `systemctl status`; sent when it changes, and retried while the manager is busy."""
         line = " ".join(text.split())
         if line != self._status and self._send(f"STATUS={line}"):
             self._status = line
@@ -53,14 +53,14 @@ class Notifier:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
                 sock.settimeout(LONGEST_WAIT_S if lines[0] in AWAITED else 0.0)
                 sock.sendto("\n".join(lines).encode(), address)
-        except OSError:  # a manager that is gone, or busy: the service goes on
+        except OSError:  # the manager is gone or busy: the service continues
             self.failures += 1
             return False
         return True
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:
-    """Time within which the manager wants to hear of us (sd_watchdog_enabled(3)); None: no watchdog."""
+    """Watchdog interval of the manager (sd_watchdog_enabled(3)); None: no watchdog."""
     try:
         pid = int(environment.get("WATCHDOG_PID", os.getpid()))
         period_s = int(environment["WATCHDOG_USEC"]) / US_PER_S

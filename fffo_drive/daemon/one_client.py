@@ -1,4 +1,4 @@
-"""One connection to a socket, what it may send, and who is told of it."""
+"""One connection to a socket, its limits, and its handler."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import time
 from collections import deque
 from typing import NamedTuple, Protocol
 
-LINE_COST_BYTES = 512  # what the shortest line takes from the budget
+LINE_COST_BYTES = 512  # cost of the shortest line
 
 
 class SocketLimits(NamedTuple):
-    """What the clients of one socket may send."""
+    """Limits for the clients of one socket."""
 
     line_bytes: int
     waiting_bytes: int  # of one client
@@ -32,7 +32,7 @@ class ReceivedLine(NamedTuple):
 
 
 class Handler(Protocol):
-    """What becomes of lines and clients; called on the thread of the clients."""
+    """Handler of lines and clients; called on the clients' thread."""
 
     def stop_line(self, client: Client, line: ReceivedLine) -> bool:
         """A line that looks like a stop. False when it is none that can be carried out: it waits like any other."""
@@ -70,7 +70,7 @@ class Budget:
         self._limits, self._left, self._filled_s = limits, limits.burst_bytes, now_s
 
     def take(self, line_bytes: int, now_s: float) -> bool:
-        """Pay for a line, if it can be paid. A line longer than the burst never can: lines are shorter."""
+        """Take a line's cost from the budget, if it suffices. All lines are shorter than the burst."""
         gained = (now_s - self._filled_s) * self._limits.bytes_per_s
         self._left = min(self._limits.burst_bytes, self._left + gained)
         self._filled_s = now_s
@@ -86,17 +86,19 @@ class Client:
 
     def __init__(self, sock: socket.socket, watching: bool, limits: SocketLimits, now_s: float, place: bool) -> None:
         self.sock, self.watching, self.limits = sock, watching, limits
-        self.has_place = place  # False: beyond the limit, for a stop alone
+        self.has_place = place  # False: beyond the limit, for a stop only
         self.joined_s = self.heard_s = now_s
         self.partial = bytearray()
         self.lines: deque[ReceivedLine] = deque()
         self.waiting_bytes = 0
         self.out = bytearray()
-        self.calls = 0  # lines that were handed on and are not answered
+        self.calls = 0  # lines passed on and not yet answered
         self.ended = False  # it will say no more
         self.closed = False
         self.awaited = 0  # selectors.EVENT_*
-        self.no_stop = False  # a line of it only looked like a stop: until all are answered none is tried on arrival
+        self.no_stop = (
+            False  # one of its lines only looked like a stop: none is tried on arrival until all are answered
+        )
         self.status_period_s = 0.0
         self.status_due_s = 0.0
         self.wants_events = False
@@ -106,7 +108,7 @@ class Client:
 
     @property
     def listens(self) -> bool:
-        """It has subscribed to something."""
+        """Whether it has subscribed to anything."""
         return bool(self.status_period_s or self.wants_events)
 
     def subscribe(self, status_hz: float, events: bool) -> None:

@@ -1,4 +1,4 @@
-"""Where things are: sockets and recordings, under a service manager and without one."""
+"""Locations of sockets and recordings, with and without a service manager."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SYSTEM_DIRECTORY = Path("/run/fffo-drive")  # RuntimeDirectory=fffo-drive/%i of 
 
 
 def socket_directory(name: str, environment: Mapping[str, str] = os.environ) -> Path:
-    """Where the sockets of an axis are: what the service manager made, else the user's runtime directory.
+    """Directory of the sockets of an axis: that of the service manager, else the user's runtime directory.
 
-    Without one it is a temporary directory of our own, which is made. Raises ForeignDirectoryError.
+    Without one it is a private temporary directory, which is created. Raises ForeignDirectoryError.
     """
     given = environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:
@@ -35,6 +35,6 @@ def user_directory(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def recordings_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Where relative recording directories begin: the state directory of the service; None: where it was started."""
+    """Base of relative recording directories: the state directory of the service; None: the working directory."""
     given = environment.get("STATE_DIRECTORY", "").partition(":")[0]
     return Path(given) if given else None

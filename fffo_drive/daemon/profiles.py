@@ -1,4 +1,4 @@
-"""What a `start` runs: a profile by name or from the request, checked against the limits; and the ramp of a stop."""
+"""Profiles for `start`, by name or from the request, checked against the limits; and the ramp of a stop."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ STOP = "stop"  # name of the ramp
 
 
 def profile_names(plan: Plan) -> tuple[str, ...]:
-    """Names that `start` knows."""
+    """Names accepted by `start`."""
     return (DEFAULT, *plan.axis.daemon.profiles)
 
 
 def chosen_profile(plan: Plan, wanted: str | ProfileSection) -> Profile:
-    """The profile of that name or section. Raises DocumentError when there is none, or the limits forbid it."""
+    """The profile of that name or section. Raises DocumentError if there is none, or it exceeds the limits."""
     if isinstance(wanted, str):
         if wanted == DEFAULT:
             return plan.profile
@@ -47,7 +47,7 @@ def chosen_profile(plan: Plan, wanted: str | ProfileSection) -> Profile:
 
 
 def braking_ramp(velocity_rps: float, deceleration_rps2: float, period_s: float) -> Profile:
-    """From a velocity to standstill; begins one period on, where the loop will be when it takes it."""
+    """Ramp from a velocity to standstill; begins one period later, when the loop takes it."""
     start = velocity_rps if math.isfinite(velocity_rps) else 0.0
     ticks = max(1, math.ceil(abs(start) / (deceleration_rps2 * period_s)))
     slope = -start / (ticks * period_s)

@@ -1,4 +1,4 @@
-"""Recording while the daemon runs: on and off, a new file for each connection, and whether it still works."""
+"""Recording while the daemon runs: on and off, a new file for each connection, and error supervision."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEVELS = {level.name.lower(): level for level in Level}
 
 
 class Sources:
-    """The texts that a recording carries: as they were when they were taken, whatever becomes of the files."""
+    """The files attached to a recording, as they were when they were read."""
 
     def __init__(self, plan: Plan) -> None:
         self.take(plan)
@@ -44,13 +44,13 @@ class Sources:
 
 
 class RecordKeeper:
-    """One recorder at most. What waits for the disk is done on another thread."""
+    """At most one recorder. Operations that wait for the disk run on another thread."""
 
     def __init__(self, log: EventLog, directory: Path | None) -> None:
         """`directory`: for recordings whose configured directory is relative; None: the working directory."""
         self._log = log
         self._base = directory
-        self.hooks = RecorderHooks()  # of recorders that are started from now on
+        self.hooks = RecorderHooks()  # of recorders started from now on
         self.wanted = False
         self._recorder: Recorder | None = None
         self._changing = asyncio.Lock()
@@ -61,7 +61,7 @@ class RecordKeeper:
         self._store: str | None = None  # of the fleet, for the file that is being written
 
     async def begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
-        """Begin a file now, or (without a connection, "") with the next one. Raises OSError."""
+        """Begin a file now, or (without a connection, "") with the next connection. Raises OSError."""
         self.wanted = True
         async with self._changing:
             if connection is None or self.running:
@@ -109,19 +109,19 @@ class RecordKeeper:
             return ()
         if recorder.alive:
             recorder.stop(None, DISK_TIMEOUT_S)
-        else:  # what it had not written is drained here
+        else:  # rows not yet written are drained here
             recorder.close()
         self.last_files = recorder.statistics.files
         return self.last_files
 
     @property
     def busy(self) -> bool:
-        """A file is being opened or closed."""
+        """Whether a file is being opened or closed."""
         return self._disk.busy
 
     @property
     def running(self) -> bool:
-        """A file is being written, or should be."""
+        """Whether a file is being written, or should be."""
         return self._recorder is not None
 
     def tell(self, event: Mapping[str, Any]) -> None:
@@ -130,7 +130,7 @@ class RecordKeeper:
             self._recorder.event(LEVELS[event["level"]], "supervisor", event["text"], {"kind": event["kind"]})
 
     def trouble(self) -> str:
-        """Why the recording is not whole; empty when it is."""
+        """Why the recording is incomplete; empty if it is complete."""
         recorder = self._recorder
         if recorder is None:
             return ""

@@ -21,7 +21,7 @@ REFUSED = -32000  # not possible in this state; data: state, allowed
 READ_ONLY = -32001
 DRIVE_ERROR = -32002
 BAD_DOCUMENT = -32003  # a profile, model, key or file that cannot be used
-NOT_REACHED = -32004  # asked for, but not there in time; data: state
+NOT_REACHED = -32004  # requested state not reached in time; data: state
 LIMIT = -32005  # line, batch, clients, send buffer
 
 BATCH_LIMIT = 16
@@ -53,7 +53,7 @@ class NotANumberError(ValueError):
 
 
 class Call(NamedTuple):
-    """One call; `id` is NOTIFICATION where nobody waits for an answer."""
+    """One call; `id` is NOTIFICATION if no answer is expected."""
 
     id: Any
     method: str
@@ -64,7 +64,7 @@ NOTIFICATION = object()
 
 
 class Document(NamedTuple):
-    """A line: calls, and the errors of those that are none, in the order of the line."""
+    """A line: calls, and errors for invalid ones, in the order of the line."""
 
     items: list[Call | dict[str, Json]]
     batch: bool
@@ -120,9 +120,9 @@ def _call(content: Json) -> Call | dict[str, Json]:
 
 
 def _too_much(line: bytes) -> str | None:
-    """Why a line is not worth parsing: too many values, or too deep; strings are not told apart, so rather too often.
+    """Why a line is rejected before parsing: too many values or too deep, counted conservatively (also inside strings).
 
-    It costs a millisecond at most, whatever stands in 260 kB; parsing so many values would cost ten, or seventy.
+    It takes a millisecond at most for any 260 kB; parsing that many values would take ten to seventy.
     """
     brackets = line.translate(_ROUND, _NO_BRACKETS)
     opened = brackets.count(b"(")
@@ -139,7 +139,7 @@ def _too_much(line: bytes) -> str | None:
 
 
 def _once(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
-    """An object. Raises ValueError where a key stands in it twice: which of the two was meant is not known."""
+    """An object. Raises ValueError for a duplicate key, which is ambiguous."""
     found: dict[str, Json] = {}
     for name, value in pairs:
         if name in found:

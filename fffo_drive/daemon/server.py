@@ -1,8 +1,8 @@
 """The API on its two sockets: lines become calls, calls reach the supervisor, answers go back.
 
-Lines are parsed and checked, and what only looks is answered, on the clients' thread (`clients.py`). What changes
-something is carried out on the supervisor's own loop, what ends a motion before all else. No client can hold that up:
-what reaches it is bounded by the clients' budget, and by one call of a kind at a time where a motion is ended.
+Lines are parsed and checked, and read-only calls answered, on the clients' thread (`clients.py`). Calls that change
+something run on the supervisor's own loop, calls that end a motion first. No client can block it: the calls are limited
+by the clients' budget, and calls that end a motion to one of a kind at a time.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ class _Asked(NamedTuple):
 
 
 class _Reply:
-    """The answer to one line, as far as it is there. On the clients' thread."""
+    """The answer to one line, as far as it is complete. On the clients' thread."""
 
     def __init__(self, clients: Clients, client: Client, document: rpc.Document) -> None:
         self._clients, self._client, self._batch = clients, client, document.batch
         self._answers: list[dict[str, Any] | None] = [None] * len(document.items)
         self._missing = len(document.items)
         self.stops = 0  # calls in it that end a motion
-        self.acknowledged: list[dict[str, Any]] = []  # results of those that came about
+        self.acknowledged: list[dict[str, Any]] = []  # results of those that succeeded
         client.calls += 1
 
     def put(self, place: int, answer: dict[str, Any] | None) -> bool:
-        """An answer, or None where nobody wants one. True with the last of them."""
+        """Add an answer, or None if none is expected. True with the last of them."""
         self._answers[place] = answer
         self._missing -= 1
         return self._missing == 0
@@ -111,12 +111,14 @@ class Server:
 
     @property
     def clients(self) -> Clients:
-        """Everybody on the sockets, which are open."""
+        """All clients on the open sockets."""
         assert self._served is not None
         return self._served
 
     def turn(self) -> None:
-        """The status of this moment, for those who look and those who listen. Raises what ended the clients' thread."""
+        """Publish the present status for reads and subscriptions. Raises the exception that ended the clients'
+        thread.
+        """
         self.api.publish()
         if self.clients.failure is not None:
             raise self.clients.failure
@@ -177,7 +179,7 @@ class Server:
                 reply.send()
 
     def _filler(self, reply: _Reply, place: int, call: Call) -> Callable[[dict[str, Any]], None]:
-        """Where the answer to a call goes. That of a stop ends the epoch before it is sent."""
+        """Deliver the answer to a call. The answer to a stop ends the epoch before it is sent."""
 
         def fill(answer: dict[str, Any]) -> None:
             own = {**answer, "id": None if call.id is rpc.NOTIFICATION else call.id}
@@ -229,7 +231,7 @@ class Server:
         self._on_the_loop(self._take)
 
     def _joins(self, asked: _Asked) -> bool:
-        """The same stop by the same client is under way: its answer will do for this one too."""
+        """Whether the same stop by the same client is in progress, so that its answer serves this one too."""
         key = (asked.client, asked.call.method, asked.wanted.model_dump_json())
         others = self._stops.get(key)
         if others is not None:
@@ -286,14 +288,14 @@ class Server:
             connection.session.note_request(name, asked.call.method, values, epoch)
 
     def _client_left(self, client: Client) -> None:
-        """What it asked for is not carried on, but for its stops."""
+        """Cancel its pending requests, except stops."""
         for task, asked in list(self._tasks.items()):
             if asked.client is client and asked.call.method not in ENDING:
                 task.cancel()
         self.api.client_left(client)
 
     def _as_rpc(self, error: Exception) -> RpcError:
-        """Every error that a method raises, as the client sees it."""
+        """Convert an exception of a method to the error for the client."""
         if isinstance(error, RpcError):
             return error
         if isinstance(error, RefusedError):

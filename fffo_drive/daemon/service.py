@@ -1,4 +1,4 @@
-"""The process around the supervisor: signals, the service manager, the turn, and an orderly end."""
+"""The process around the supervisor: signals, the service manager, the cycle, and an orderly end."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from .worker import Worker
 
 FEEDS_PER_WATCHDOG = 4.0
 STATUS_S = 0.5
-SWITCH_S = 0.0005  # between two threads that both compute: what a stop waits for the clients' and the live thread
-DETACH_S = 0.5  # for what runs beside the daemon to end
+SWITCH_S = 0.0005  # switch interval of busy threads: how long a stop waits for the clients' and the live thread
+DETACH_S = 0.5  # for the companions of the daemon to end
 
 
 class AttachedService(Protocol):
-    """What runs beside the daemon, on threads of its own, while its sockets are open."""
+    """A companion of the daemon, on its own threads, while the sockets are open."""
 
     @property
     def greeting(self) -> str:
@@ -49,7 +49,7 @@ class AttachedService(Protocol):
 
 
 class Options(NamedTuple):
-    """What the command line says."""
+    """Options from the command line."""
 
     file: Path
     bus: str | None = None
@@ -61,7 +61,7 @@ class Options(NamedTuple):
 def serve(options: Options) -> None:
     """Serve one axis until SIGTERM or SIGINT.
 
-    Raises DocumentError for bad files, RealtimeRefusedError, and what ends it for good.
+    Raises DocumentError for bad files, RealtimeRefusedError, and fatal errors.
     """
     plan = make_plan(options.file)
     require_served(plan)
@@ -70,7 +70,7 @@ def serve(options: Options) -> None:
     sys.setswitchinterval(SWITCH_S)
     service = _Service(plan, options)
     asyncio.run(service.run())
-    if service.work_in_progress:  # a compiler or a disk that nobody waits for: the interpreter's own end would
+    if service.work_in_progress:  # do not wait for a compiler or a disk, as the interpreter's normal exit would
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
@@ -91,7 +91,7 @@ class _Service:
 
     @property
     def work_in_progress(self) -> bool:
-        """Something is still under way that the end of the service did not wait for."""
+        """Whether something is still in progress for which the end of the service did not wait."""
         supervisor = self.supervisor
         return supervisor.bus_work.busy or supervisor.recorder.busy or self.api.work.busy or self._attaching.busy
 
@@ -164,7 +164,7 @@ class _Service:
         loop.add_signal_handler(signal.SIGHUP, self._on_reload)
 
     def _on_stop(self) -> None:
-        """The first one stops in order, the next one quickly."""
+        """The first signal requests a controlled stop, the next a quick stop."""
         self._stops += 1
         self._stop.set()
         if self._stops > 1 and self.supervisor.state not in AT_REST:
@@ -176,7 +176,7 @@ class _Service:
         task.add_done_callback(self._reloads.discard)
 
     async def _reload(self) -> None:
-        """SIGHUP. A file that cannot be used changes nothing."""
+        """SIGHUP. An invalid file changes nothing."""
         self.notifier.reloading()
         try:
             await self.api.reload_file("SIGHUP", {})

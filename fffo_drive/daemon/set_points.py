@@ -1,4 +1,4 @@
-"""Live set points as somebody asks for them: checked against the limits, with the bounds of the axis file."""
+"""Requested live set points: checked against the limits, with the bounds of the axis file."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ WINDOW_SHARE = 0.1  # of the position window: its margin at most
 
 
 class AskedSetPoint(NamedTuple):
-    """A set point, and what it was asked for as."""
+    """A set point with the kind of its request."""
 
     kind: str  # JOG, VELOCITY, STEP; STOP brakes
     set_point: SetPoint
 
 
 def jog(plan: Plan, to_rps: float) -> AskedSetPoint:
-    """A velocity that holds as long as it is renewed in time. Raises DocumentError beyond the limit."""
+    """A velocity that is valid as long as it is renewed in time. Raises DocumentError beyond the limit."""
     found = _set_point(plan, JOG, to_rps, plan.axis.daemon.set_points.jog_timeout_s, 0.0)
     stopping = found.set_point._replace(after_acceleration_rps2=plan.axis.daemon.stop_rps2)
     return found._replace(set_point=stopping)
 
 
 def velocity(plan: Plan, to_rps: float, for_s: float) -> AskedSetPoint:
-    """A velocity that holds until another one comes, or for a time (0: no end). Raises DocumentError."""
+    """A velocity until the next set point, or for a time (0: no end). Raises DocumentError."""
     return _set_point(plan, VELOCITY, to_rps, for_s, 0.0)
 
 
 def step(plan: Plan, from_rps: float, by_rps: float, for_s: float) -> AskedSetPoint:
-    """A change of the set point in force, for good or for a time. Raises DocumentError."""
+    """A change of the present set point, permanent or for a time. Raises DocumentError."""
     return _set_point(plan, STEP, from_rps + by_rps, for_s, from_rps)
 
 
 def standstill(plan: Plan) -> AskedSetPoint:
-    """An ordered stop."""
+    """A controlled stop."""
     deceleration_rps2, jerk_rps3 = plan.axis.daemon.stop_rps2, plan.axis.daemon.set_points.jerk_rps3
     return AskedSetPoint(STOP, SetPoint(0.0, deceleration_rps2, jerk_rps3, 0, 0.0, deceleration_rps2, *_window(plan)))
 
 
 def latency_s(plan: Plan) -> float:
-    """How much later a set point acts because the reference is known ahead: the preview of feed-forward."""
+    """Latency of a set point because the reference is known ahead, for the preview of feed-forward."""
     period_s = plan.axis.loop.period_s
     feedforward = feedforward_config(plan.axis.controller.feedforward, plan.model, period_s)
     return feedforward.preview_ticks * period_s
 
 
 def _window(plan: Plan) -> tuple[float, float, float]:
-    """Where a way has to end, and how much older than the newest sample the position is that the feedback shows."""
+    """Position limits of the motion, and the age of the measured position relative to the newest sample."""
     period_s, sensor_s = plan.axis.loop.period_s, plan.model.sensor_delay_s.value
     lag_s = max(plan.model.delay_s.value + 0.5 * period_s, sensor_s + latency_s(plan))
     window = plan.axis.envelope.position_window_rev
@@ -64,7 +64,7 @@ def _window(plan: Plan) -> tuple[float, float, float]:
 
 
 def longest_stop_s(plan: Plan, from_rps: float) -> float:
-    """How long an ordered stop takes from a speed, from whatever acceleration."""
+    """Upper bound of the duration of a controlled stop from a speed, from any acceleration."""
     deceleration_rps2 = plan.axis.daemon.stop_rps2
     section = plan.axis.daemon.set_points
     jerk_s = (max(deceleration_rps2, section.acceleration_rps2) + deceleration_rps2) / section.jerk_rps3

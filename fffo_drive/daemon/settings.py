@@ -1,4 +1,4 @@
-"""What changes while the daemon lives: single keys, the model, the whole file. Each is checked before it is taken."""
+"""Live changes: single keys, the model, the whole file. Each is checked before it is accepted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LAW_KEYS = (
 )
 LIVE_KEYS = (*GAIN_KEYS, *LAW_KEYS)
 
-# of the axis file: what a running loop was made from; a change needs a restart of the service
+# of the axis file, fixed in a running loop; a change needs a restart of the service
 FIXED = ("name", "drive", "envelope", "loop", "realtime", "commissioning")
 FIXED_DAEMON = ("control_group", "clients", "supervisor_timeout_s", "scope", "foxglove")
 APPLIED = ("controller", "recording", "profile", "daemon")
@@ -56,7 +56,7 @@ def value_of(axis: AxisFile, key: str) -> Any:
 
 
 def with_value(plan: Plan, toggle: int, key: str, value: float | bool) -> Plan:
-    """The plan with one key changed. Raises DocumentError when its value, or the law that it makes, is refused."""
+    """The plan with one key changed. Raises DocumentError if the value, or the resulting law, is refused."""
     content = plan.axis.controller.model_dump()
     *sections, last = key.split(".")[1:]
     inner = content
@@ -70,7 +70,7 @@ def with_value(plan: Plan, toggle: int, key: str, value: float | bool) -> Plan:
 
 
 def require_toggle(plan: Plan, toggle: int) -> None:
-    """Raise DocumentError when the law is not proven stable with this toggle."""
+    """Raise DocumentError if the law is not proven stable with this toggle."""
     _require_proof(plan.axis, plan.model, toggle)
 
 
@@ -92,23 +92,23 @@ def model_from_text(text: str, name: str) -> ModelFile:
 
 
 def with_model(plan: Plan, toggle: int, model: ModelFile) -> Plan:
-    """The plan with another model. Raises DocumentError when the law is refused on it."""
+    """The plan with another model. Raises DocumentError if the law is refused with it."""
     return checked_plan(plan.path, plan.axis, model, (toggle,))
 
 
 class Reload(NamedTuple):
-    """What a file that was read again changes."""
+    """Changes in a file that was read again."""
 
     plan: Plan
-    applied: tuple[str, ...]  # sections and keys that differ and are taken
-    restart: tuple[str, ...]  # that differ and need a restart of the service
+    applied: tuple[str, ...]  # changed sections and keys that are accepted
+    restart: tuple[str, ...]  # changed ones that need a restart of the service
     model_changed: bool
 
 
 def reload(plan: Plan, toggle: int, rest: bool) -> Reload:
-    """Read the axis file again; what cannot be changed in a running service keeps its value and is named.
+    """Read the axis file again; keys that cannot change in a running service keep their value and are reported.
 
-    `rest`: no torque is asked for, so that the model may change. Raises DocumentError for a file that cannot be used.
+    `rest`: no torque is requested, so the model may change. Raises DocumentError for an invalid file.
     """
     fresh = make_plan(plan.path)
     old, new = plan.axis, fresh.axis

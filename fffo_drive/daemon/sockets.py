@@ -1,4 +1,4 @@
-"""Unix sockets on the file system: their mode and group, and what a dead process left behind."""
+"""Unix sockets on the file system: mode, group, and stale sockets of dead processes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class SocketTakenError(OSError):
 
 
 def bound(path: Path, mode: int) -> socket.socket:
-    """A listening socket of this mode; one that a dead process left behind is replaced.
+    """A listening socket of this mode; a stale one is replaced.
 
     Raises SocketTakenError, OSError.
     """

@@ -27,7 +27,7 @@ MODES = {MODE_VELOCITY: "velocity", MODE_CURRENT: "current"}
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
-    """Everything that changes by itself, as one JSON object. Numbers have their units in their names."""
+    """All changing state as one JSON object. Numbers have their units in their names."""
     plan = supervisor.plan
     fault = supervisor.fault
     ready = supervisor.state not in (State.OFFLINE, State.CONNECTED)
@@ -77,7 +77,7 @@ def _set_point_of(supervisor: Supervisor) -> dict[str, Any] | None:
 
 
 def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
-    """What the loop and the drive say; `loop`, `drive` and `motion` are null without a connection."""
+    """State of the loop and the drive; `loop`, `drive` and `motion` are null without a connection."""
     connection = supervisor.connection
     if connection is None:
         return {"loop": None, "drive": None, "motion": None}
@@ -128,9 +128,9 @@ def line_of(supervisor: Supervisor) -> str:
 
 
 def info_of(supervisor: Supervisor, version: str, spoken: int | list[int] | None = None) -> dict[str, Any]:
-    """What does not change by itself: protocol, axis, what may be asked for.
+    """Constant data: protocol, axis, drive, profiles, keys, states.
 
-    `spoken`: versions of the API that the client speaks. Raises DocumentError where none of them is ours.
+    `spoken`: versions of the API that the client supports. Raises DocumentError if there is no common version.
     """
     plan = supervisor.plan
     connection = supervisor.connection

@@ -1,8 +1,8 @@
 """Owns the drive, the loop and the recorder, and moves them by the table of `daemon.states`.
 
-All of it runs in one thread on one asyncio loop. `turn` looks at the loop 25 times a second; what waits for the bus or
-the disk (bring-up, leaving, files) is done on other threads and awaited. Nothing here touches the tick: requests reach
-the loop through its blocks, and what it does is read from its status words and rows.
+It runs in one thread on one asyncio loop. `turn` checks the real-time loop 25 times a second; operations that wait for
+the bus or the disk (bring-up, release, files) run on other threads and are awaited. Nothing here affects the tick:
+requests reach the loop through its blocks, and its state is read from its status words and rows.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ TURN_S = 0.04
 MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
 NEVER_S = float("inf")
 # the service's end, within five seconds in all
-ORDERLY_STOP_S = 2.0  # to brake in order; then it is a quick stop
+ORDERLY_STOP_S = 2.0  # for a controlled stop; then a quick stop
 QUICK_STOP_S = 1.0
-HEARING_S = 2.0  # a client waits so long for the drive's words
-CLOSE_S = 1.5  # for the drive to be left and the recording to be closed
+HEARING_S = 2.0  # how long a client waits for the drive's fault description
+CLOSE_S = 1.5  # for releasing the drive and closing the recording
 
 
 class Supervisor:
-    """One axis. `run` lives until `close`; the methods are called from its loop alone."""
+    """One axis. `run` runs until `close`; the methods are called from its loop only."""
 
     def __init__(
         self, plan: Plan, journal: Journal, bus: str | None = None, uncommissioned: bool = False,
@@ -71,7 +71,7 @@ class Supervisor:
         self.obstacles: list[str] = ["not connected yet"]
         self.connection: Connection | None = None
         self.motion: MotionRequests | None = None
-        self.not_enabled = ""  # why the last attempt did not come to Operation Enabled
+        self.not_enabled = ""  # why the last attempt did not reach Operation Enabled
         self.fatal: BaseException | None = None
         self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
         self._permission: Permission | None = None
@@ -89,7 +89,7 @@ class Supervisor:
         self._deadline_s = NEVER_S
         self._torque_seen = False
         self._quick = False
-        self._said = ""  # the last reason why there is no drive: told once
+        self._said = ""  # the last reason for a missing drive, reported once
         self._forbidding = ""
 
     # -- the state machine -----------------------------------------------------------------------------------------
@@ -100,9 +100,9 @@ class Supervisor:
         return self.machine.state
 
     def apply(self, event: StateEvent, asked_in: int | None = None) -> bool:
-        """Go where the table says. False where it says nothing. Raises RefusedError for what is not possible now.
+        """Take the transition of the table. False if there is none. Raises RefusedError for a request not possible now.
 
-        `asked_in`: epoch in which it was asked for, where that counts.
+        `asked_in`: epoch in which it was requested, for bound requests.
         """
         before = self.state
         row = self.machine.take(event, asked_in)
@@ -154,7 +154,7 @@ class Supervisor:
             motion.ask(GOAL_QUICK_STOP if self._quick else GOAL_DISABLED)
 
     def _brake(self, motion: MotionRequests, now_s: float) -> None:
-        """To standstill under control; where there is no torque yet there is nothing to brake."""
+        """Brake to standstill under control; without torque there is nothing to brake."""
         if self._torque_seen and self._watcher is not None and self._watcher.commanding:
             motion.brake(self.plan)
             motion.brake_when_settled(self.plan)
@@ -168,10 +168,10 @@ class Supervisor:
             motion.drop()
             self.apply(StateEvent.PROFILE_ENDED)
 
-    # -- what it sees ----------------------------------------------------------------------------------------------
+    # -- observation -----------------------------------------------------------------------------------------------
 
     def turn(self) -> None:
-        """Look at everything once."""
+        """One cycle of supervision."""
         now_s = self._clock()
         if self.connection is not None and self._watcher is not None:
             self.connection.beat()
@@ -191,7 +191,7 @@ class Supervisor:
         self.log.turn()
 
     def _meet(self, trouble: Trouble) -> None:
-        """Something ended what the axis did."""
+        """Handle an event that ended the motion."""
         if self.state in (State.FAULT, State.OFFLINE):
             return
         latches = trouble.event is not StateEvent.DRIVE_LOST or self.state in TORQUE_STATES
@@ -207,12 +207,12 @@ class Supervisor:
         self.apply(trouble.event)
 
     def _heard(self, text: str, statusword: int | None) -> str:
-        """A reason, with what the drive has said without being asked."""
+        """A reason, with the messages that the drive has sent by itself."""
         words = self.connection.drive.fault_words(statusword, ask=False) if self.connection is not None else ""
         return with_words(text, words)
 
     def _hear_out(self, text: str, statusword: int | None) -> None:
-        """Ask the drive for the rest of its words, on the bus's thread: they go into log and fault."""
+        """Read the drive's further fault objects, on the bus's thread, for log and fault."""
         if self.connection is not None and not self._closing:
             self._hearing = asyncio.ensure_future(self._ask_drive(self.connection, text, self.fault, statusword))
 
@@ -230,12 +230,12 @@ class Supervisor:
         self.changed()
 
     async def heard_out(self) -> None:
-        """Until the drive has been asked for its words, if it is just being asked; for a bounded time."""
+        """Wait, for a bounded time, while the drive's fault objects are being read."""
         if self._hearing is not None:
             await asyncio.wait({self._hearing}, timeout=HEARING_S)
 
     def _follow(self, now_s: float) -> None:
-        """The loop runs and nothing is wrong."""
+        """Whether the loop runs without a fault."""
         watcher, motion = self._watcher, self.motion
         assert watcher is not None
         assert motion is not None
@@ -267,11 +267,11 @@ class Supervisor:
                 self.apply(StateEvent.TORQUE_OFF)
 
     def _forbidden(self) -> list[str]:
-        """Why the axis may not be enabled, as far as it is a matter of commissioning."""
+        """Reasons from commissioning why the axis may not be enabled."""
         return [] if self._permission is not None else [self._forbidding]
 
     def check_permission(self) -> None:
-        """Read the commissioning record again and hold it against the drive that answers."""
+        """Read the commissioning record again and compare it with the connected drive."""
         self._permission = None
         if self.connection is None:
             return
@@ -310,7 +310,7 @@ class Supervisor:
 
     @property
     def consistent(self) -> bool:
-        """What the watchdog may be fed on: the loop's head moves, and state, loop and requests fit together."""
+        """Condition for feeding the watchdog: the loop's head moves, and state, loop and requests are consistent."""
         if self.connection is None or self._watcher is None:
             return self.state in (State.OFFLINE, State.FAULT)
         if self.motion is None or (self.motion.wants_torque and self.state not in TORQUE_STATES):
@@ -319,22 +319,22 @@ class Supervisor:
             return self.state is State.FAULT
         return self.state is not State.OFFLINE and self._watcher.moving
 
-    # -- what is asked of it ---------------------------------------------------------------------------------------
+    # -- requests --------------------------------------------------------------------------------------------------
 
     def reset_fault(self) -> None:
-        """Leave a fault: in place where the drive answers, by bringing it up again where it does not."""
+        """Leave a fault: in place if the drive answers, else by bringing it up again."""
         connection = self.connection
         away = connection is None or not connection.running or connection.trip in LOST_TRIPS
         lost = self.fault is not None and self.fault.name in GONE
         self.apply(StateEvent.RESET_AWAY if away or lost else StateEvent.RESET)
 
     def begin_start(self, asked_in: int | None) -> int:
-        """A profile is going to be prepared. Returns the epoch that the start is bound to. Raises RefusedError."""
+        """Begin to prepare a profile. Return the epoch to which the start is bound. Raises RefusedError."""
         self.apply(StateEvent.START, asked_in)
         return self.machine.epoch.value
 
     def start(self, profile: Profile, epoch: int) -> None:
-        """Run a profile that was prepared. Raises RefusedError, or ValueError for one that the loop cannot hold."""
+        """Run a prepared profile. Raises RefusedError, or ValueError if it is too long for the loop."""
         if self.connection is not None and profile.values.size > self.connection.session.config.longest_profile:
             raise ValueError(f"profile '{profile.name}' is longer than loop.longest_profile_s")
         self._next_profile = profile
@@ -352,7 +352,7 @@ class Supervisor:
         return self.motion
 
     def start_failed(self, epoch: int) -> None:
-        """A profile could not be prepared; where a stop or a fault has ended the start already, nothing is left."""
+        """A profile could not be prepared; no effect if a stop or a fault has already ended the start."""
         with contextlib.suppress(RefusedError):
             self.apply(StateEvent.NOT_PREPARED, epoch)
 
@@ -363,11 +363,11 @@ class Supervisor:
 
     @property
     def has_torque(self) -> bool:
-        """Torque was asked for and is there."""
+        """Whether torque was requested and is on."""
         return self.state in WANTING_TORQUE and self._torque_seen
 
     def set_plan(self, plan: Plan) -> None:
-        """Gains, model and what else changes without a new loop; the loop takes the law at a tick boundary."""
+        """Change gains, model and other settings without a new loop; the loop takes the law at a tick boundary."""
         before, self.plan = self.plan, plan
         self.model_hash = content_hash(plan.model)
         if self.connection is not None:
@@ -379,13 +379,13 @@ class Supervisor:
             self.effects.begin(plan)
 
     def set_toggle(self, toggle: int) -> None:
-        """Friction from the reference, the feedback, or not."""
+        """Switch the friction term: from the reference, from the feedback, or off."""
         self.toggle = toggle
         if self.connection is not None:
             self.connection.session.request(b.TOGGLE, toggle)
 
     async def reached(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for something that a turn changes. False when it did not come in time."""
+        """Wait for a condition, checked in each cycle. False if it was not met in time."""
         deadline_s = self._clock() + timeout_s
         while not condition():
             if self._clock() > deadline_s or self.fatal is not None:
@@ -398,10 +398,10 @@ class Supervisor:
         note = self._permission.note if self._permission is not None else "none"
         return await self.recorder.begin(self.plan, self.connection, self.sources, self.toggle, note)
 
-    # -- living ----------------------------------------------------------------------------------------------------
+    # -- life cycle ------------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Keep the drive connected until `close`. What is no matter of the drive ends it: see `fatal`."""
+        """Keep the drive connected until `close`. Errors not due to the drive end it: see `fatal`."""
         self._lived.clear()
         try:
             while not self._closing and self.fatal is None:
@@ -468,7 +468,7 @@ class Supervisor:
                 self.log.add("recording", f"no recording: {error}", Level.ERROR)
 
     def _bring_up(self, plan: Plan) -> Connection | None:
-        """On the bus's thread. None when the service ended meanwhile: the drive is left again then."""
+        """On the bus's thread. None if the service ended meanwhile; the drive is then released again."""
         connection = bring_up(plan, self._connections + 1, self._bus)
         if not self._closing:
             return connection
@@ -476,7 +476,9 @@ class Supervisor:
         return None
 
     async def stop_in_order(self) -> None:
-        """Brake, disable, and wait until the power stage is off: in order, then quickly, both for a bounded time."""
+        """Brake, disable, and wait until the power stage is off: controlled stop, then quick stop, each for a bounded
+        time.
+        """
         self.apply(StateEvent.DISABLE)
         if not await self.reached(lambda: self.state in AT_REST, ORDERLY_STOP_S):
             self.log.add("stopping", f"not at rest within {ORDERLY_STOP_S:g} s: quick stop", Level.WARNING)
@@ -484,7 +486,7 @@ class Supervisor:
             await self.reached(lambda: self.state in AT_REST, QUICK_STOP_S)
 
     async def close(self) -> None:
-        """Leave the axis without torque, the bus without traffic, the recording whole; within CLOSE_S at most."""
+        """Leave the axis without torque, the bus without traffic, the recording complete, within CLOSE_S."""
         self._closing = True
         self._wake.set()
         try:
@@ -498,13 +500,13 @@ class Supervisor:
     async def _leave_for_good(self) -> None:
         connection, self.connection = self.connection or self._to_leave, None
         self._to_leave = self._watcher = self.motion = None
-        if connection is not None:  # the bus first: torque and SYNC end whatever the disk does
+        if connection is not None:  # the bus first: torque and SYNC end whatever the state of the disk
             leaving = asyncio.ensure_future(self.bus_work.run(leave, connection))
             await self.recorder.end()
             self.fatal = await leaving or self.fatal
         await self._lived.wait()
 
-    # -- what it says ----------------------------------------------------------------------------------------------
+    # -- status ----------------------------------------------------------------------------------------------------
 
     def _context(self) -> dict[str, str]:
         fault = {"fault": self.fault.name} if self.fault is not None else {}

@@ -1,4 +1,4 @@
-"""What the supervisor sees of a connection in one turn, as events of the state machine."""
+"""Observation of a connection in one cycle of the supervisor, as events of the state machine."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..workflows.plan import Plan
 from .connection import Connection
 from .states import StateEvent
 
-RESET_TICKS = 60  # a reset is asked for this long (requests.FAULT_RESET_TICKS, and the drive's answer)
+RESET_TICKS = 60  # duration of a reset request (requests.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05
-SILENT_S = 0.5  # without an answer to SYNC for so long, at rest, the drive counts as lost
+SILENT_S = 0.5  # without an answer to SYNC for this long, at rest, the drive counts as lost
 
-# trips that say that the drive, or the way to it, is gone or another's: it has to be brought up again
+# trips after which the drive is lost, unreachable or under another master, and has to be brought up again
 LOST_TRIPS = frozenset(
     {
         env.TRIP_BUS_OFF,
@@ -52,7 +52,7 @@ class Latched(NamedTuple):
 
 
 class Trouble(NamedTuple):
-    """An event that ends what the axis does, with a name for programs and a text for people."""
+    """An event that ends the motion, with a name for programs and a text for people."""
 
     event: StateEvent
     name: str
@@ -60,13 +60,13 @@ class Trouble(NamedTuple):
 
 
 def silent_ticks(plan: Plan) -> int:
-    """Without an answer for so long the drive counts as lost, also at rest, where the envelope does not look."""
+    """Time without an answer after which the drive counts as lost, also at rest, where the envelope does not check."""
     limits, rate_hz = plan.axis.envelope, plan.axis.loop.rate_hz
     return max(limits.feedback_missing_ticks, limits.status_missing_ticks, round(SILENT_S * rate_hz))
 
 
 class Watcher:
-    """Looks at one connection, turn by turn. Times are monotonic seconds."""
+    """Observes one connection, cycle by cycle. Times are monotonic seconds."""
 
     def __init__(self, connection: Connection, silent_ticks: int, stall_s: float, now_s: float) -> None:
         """Without an answer for `silent_ticks` the drive is lost, without a row for `stall_s` the loop."""
@@ -80,20 +80,20 @@ class Watcher:
 
     @property
     def moving(self) -> bool:
-        """The loop's head moved in the last turns."""
+        """Whether the loop's head moved in the last cycles."""
         return self._stalled_s == 0.0
 
     def reset(self) -> None:
-        """A reset was asked for: what is latched now is old."""
+        """A reset was requested: what is latched now is old."""
         self._reset_tick = self.connection.session.status(b.TICK)
 
     @property
     def resetting(self) -> bool:
-        """A reset is under way."""
+        """Whether a reset is in progress."""
         return self._reset_tick is not None
 
     def look(self, now_s: float) -> Trouble | None:
-        """What is wrong now. `moving`, `reasons` and the rest speak of this moment."""
+        """The present problem. `moving`, `reasons` and the rest describe the present state."""
         connection = self.connection
         head = connection.head
         if head != self._head:
@@ -131,7 +131,7 @@ class Watcher:
         return None
 
     def obstacles(self, missing_ticks: int, status_ticks: int) -> list[str]:
-        """Why the drive may not be enabled now, as far as it is the drive's own matter."""
+        """Reasons on the drive's side why it may not be enabled now."""
         row = self.connection.last_row()
         if row is None or self.resetting:
             return ["the loop has just begun" if row is None else "a reset is under way"]
@@ -148,22 +148,24 @@ class Watcher:
 
     @property
     def torque_on(self) -> bool:
-        """The drive is in Operation Enabled."""
+        """Whether the drive is in Operation Enabled."""
         return bool(is_operation_enabled(self.connection.session.status(b.STATUSWORD)))
 
     @property
     def commanding(self) -> bool:
-        """The law acts: Operation Enabled, and the brake has had its time to open (drive.enable_delay_s)."""
+        """Whether the law acts: Operation Enabled, and the time for the brake to open has passed
+        (drive.enable_delay_s).
+        """
         return self.connection.session.status(b.MODE) != MODE_IDLE
 
     @property
     def torque_off(self) -> bool:
-        """The drive's power stage is off."""
+        """Whether the drive's power stage is off."""
         return not has_torque(self.connection.session.status(b.STATUSWORD))
 
     @property
     def holds_after_quick_stop(self) -> bool:
-        """The drive stands in Quick Stop Active and stays there (0x605A of 5 to 8)."""
+        """Whether the drive is in Quick Stop Active and stays there (0x605A of 5 to 8)."""
         row = self.connection.last_row()
         held = state_of(self.connection.session.status(b.STATUSWORD)) == STATE_QUICK_STOP_ACTIVE
         return row is not None and held and abs(float(row["velocity_rps"])) < STANDSTILL_RPS

@@ -1,7 +1,7 @@
-"""A thread for what waits (bus, disk) or computes, awaited by the supervisor.
+"""A thread for work that waits (bus, disk) or computes, awaited by the supervisor.
 
-One for each kind of work, so that none stands behind another's; never joined at the end, so that a disk that hangs or a
-compiler at work does not keep the process alive.
+One thread for each kind of work, so that kinds do not block each other; never joined at the end, so that a hanging disk
+or a busy compiler does not keep the process alive.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class _Job(NamedTuple):
 
 
 class Worker:
-    """Runs one thing after the other on a thread of its own, which begins with the first of them."""
+    """Runs functions one after the other on its own thread, which starts with the first one."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -33,11 +33,11 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Something is under way, or waits."""
+        """Whether work is in progress or queued."""
         return self._waiting > 0
 
     async def run(self, function: Callable[..., T], *arguments: Any) -> T:
-        """What `function(*arguments)` returns or raises, there."""
+        """Result or exception of `function(*arguments)` on the thread."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
             self._thread.start()
@@ -56,12 +56,12 @@ class Worker:
             except BaseException as raised:
                 result, error = None, raised
             self._waiting -= 1
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            with contextlib.suppress(RuntimeError):  # the loop is closed: no one is waiting any more
                 job.loop.call_soon_threadsafe(_settle, job.outcome, result, error)
 
 
 def _settle(outcome: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
-    if outcome.done():  # who waited has been cancelled
+    if outcome.done():  # the waiting task was cancelled
         return
     if error is None:
         outcome.set_result(result)

@@ -1,1 +1,1 @@
-"""Drives behind one port: the border itself, the CANopen backend and the simulated drive."""
+"""Drives behind one port: the port itself, the CANopen backend and the simulated drive."""

@@ -1,4 +1,4 @@
-"""CiA 402 (IEC 61800-7-201) state machine, seen from the master: what the drive says, and what to ask of it.
+"""CiA 402 (IEC 61800-7-201) state machine of the master: decoding of the statusword, choice of the controlword.
 
 Pure functions without memory: the loop calls them with each statusword. One table of masks decodes the state.
 """
@@ -63,7 +63,7 @@ CONTROL_SWITCH_ON = 0x0007
 CONTROL_ENABLE_OPERATION = 0x000F
 CONTROL_FAULT_RESET = 0x0080
 
-# what the supervisor may want of the drive
+# goals of the supervisor for the drive
 GOAL_DISABLED = 0
 GOAL_QUICK_STOP = 1
 GOAL_READY = 2  # switched on, no torque
@@ -90,7 +90,7 @@ def is_operation_enabled(statusword: int) -> bool:
 
 @njit
 def has_torque(statusword: int) -> bool:
-    """True when the power stage may work: enabled, stopping, reacting to a fault, or in no known state."""
+    """True if the power stage may be on: enabled, stopping, reacting to a fault, or in no known state."""
     state = state_of(statusword)
     return state in (
         STATE_UNKNOWN, STATE_OPERATION_ENABLED, STATE_QUICK_STOP_ACTIVE, STATE_FAULT_REACTION_ACTIVE
@@ -101,11 +101,11 @@ def has_torque(statusword: int) -> bool:
 def controlword_towards(statusword: int, goal: int, fault_reset: bool, last_controlword: int = 0) -> int:
     """The controlword that takes the drive one state closer to `goal` (GOAL_*).
 
-    In the fault state the answer is 0x0000, whatever the goal. With `fault_reset` it becomes 0x0080, but
+    In the fault state the result is 0x0000, whatever the goal. With `fault_reset` it becomes 0x0080, but
     only after a 0x0000 (`last_controlword`), because the drive resets on the rising edge of bit 7; it is held
     until the state changes or the flag falls. Lower the flag before another attempt.
 
-    A pattern that is no state disables the voltage (or keeps up the quick stop). From quick stop active
+    A pattern that is not a state disables the voltage (or keeps up the quick stop). From quick stop active
     the way back leads through switch on disabled: transition 16 is optional, and a stop is not left in
     one step.
     """
@@ -126,7 +126,7 @@ def controlword_towards(statusword: int, goal: int, fault_reset: bool, last_cont
 
 
 def state_name(statusword: int) -> str:
-    """The state in the words of the standard, for texts; 'unknown' when there is none."""
+    """Name of the state in the standard, for texts; 'unknown' if there is none."""
     for row in STATE_TABLE:
         if statusword & row.mask == row.value:
             return row.name

@@ -1,8 +1,8 @@
-"""The border between the loop and a drive: what every backend offers, compiled side and Python side.
+"""The port between the loop and a drive: the interface of every backend, compiled side and Python side.
 
 The compiled side is a NamedTuple (a *port*) for which the generic functions below are registered; the loop calls only
 these. Its memory is a one-element array of `FEEDBACK`, written by the port and read by the loop. The Python side is the
-`Drive` protocol: bring-up before the loop, and what only needs ordinary threads.
+`Drive` protocol: bring-up before the loop, and services for ordinary threads.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ FEEDBACK = np.dtype(
         ("current_a", "<f8"),
         ("true_velocity_rps", "<f8"),  # NaN where the port cannot know it
         ("true_friction_nm", "<f8"),
-        ("received_ns", "<i8"),  # when this SYNC's feedback came
+        ("received_ns", "<i8"),  # time of this SYNC's feedback
         ("velocity_tick", "<i8"),  # tick of the last fresh velocity; -1 before the first
         ("status_tick", "<i8"),  # tick of the last fresh statusword; -1 before the first
         ("statusword", "<i8"),
         # from the drive, outside the cycle
         ("emergency_code", "<i8"),  # error code of the last EMCY, 0 after a reset message
-        ("emergency_count", "<i8"),  # EMCY frames with an error; those that only warn are not among them
+        ("emergency_count", "<i8"),  # EMCY frames with an error, without warnings
         ("warning_code", "<i8"),  # of the last EMCY that only warns; 0 before the first
         ("warning_count", "<i8"),  # EMCY frames that only warn
-        ("heartbeat_ns", "<i8"),  # when the drive's last heartbeat came; -1 before the first
+        ("heartbeat_ns", "<i8"),  # time of the drive's last heartbeat; -1 before the first
         ("boot_count", "<i8"),  # boot-up messages seen
         ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
-        ("nmt_exits", "<i8"),  # heartbeats that said: no longer OPERATIONAL; a boot-up counts as that alone
+        ("nmt_exits", "<i8"),  # heartbeats that report a state other than OPERATIONAL; a boot-up is counted separately
         # statistics of the exchange, counted since the port was made
         ("late_feedback", "<i8"),  # answers that came too late or once too often: counted, never used
         ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was outstanding
         ("bad_frames", "<i8"),  # short, over-long, remote or extended frames: counted, never used
         ("error_frames", "<i8"),  # CAN error frames
         ("bus_off", "<i8"),  # 1 while the controller is off the bus or the interface is gone
-        ("bus_losses", "<i8"),  # how often that came about
+        ("bus_losses", "<i8"),  # number of such losses
         ("send_errors", "<i8"),
         ("dropped_frames", "<i8"),  # frames that the socket's queue lost
         ("foreign_syncs", "<i8"),  # SYNC frames that are not ours
@@ -61,7 +61,7 @@ def new_feedback() -> np.ndarray[Any, np.dtype[np.void]]:
 
 
 class ExchangeCounts(NamedTuple):
-    """What went wrong on the wire, as the port counts it; a row of the statistics each."""
+    """Counters of bus errors in the port, one for each row of the statistics."""
 
     late_feedback: int = 0  # answers that came too late or once too often: never used
     duplicate_feedback: int = 0  # of these: second answers to a SYNC when none was outstanding
@@ -77,7 +77,7 @@ class ExchangeCounts(NamedTuple):
     warning_count: int = 0  # EMCY messages that only warn
 
     def since(self, before: ExchangeCounts) -> ExchangeCounts:
-        """What came after `before`."""
+        """Counts since `before`."""
         return ExchangeCounts(*(max(now - then, min(now, 0)) for now, then in zip(self, before, strict=True)))
 
 
@@ -126,7 +126,7 @@ def port_housekeeping(port: Any, tick: int) -> int:
 
 
 class DriveIdentity(NamedTuple):
-    """What the drive says that it is (0x1018, 0x1008, 0x100A)."""
+    """Identity reported by the drive (0x1018, 0x1008, 0x100A)."""
 
     vendor_id: int
     product_code: int
@@ -137,15 +137,15 @@ class DriveIdentity(NamedTuple):
 
 
 class DriveError(Exception):
-    """The drive, or the way to it, does not do what it must. The text names object, value and remedy."""
+    """The drive, or the connection to it, does not work as required. The text names object, value and remedy."""
 
 
 class BusUnavailableError(DriveError):
-    """The bus cannot be opened, or nobody answers on it."""
+    """The bus cannot be opened, or no node answers on it."""
 
 
 class BusOccupiedError(BusUnavailableError):
-    """Somebody else commands on the bus, or two nodes have the drive's id. Nothing of ours was sent."""
+    """Another master is active on the bus, or two nodes have the drive's id. Nothing was sent."""
 
 
 class DriveRefusedError(DriveError):
@@ -156,7 +156,7 @@ class Drive(Protocol):
     """A drive behind the port, seen from ordinary Python."""
 
     def connect(self) -> DriveIdentity:
-        """Bring the drive to where the loop can start: NMT operational, mapped, verified, not enabled."""
+        """Bring the drive to the state in which the loop can start: NMT operational, mapped, verified, not enabled."""
         ...
 
     @property
@@ -171,13 +171,14 @@ class Drive(Protocol):
 
     @property
     def realtime(self) -> bool:
-        """True when the port's clock is the wall's: the loop then needs a thread and a priority of its own."""
+        """True if the port uses the wall clock: the loop then needs its own thread and priority."""
         ...
 
     def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
-        """What the drive itself says of a fault, or of why it is not enabled; empty where it says nothing.
+        """The drive's own description of a fault, or of why it is not enabled; empty if there is none.
 
-        `statusword`: of the moment that matters, None for now. Not `ask`: only what was heard, without waiting.
+        `statusword`: at the relevant moment, None for now. Without `ask`: only messages already received, without
+        waiting.
         """
         ...
 

@@ -1,1 +1,1 @@
-"""What a run was worth: metrics, comparisons, replay."""
+"""Evaluation of runs: metrics, comparisons, replay."""

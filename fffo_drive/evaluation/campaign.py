@@ -38,7 +38,7 @@ class Case(NamedTuple):
     profile: Profile
     candidates: tuple[Candidate, ...]
     yardstick: Yardstick
-    cutouts_s: tuple[tuple[float, float], ...]  # start and end of what is kept to be looked at
+    cutouts_s: tuple[tuple[float, float], ...]  # start and end of the pieces kept for plots
 
 
 class Cutout(NamedTuple):
@@ -47,22 +47,22 @@ class Cutout(NamedTuple):
     start_s: float
     period_s: float
     reference_rps: Floats
-    velocity_rps: Floats  # the shaft's where it is known, else the measured one
+    velocity_rps: Floats  # of the shaft if known, else the measured velocity
 
 
 class Evaluation(NamedTuple):
-    """One run, measured. `measures` is None when the envelope tripped before anything could be."""
+    """One evaluated run. `measures` is None if the envelope tripped too early."""
 
     candidate: str
     seed: int
     trip: int
     measures: Measures | None
     cutouts: tuple[Cutout, ...]
-    skipped_share: float = 0.0  # of the profile's samples: ticks for which the loop came too late
+    skipped_share: float = 0.0  # samples of the profile whose ticks were skipped
 
     @property
     def fault_text(self) -> str | None:
-        """Why the run does not count; None when it does."""
+        """Why the run is invalid; None if it is valid."""
         if self.trip != TRIP_NONE:
             return TRIP_TEXTS[self.trip]
         return None if self.measures is not None else "the profile did not run"
@@ -93,13 +93,13 @@ def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
 def evaluation_of(
     candidate: str, seed: int, trace: Trace, yardstick: Yardstick, windows_s: tuple[tuple[float, float], ...]
 ) -> Evaluation:
-    """What is kept of a run that went on to its end."""
+    """Evaluation of a run that reached its end."""
     measures = measure(trace, yardstick)
     return Evaluation(candidate, seed, TRIP_NONE, measures, cut(trace, windows_s), trace.skipped_share)
 
 
 def cut(trace: Trace, windows_s: tuple[tuple[float, float], ...]) -> tuple[Cutout, ...]:
-    """Pieces of a run; one that stopped early has none of what it did not reach."""
+    """Pieces of a run; only those reached if it stopped early."""
     velocity_rps = trace.measured_rps if trace.true_rps is None else trace.true_rps
     pieces = []
     for start_s, end_s in windows_s:
@@ -110,7 +110,9 @@ def cut(trace: Trace, windows_s: tuple[tuple[float, float], ...]) -> tuple[Cutou
 
 
 def warm_up(case: Case) -> None:
-    """Compile here what the workers need, so that they load it: two compiling at once take twice as long each."""
+    """Compile here what the workers need, so that they only load it: two concurrent compilations take twice as long
+    each.
+    """
     drive = SimulatedDrive(case.plant, case.device)
     Session(drive, case.session._replace(longest_profile=1, ring_rows=1)).compile()
 

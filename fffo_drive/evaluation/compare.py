@@ -1,4 +1,4 @@
-"""Controllers against each other over seeds: means with intervals, and ratios of runs that saw the same noise.
+"""Comparison of controllers over seeds: means with intervals, and ratios of runs with the same noise.
 
 Seeds vary the reference's phases as well, so that much of the scatter is common to all controllers: ratios are taken
 between runs of one seed, and their intervals come from resampling seeds.
@@ -29,7 +29,7 @@ class SeedInterval(NamedTuple):
 def mean_interval(values: Floats) -> SeedInterval:
     """Mean of independent values (n,) with Student's interval: of the mean, or of its logarithm where all are positive.
 
-    What cannot be negative then has no interval that reaches below zero (delta method: sd(ln m) = sd(m) / m).
+    The interval of a non-negative quantity then does not extend below zero (delta method: sd(ln m) = sd(m) / m).
     """
     mean = float(values.mean())
     if values.size < 2:
@@ -49,7 +49,7 @@ def ratio_interval(values: Floats, others: Floats) -> SeedInterval:
     if values.size < 2:
         return SeedInterval(ratio, float("nan"), float("nan"))
     draws = np.random.default_rng(0).integers(0, values.size, (RESAMPLES, values.size))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a draw in which the other one is zero throughout
+    with np.errstate(divide="ignore", invalid="ignore"):  # a draw in which the denominator is zero throughout
         ratios = values[draws].mean(axis=1) / others[draws].mean(axis=1)
     if not np.isfinite(ratios).all():
         return SeedInterval(ratio, float("nan"), float("nan"))
@@ -61,7 +61,7 @@ class MetricComparison(NamedTuple):
     """One metric of all controllers, by name."""
 
     absolute: dict[str, SeedInterval]
-    percent: dict[str, SeedInterval]  # of `base`, as Table II has it
+    percent: dict[str, SeedInterval]  # of `base`, as in Table II
     base: str
     values: dict[str, Floats]  # (seeds,)
 

@@ -1,4 +1,4 @@
-"""Control effort: how much current a law asks for, and how much of that is noise that no motion needs."""
+"""Control effort: the current that a law commands, and the part of it that is noise."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from scipy.signal import butter, sosfilt
 from .metrics import Floats
 
 HIGH_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): friction's steps at reversals, and noise
-NOISE_FROM_HZ = 200.0  # nearly all noise: contacts that yield over 1/K = 1/778 rev take some 5 ms to reverse
+NOISE_FROM_HZ = 200.0  # nearly all noise: with 1/K = 1/778 rev, friction takes some 5 ms to reverse
 FILTER_ORDER = 4
-EDGE_S = 0.05  # left out at both ends, where a profile that does not begin and end at rest makes steps
+EDGE_S = 0.05  # omitted at both ends, where a profile that does not begin and end at rest has steps
 
 
 class ControlEffort(NamedTuple):
-    """Of the command on the wire."""
+    """Effort of the command on the bus."""
 
     rms_a: float
     high_rms_a: float  # above HIGH_FROM_HZ
@@ -26,7 +26,7 @@ class ControlEffort(NamedTuple):
 
 
 def control_effort(command_a: Floats, period_s: float) -> ControlEffort:
-    """Effort of a command (n,). NaN where the rate is too low, or the record too short, to tell."""
+    """Effort of a command (n,). NaN if the rate is too low or the record too short."""
     high_a, noise_a = (_rms_above(command_a, period_s, from_hz) for from_hz in (HIGH_FROM_HZ, NOISE_FROM_HZ))
     variation = float(np.abs(np.diff(command_a)).mean() / period_s) if command_a.size > 1 else 0.0
     return ControlEffort(_rms(command_a), high_a, noise_a, variation)

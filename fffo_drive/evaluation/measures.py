@@ -1,4 +1,4 @@
-"""All that one run is measured by: the paper's metrics, by speed and around reversals, lags, error counts, effort."""
+"""All measures of one run: the paper's metrics, by speed and around reversals, lags, error histogram, effort."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from .reversal import Crossing, ReversalLag, crossing_error, find_reversals, nea
 from .trace import Trace
 
 REVERSAL_WINDOW_S = 0.025  # around a reversal: the time constant of a 24 Hz loop, four times
-START_S = 2.0  # of a record: the axis comes from rest, and the law knows nothing yet
+START_S = 2.0  # start of a record, when the axis starts from rest and the law has learned nothing
 NOTHING = ErrorMetrics(float("nan"), float("nan"), float("nan"), float("nan"))
 
 
 class Yardstick(NamedTuple):
-    """How runs of one comparison are measured, the same for all of them."""
+    """Settings of the measures, the same for all runs of a comparison."""
 
     band_edges_rps: tuple[float, ...]  # of the reference's magnitude
-    histogram_edges_rps: Floats  # of the error; what is outside counts in the first and last bin
+    histogram_edges_rps: Floats  # of the error; values outside are counted in the first and last bin
 
 
 class VelocityMeasures(NamedTuple):
     """The error against one velocity."""
 
     error: ErrorMetrics
-    bands: tuple[ErrorMetrics, ...]  # one between each two edges; NaN where the reference never was
+    bands: tuple[ErrorMetrics, ...]  # one between each two edges; NaN if the reference was never in the band
     reversals: ErrorMetrics  # within REVERSAL_WINDOW_S of a reversal of the reference
     lag: ReversalLag
     crossing: Crossing
@@ -39,7 +39,7 @@ class Measures(NamedTuple):
     """One run."""
 
     measured: VelocityMeasures
-    true: VelocityMeasures | None  # against the shaft's velocity, where it is known
+    true: VelocityMeasures | None  # against the shaft's velocity, if known
     effort: ControlEffort
 
 

@@ -11,7 +11,7 @@ from ..drive.port import ExchangeCounts
 Rows = np.ndarray[Any, np.dtype[np.void]]
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
-# Table II in per cent of the smallest; shown beside what is measured
+# Table II in per cent of the smallest; shown next to the measured values
 PAPER_TABLE_2 = {
     "PI": {"ise": 442.0, "mae": 222.0, "max": 159.0, "std": 210.0},
     "PI+FBFO": {"ise": 146.0, "mae": 122.0, "max": 114.0, "std": 120.0},
@@ -29,12 +29,14 @@ class ErrorMetrics(NamedTuple):
 
 
 class TickStatistics(NamedTuple):
-    """How the loop kept time and what the bus did to it, over the rows of a run."""
+    """Timing of the loop and disturbances by the bus, over the rows of a run."""
 
     ticks: int
     late: int  # woke later than loop.late_share of the period
-    skipped: int  # deadlines that passed while the loop could not run
-    missing_feedback: int  # no answer to SYNC before the cut-off: the drive, the wire, or a SYNC that was not sent
+    skipped: int  # deadlines missed while the loop could not run
+    missing_feedback: (
+        int  # no answer to SYNC before the cut-off: due to the drive, the bus, or a SYNC that was not sent
+    )
     late_feedback: int  # from here on: drive.port.ExchangeCounts
     duplicate_feedback: int
     bad_frames: int
@@ -83,7 +85,7 @@ def run_metrics(rows: Rows, period_s: float, samples: int | None = None) -> Erro
 
 
 def true_metrics(rows: Rows, period_s: float, samples: int | None = None) -> ErrorMetrics:
-    """Metrics against the shaft's velocity, which only a simulated drive in process knows."""
+    """Metrics against the shaft's velocity, known only for a simulated drive in process."""
     inside = profile_rows(rows, samples)
     return error_metrics(inside["reference_rps"] - inside["true_velocity_rps"], period_s)
 

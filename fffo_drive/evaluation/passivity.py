@@ -1,8 +1,8 @@
 """Whether a simulated axis comes to rest by itself, and under a PI controller without any delay.
 
-Friction takes energy away. An effect that gives energy (a torque that follows the sign of the velocity and the angle)
-keeps an axis turning for ever, or shaking where a controller holds it: no controller can make such an axis stop, so it
-says nothing about a controller.
+Friction dissipates energy. An effect that supplies energy (a torque that depends on the sign of the velocity and on the
+angle) keeps an axis turning for ever, or oscillating under a controller that holds it: no controller can bring such an
+axis to rest, so it is useless for judging controllers.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from ..jit import njit
 from ..units import inertia_nm_s2_per_rev
 from .metrics import Floats
 
-KICKS_RPS = (0.5, -2.0, 8.0)  # the axis turns at this speed when it is left alone
+KICKS_RPS = (0.5, -2.0, 8.0)  # initial speed of the free axis
 IDEAL_BANDWIDTH_HZ = 20.0  # of the controller without delay; its integral time is ten times 1 / (2 pi 20 Hz)
 PLACES_REV = (0.0, 40.25, 80.5, 120.75)  # where it holds: quarters of a turn of the motor, and behind a 160:1 gear
-COASTS_S = 9  # long against the coasting of any axis with friction; then it is looked at for a second
+COASTS_S = 9  # long compared with the coasting of any axis with friction; then it is observed for a second
 FASTEST_CREEP_RPS = 0.02  # of a contact under the spring of the controller's integral
 LOOKS_PER_S = 100
-FORGOTTEN_RPS = 2e-3  # of what still differs from the axis that was never moved
+FORGOTTEN_RPS = 2e-3  # remaining difference from the axis that was never moved
 
 
 class Hold(NamedTuple):
-    """An ideal PI velocity controller: a damper and a spring to the place where the axis stood."""
+    """An ideal PI velocity controller: a damper and a spring to the initial position of the axis."""
 
     damper_nm_per_rps: float
     spring_nm_per_rev: float
@@ -46,9 +46,9 @@ class Hold(NamedTuple):
 
 
 def comes_to_rest(plant: PlantConfig) -> bool:
-    """Some time after a kick the axis moves as if it had had none, left alone and held without delay.
+    """Whether the axis forgets a kick after some time, both free and held without delay.
 
-    What disturbs it from outside (a periodic torque, say) moves it with and without a kick.
+    An external disturbance (such as a periodic torque) moves it with and without a kick.
     """
     quiet = noiseless(plant)
     omega = 2.0 * math.pi * IDEAL_BANDWIDTH_HZ
@@ -65,7 +65,7 @@ def comes_to_rest(plant: PlantConfig) -> bool:
 
 
 def _swing_rps(difference_rps: Floats) -> float:
-    """Rms about the mean, and the mean where it is as fast as no creep is: an axis that turns on."""
+    """Rms about the mean, plus the mean if it is faster than any creep, as for an axis that keeps turning."""
     mean_rps = abs(float(np.mean(difference_rps)))
     return max(float(np.std(difference_rps)), mean_rps if mean_rps > FASTEST_CREEP_RPS else 0.0)
 
@@ -84,7 +84,7 @@ def _later_rps(plant: PlantConfig, kick_rps: float, hold: Hold) -> Floats:
 
 @njit
 def _advance(parameters: PlantParameters, state: PlantState, hold: Hold, substeps: int) -> None:
-    """The plant without current, held at its shaft."""
+    """The plant without current, held at its shaft by the controller."""
     x = state.values
     for _ in range(substeps):
         torque_nm = hold.damper_nm_per_rps * x[VELOCITY_RPS] + hold.spring_nm_per_rev * (x[ANGLE_REV] - hold.place_rev)

@@ -1,7 +1,7 @@
-"""Random axes for the test of robustness: what a controller may meet whose gains were tuned to the nominal one.
+"""Random axes for robustness tests of controllers whose gains were tuned to the nominal axis.
 
-Each axis has inertia, torque constant, friction and delay of its own, one of several friction laws, and effects at
-random strength; over the axes every effect of the registry comes up.
+Each axis has random inertia, torque constant, friction and delay, one of several friction laws, and effects of random
+strength; over all axes, every effect of the registry occurs.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from ..drive.simulated.surfaces import PlantFriction, Surface
 SPREAD = 0.3  # of the numbers of the axis
 DELAY_S = (0.001, 0.005)
 WIDE_SPREAD = 0.5  # of the numbers, the delay and the noise of a wide axis
-ENCODER_BITS = (14, 18)  # of every other wide axis: counts, and no tracking loop that takes its time
+ENCODER_BITS = (14, 18)  # of every other wide axis: encoder counts, without a slow tracking loop
 ENCODER_TRACKING_HZ = 2000.0  # the velocity of its drive
 STRONGEST = 1.5  # of an effect, in multiples of the registry's default
-MORE_EFFECTS = 2  # beside the one whose turn it is, at most
+MORE_EFFECTS = 2  # largest number, in addition to the one whose turn it is
 FRICTION_LAWS = ("five surfaces", "2SEP", "LuGre", "Dahl", "stiff contact with high stiction")
 
 
 class RandomAxis(NamedTuple):
-    """A plant and what was drawn for it."""
+    """A plant and its random draws."""
 
     number: int
     plant: PlantConfig
@@ -35,7 +35,7 @@ class RandomAxis(NamedTuple):
 
 
 def random_axis(nominal: PlantConfig, number: int) -> RandomAxis:
-    """Axis `number`, always the same one. Raises ValueError when no drive can be made of what is drawn."""
+    """Axis `number`, always the same. Raises ValueError if the draws do not give a valid drive."""
     rng = np.random.default_rng([number, 0xA])
     for _ in range(100):
         law = FRICTION_LAWS[number % len(FRICTION_LAWS)]
@@ -58,7 +58,7 @@ def random_axis(nominal: PlantConfig, number: int) -> RandomAxis:
 
 
 def wide_axis(nominal: PlantConfig, number: int) -> RandomAxis:
-    """Axis `number` with every number, the delay and the noise spread by half, on a resolver or an encoder.
+    """Axis `number` with a 50 % spread of every number, the delay and the noise, with a resolver or an encoder.
 
     Raises ValueError when no drive can be made of what is drawn.
     """

@@ -1,12 +1,12 @@
-"""Recorded rows through the law and the envelope again: the same blocks give the same commands, bit for bit.
+"""Replay of recorded rows through law and envelope: the same blocks give the same commands, bit for bit.
 
-A row holds everything that law and envelope read, and names the parameters and effects in use, whose records have all
-values: a record is the proof of what was computed. A changed law is run on the same data open loop: what it would have
-asked for there. What is reproduced: every term of the law, the command after the envelope, its limits, the I2t heat,
-the latched fault and the controlword. What is taken from the row: references, feedback, what was asked for.
+A row holds all inputs of law and envelope, and names the parameters and effects in use, whose records have all values:
+a recording proves what was computed. A changed law is run open loop on the same data, which shows what it would have
+commanded. Reproduced are every term of the law, the command after the envelope, its limits, the I2t heat, the latched
+fault and the controlword. Taken from the row are references, feedback and requests.
 
-The memory of law and envelope is known from the begin of a loop on. Where a recording begins later, or rows were lost,
-it is known again behind the first row in which no torque was wanted; rows until then are counted as not replayed.
+The memory of law and envelope is known from the start of a loop on. If a recording begins later, or rows were lost, it
+is known again after the first row in which no torque was requested; rows until then are counted as not replayed.
 """
 
 from __future__ import annotations
@@ -100,9 +100,9 @@ class InForce(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Where the replay is: what the loop remembers between two ticks, and of the row before."""
+    """State of the replay: memory of the loop between two ticks, and data of the previous row."""
 
-    known: bool  # False: the rest means nothing
+    known: bool  # False: the rest is invalid
     controller: ControllerState
     envelope: EnvelopeState
     parameters: int  # places in `InForce`
@@ -120,7 +120,7 @@ class Memory(NamedTuple):
 class Replayed(NamedTuple):
     """What was computed for rows (n,)."""
 
-    terms: Floats  # (n, len(TERMS)); NaN where the law did not act
+    terms: Floats  # (n, len(TERMS)); NaN if the law did not act
     commands: Floats  # (n, len(COMMANDS))
     words: Integers  # (n, len(WORDS))
     known: Integers  # (n,): 1 where the memory was known
@@ -154,7 +154,7 @@ def _reference_of(row: Any) -> Reference:
 
 @njit
 def _measured_in(row: Any) -> Measured:
-    """What the estimator of the velocity saw in the tick of this row."""
+    """Inputs of the velocity estimator in the tick of this row."""
     return Measured(
         _int64(row["tick"]), row["deadline_ns"] + row["lateness_ns"], row["velocity_age"] == 0, row["position_rev"],
         row["velocity_rps"],
@@ -163,7 +163,7 @@ def _measured_in(row: Any) -> Measured:
 
 @njit
 def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> EnvelopeInputs:
-    """What the envelope saw in the tick of this row."""
+    """Inputs of the envelope in the tick of this row."""
     flags = _int64(row["flags"])
     statusword = _int64(row["statusword"])
     closed_loop = row["mode"] == MODE_VELOCITY
@@ -197,7 +197,7 @@ def replay_into(
 ) -> Memory:  # fmt: skip
     """Run law and envelope over rows (n,) of signals.ROW into `out`. Returns the memory behind the last one.
 
-    `parameters_at`, `effects_at` (n,): which law in force each row names; -1: none that is known.
+    `parameters_at`, `effects_at` (n,): index of the law named by each row; -1: unknown.
     """
     config = unpack_controller(in_force.parameters[memory.parameters])
     known, controller, envelope = memory.known, memory.controller, memory.envelope
@@ -228,7 +228,7 @@ def replay_into(
             if effects_at[k] != effects:
                 controller = with_torque_lost(config, controller, effects_memory[SUM_NM])
                 compensation_rest(effects_memory)
-            if resetting > 0 and resetting >= resetting_before:  # it counts down: it was asked for once more
+            if resetting > 0 and resetting >= resetting_before:  # it counts down, so a larger value is a new request
                 trip = TRIP_NONE
                 envelope = envelope_after_reset(envelope)
             requested_a = 0.0
@@ -294,14 +294,14 @@ def replay_into(
             out.words[k, 2] = controlword
             out.known[k] = 1
         elif named and not wanted:
-            # nothing acts and nothing is wanted: law and envelope rest, as warm as the row says; what was learned does
-            # not rest, and is known from the begin of a loop alone
+            # nothing acts and nothing is requested: law and envelope are at rest, with the I2t heat of the row; the
+            # adaptation is not reset, and is known from the start of a loop only
             known = not unpack_controller(in_force.parameters[parameters_at[k]]).adaptation.used
             controller, estimator = controller_at_rest(), estimator_at_rest()
             compensation_rest(effects_memory)
             envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False, 0.0)
         keep_command(commands_a, _int64(row["tick"]), row["current_command_a"])
-        # another law may have found a fault where the axis went on: what follows is what the axis did
+        # another law may have tripped where the axis continued: from here on the recorded course is used
         trip, controlword, resetting_before = _int64(row["trip"]), _int64(row["controlword"]), resetting
         row_number, tick = _int64(row["row_number"]), _int64(row["tick"])
         if named:

@@ -1,4 +1,4 @@
-"""Live set points replayed: the reference made again from their records, held against that of the rows bit for bit.
+"""Replay of live set points: the reference recomputed from their records, compared with the rows bit for bit.
 
 The rows say which set point was taken in which tick, and which parameters (and with them how far the reference is read
 ahead) were in use. Memory is known from the first row of a motion on, as long as no row is missing.
@@ -25,7 +25,7 @@ from ..jit import njit
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 Integers = np.ndarray[Any, np.dtype[np.int64]]
 
-# what is made again, by the names of the row
+# recomputed fields of the row
 LIVE_FIELDS = (
     "set_point_rps", "reference_rps", "reference_rps2", "reference_ahead_rps", "reference_ahead_rps2", "expected_rps",
 )  # fmt: skip
@@ -38,11 +38,11 @@ class LiveRows(NamedTuple):
 
     as_asked: int  # their reference is that of the recorded set points, bit for bit
     other: int
-    not_followed: int  # the begin of the motion, or a row of it, is missing
+    not_followed: int  # the start of the motion, or a row of it, is missing
 
 
 class LiveMemory(NamedTuple):
-    """What is remembered from row to row."""
+    """Memory from row to row."""
 
     known: bool
     motion: LiveMotion

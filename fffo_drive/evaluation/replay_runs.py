@@ -1,7 +1,7 @@
-"""Whole recordings replayed: the files of a daemon's day, with every block that was in use, and what came of it.
+"""Replay of whole recordings: the files of a daemon's day, with every block that was in use, and the result.
 
-Files are fed in the order in which they were written. Those of one session (its id stands in their records) are one
-run: rotation, and recording switched off and on, cut nothing but the rows that are not there.
+Files are passed in the order in which they were written. Files of one session (by the id in their records) form one
+run: after rotation, or recording switched off and on, only the missing rows are lost.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ TRIP = WORDS.index("trip")
 
 
 class ReplayedLaw(NamedTuple):
-    """One law for all rows: another one than recorded, or that of a recording which does not name its blocks."""
+    """One law for all rows: a different one than recorded, or that of a recording which does not name its blocks."""
 
     parameters: Floats  # (CONTROLLER_BLOCK_SIZE,)
     effects: Floats  # (TABLE_SIZE,)
@@ -77,7 +77,7 @@ class ProfilesRun(NamedTuple):
 
 
 class ReplayReport(NamedTuple):
-    """How a replay compares with its record."""
+    """Comparison of a replay with its recording."""
 
     rows: int  # in which the law acted, and was replayed
     identical: int  # of these, every term and the command the same to the last bit
@@ -89,7 +89,7 @@ class ReplayReport(NamedTuple):
     rms_difference_a: float  # of requested_a
     largest_difference_a: float
     rms_command_difference_a: float  # of limited_a
-    trips_elsewhere: int  # rows in which the envelope finds a fault that is not in the record
+    trips_elsewhere: int  # rows in which the envelope finds a trip that is not recorded
     first_trip: str  # the first of them, in words
     blocks: list[BlocksUsed]
     profiles: ProfilesRun
@@ -98,7 +98,7 @@ class ReplayReport(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        """True when the record is reproduced, all of it."""
+        """Whether the recording is reproduced completely."""
         made_again = not (self.live.other or self.live.not_followed)
         return self.rows > 0 and self.all_identical == self.all_rows and not self.not_replayed and made_again
 
@@ -107,7 +107,7 @@ class Replayer:
     """Takes recordings one by one, in the order in which they were written."""
 
     def __init__(self, instead: ReplayedLaw | None = None) -> None:
-        """`instead`: a law to run on the recorded data in place of those that were in use."""
+        """`instead`: a law to run on the recorded data instead of those in use."""
         self._instead = instead
         self._sessions: dict[str, _Session] = {}
         self._sum = _Sums()
@@ -144,7 +144,7 @@ class Replayer:
 
 
 def session_id(records: Iterable[RunRecord]) -> str | None:
-    """Which session records are of; None where they do not say."""
+    """Session of the records; None if they do not name it."""
     for record in records:
         if record.kind == RecordKind.SESSION:
             return str(record.data["session"])
@@ -199,7 +199,7 @@ class _Session:
         self._period_s = 0.0
 
     def learn(self, records: tuple[RunRecord, ...]) -> None:
-        """Blocks that a file tells of."""
+        """Blocks in the records of a file."""
         for record in records:
             if record.kind == RecordKind.SESSION:
                 self._envelope = envelope_of(record)
@@ -233,7 +233,7 @@ class _Session:
         )
 
     def follow_set_points(self, rows: Rows, sums: _Sums) -> None:
-        """Make the references of live set points again."""
+        """Recompute the references of live set points."""
         lives = rows["set_point_sample"] >= 0
         found = self._live.run(
             np.array(self._set_points).reshape(-1, SET_POINT_SIZE),
@@ -250,7 +250,7 @@ class _Session:
         sums.live["not_followed"] += int((lives & ~followed).sum())
 
     def follow_profiles(self, rows: Rows, sums: _Sums) -> None:
-        """Hold the samples that ran against the profiles that were asked for."""
+        """Compare the samples that ran with the requested profiles."""
         runs = rows["profile_sample"] >= 0
         edges = np.flatnonzero(np.diff(rows["profile_number"], prepend=0) != 0)
         for part in np.split(np.flatnonzero(runs), np.searchsorted(np.flatnonzero(runs), edges)):
@@ -301,7 +301,7 @@ def _places(numbers: Any, places: dict[int, int]) -> Integers:
 
 
 class _Sums:
-    """What a report is made from, added up file by file."""
+    """Data of a report, accumulated file by file."""
 
     def __init__(self) -> None:
         self.rows = self.identical = self.all_rows = self.all_identical = self.not_replayed = 0
@@ -314,14 +314,14 @@ class _Sums:
         self.names_blocks = True
 
     def add(self, rows: Rows, replayed: Replayed, all_of_it: bool) -> None:
-        """Rows and what the replay made of them."""
+        """Add rows and their replay."""
         known = replayed.known == 1
         acts = rows["mode"] == MODE_VELOCITY
         acted = acts & known
         differs: dict[str, Any] = {}
         for k, name in enumerate(TERMS):
             differs[name] = acted & ~_same_bits(rows[name], replayed.terms[:, k])
-        if not all_of_it:  # an older version: what is known of rows without torque is not enough
+        if not all_of_it:  # an older version: its rows without torque do not contain enough
             differs["limited_a"] = acted & ~_same_bits(rows["limited_a"], replayed.commands[:, LIMITED])
         else:
             for k, name in enumerate(COMMANDS):

@@ -1,8 +1,8 @@
-"""Reversals: when the reference changes direction, when the axis does, and how much later that is.
+"""Reversals: when the reference changes direction, when the axis does, and the lag between them.
 
 A velocity reverses when it goes from beyond one threshold to beyond the opposite one; the moment is its last zero
-crossing before that, between samples. So noise inside the thresholds makes no reversals, and a sticking axis reverses
-when it leaves zero, not when it arrives there.
+crossing before that, interpolated between samples. So noise inside the thresholds is not counted, and a sticking axis
+reverses when it leaves zero, not when it reaches it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from .metrics import Floats
 Mask = npt.NDArray[np.bool_]
 
 THRESHOLD_RPS = 0.05  # some four standard deviations of a 15-bit resolver's velocity
-FAST_RPS2 = 10.0  # from this slope of the reference on a reversal is judged by its lag, below by the error at it
+FAST_RPS2 = 10.0  # from this slope of the reference on, a reversal is judged by its lag, below by its error
 FARTHEST_S = 0.1  # a reversal that comes later than this was missed
-SAME_SAMPLE = 1e-6  # a moment that is nearer than this share of a sample to one is at it, whatever its last digits
+SAME_SAMPLE = 1e-6  # a moment within this share of a sample is taken as at the sample, to be independent of rounding
 
 
 class Reversals(NamedTuple):
@@ -30,7 +30,7 @@ class Reversals(NamedTuple):
 
 
 class ReversalLag(NamedTuple):
-    """How much later than the reference the axis reverses, over the reversals that it did not miss."""
+    """Lag of the axis at reversals of the reference, without missed ones."""
 
     reversals: int  # of the reference
     missed: int
@@ -56,8 +56,8 @@ def magnitude_at(reversals: Reversals, values: Floats, period_s: float) -> Float
 def crossing_error(reference_rps: Floats, error_rps: Floats, period_s: float) -> Crossing:
     """The error (n,) at the reversals of the reference (n,), by its slope there.
 
-    A lag is an error over a slope: where the reference creeps through zero it says more about the slope than about the
-    axis, so slow reversals are told by the error itself.
+    A lag is an error over a slope: where the reference passes zero slowly it depends more on the slope than on the
+    axis, so slow reversals are judged by the error itself.
     """
     reversals = find_reversals(reference_rps, period_s)
     error = magnitude_at(reversals, error_rps, period_s)
@@ -86,7 +86,7 @@ def find_reversals(velocity_rps: Floats, period_s: float, threshold_rps: float =
 def reversal_lag(reference: Reversals, axis: Reversals) -> ReversalLag:
     """Pair each reversal of the reference with the axis's nearest one of the same direction.
 
-    It may not be farther than half way to the reference's neighbours, nor than FARTHEST_S: else it was missed.
+    It must be closer than half way to the neighbouring reversals and than FARTHEST_S; else it was missed.
     """
     n = reference.time_s.size
     if n == 0:

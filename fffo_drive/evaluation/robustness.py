@@ -41,7 +41,7 @@ HUNTING = "hunting at standstill"
 
 
 class Probe(NamedTuple):
-    """What was found on one axis under one controller."""
+    """Result for one axis under one controller."""
 
     verdict: str
     trip: int
@@ -79,7 +79,7 @@ def kick_samples(period_s: float) -> list[int]:
 
 
 def probe(case: Case, candidate: Candidate) -> Probe:
-    """Both runs of one controller on the case's axis; the case's profile is not used."""
+    """Both runs of one controller on the axis of the case; the profile of the case is not used."""
     plain, kicked = probe_profiles(case.session.loop.period_ns * 1e-9)
     case = case._replace(plant=noiseless(case.plant))
     rows, trip = simulate(case._replace(profile=plain), candidate)

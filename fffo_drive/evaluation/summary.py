@@ -1,4 +1,4 @@
-"""The evaluations of a comparison as figures by name, each with an interval over seeds for every controller."""
+"""Results of a comparison as figures by name, each with an interval over seeds for every controller."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .measures import Measures, VelocityMeasures
 
 
 class Summary(NamedTuple):
-    """What a comparison found."""
+    """Result of a comparison."""
 
     controllers: tuple[str, ...]
     seeds: tuple[int, ...]  # on which every controller ran to the end
     figures: dict[str, MetricComparison]  # by the names of `figures_of`
     histograms: dict[str, dict[str, np.ndarray[Any, np.dtype[np.int64]]]]  # measured or true -> controller -> counts
-    failures: tuple[str, ...]  # CONTROLLER, seed N: why; such seeds count for nobody
+    failures: tuple[str, ...]  # CONTROLLER, seed N: reason; such seeds are excluded for all controllers
 
     def figure(self, name: str, controller: str) -> float:
         """The mean of a figure."""
@@ -53,7 +53,7 @@ def _of_velocity(kind: str, measures: VelocityMeasures) -> Iterator[tuple[str, f
 
 
 def summarise(evaluations: Iterable[Evaluation], percent_of: str | None = None) -> Summary:
-    """Summary of runs in which each controller saw the same seeds. Raises ValueError when no seed is whole.
+    """Summary of runs with the same seeds for each controller. Raises ValueError if no seed is complete.
 
     `percent_of`: the controller that is 100 % (None: the smallest of each figure).
     """

@@ -1,4 +1,4 @@
-"""The columns of a run that its evaluation needs, contiguous: a row is 20 times as long as what is read of it here."""
+"""The columns of a run that its evaluation needs, contiguous: a row is 20 times longer than the columns used."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from .metrics import Floats, Rows
 
 
 class Trace(NamedTuple):
-    """A profile as it ran, one sample a period; arrays (n,). `true_rps` is None where no one knows the velocity."""
+    """A profile as it ran, one sample per period; arrays (n,). `true_rps` is None if the true velocity is not known."""
 
     period_s: float
     reference_rps: Floats
     measured_rps: Floats
     true_rps: Floats | None
     command_a: Floats
-    skipped: int = 0  # samples for which the loop came too late: filled in, see `trace_of`
+    skipped: int = 0  # samples of skipped ticks: filled in, see `trace_of`
 
     @property
     def skipped_share(self) -> float:
@@ -28,8 +28,8 @@ class Trace(NamedTuple):
 def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
     """The rows in which the profile ran. Raises ValueError when there is none.
 
-    A loop that comes too late skips samples of the profile and leaves no row of them: the drive has held its command
-    meanwhile, and the rest is taken to go straight from row to row, so that lags, bands and spectra keep their time.
+    A late loop skips samples of the profile, which have no row: the command is filled in as held by the drive, and all
+    else by linear interpolation between rows, so that lags, bands and spectra keep their time base.
     """
     sample = rows["profile_sample"]
     chosen = np.flatnonzero((sample >= 0) & (sample < (samples or np.iinfo(np.int32).max)))

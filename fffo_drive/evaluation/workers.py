@@ -20,7 +20,7 @@ def over_cores(
 ) -> list[R]:
     """Results in the order of the items; `progress` gets how many are done. `workers`: None for all cores.
 
-    One worker is this process itself. The first exception of a worker is raised here, and what waits is not begun.
+    One worker is this process itself. The first exception of a worker is raised here, and waiting items are not begun.
     """
     workers = workers or len(os.sched_getaffinity(0))
     results: dict[int, R] = {}

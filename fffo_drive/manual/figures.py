@@ -80,7 +80,7 @@ def friction(plan: Plan) -> Figure:
     left.annotate(
         "σ: viscous slope",
         (6.0, steady_friction_nm(config, 6.0)),
-        (3.6, 0.060),
+        (4.4, 0.054),
         arrowprops={"arrowstyle": "-", "color": QUIET},
     )
     left.set(xlabel="velocity, rev/s", ylabel="steady friction, Nm", title="Sliding: the Stribeck curve")
@@ -315,9 +315,9 @@ def safety() -> Figure:
     axes.plot((0.1, 6.3), (0.8, 0.8), color=BLUE, linewidth=1.4)
     axes.text(3.2, 0.3, "this program: not a safety function", ha="center", fontsize=9.5)
     axes.plot((6.7, 8.5), (0.8, 0.8), color=ORANGE, linewidth=1.4)
-    axes.text(7.6, 0.3, "configured, read back", ha="center", fontsize=9.5)
+    axes.text(7.6, 0.3, "set up, read back", ha="center", fontsize=9.5)
     axes.plot((8.9, 10.7), (0.8, 0.8), color=BAD, linewidth=1.4)
-    axes.text(9.8, 0.3, "your responsibility", ha="center", fontsize=9.5)
+    axes.text(9.8, 0.3, "your part", ha="center", fontsize=9.5)
     axes.text(
         0.1, 3.3, "each layer must stop the axis without help from the layers on its left", fontsize=9.5, color=QUIET
     )

@@ -1,1 +1,1 @@
-"""What the controller believes about the axis: parameters, 2SEP friction, and the axis as one step."""
+"""The model of the axis: parameters, 2SEP friction, and the axis as one step."""

@@ -90,7 +90,7 @@ def simulate_into(
 def simulate(
     config: AxisConfig, state: AxisState, current_a: Floats, period_s: float, substeps: int = 4
 ) -> tuple[Floats, AxisState]:
-    """`simulate_into` with an output of its own: (n, 3) columns velocity_rps, position_rev, friction_nm; end state."""
+    """`simulate_into` with its own output: (n, 3) columns velocity_rps, position_rev, friction_nm; final state."""
     output = np.empty((current_a.size, 3))
     end = simulate_into(config, state, np.ascontiguousarray(current_a, dtype=np.float64), period_s, substeps, output)
     return output, end

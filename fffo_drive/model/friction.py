@@ -54,7 +54,7 @@ class FrictionState(NamedTuple):
     torque_nm: float  # F
     travel_rev: float  # x_r >= 0, since the last reversal
     omega_nm: float  # signed hysteresis amplitude since the last reversal
-    direction: float  # sgn(w) of the motion under way: -1, 0 (never moved), 1
+    direction: float  # sgn(w) of the present motion: -1, 0 (never moved), 1
 
 
 REST = FrictionState(0.0, 0.0, 0.0, 0.0)

@@ -115,7 +115,7 @@ def effect_model(
 
 
 class Provenance(StrictRecord):
-    """Where the model came from."""
+    """Origin of the model."""
 
     date: Annotated[str, Field(description="local date on which it was made, YYYY-MM-DD")] = ""
     tool: Annotated[str, Field(description="program, version and command that wrote it; empty: written by hand")] = ""
@@ -221,7 +221,7 @@ def content_hash(model: ModelFile) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-# quantity -> (lowest, highest) that a model may have; beyond it a unit is wrong or the model is not one of friction
+# quantity -> (lowest, highest) allowed; beyond it a unit is wrong or the model is not plausible
 LIMITS: dict[str, tuple[float, float]] = {
     "inertia_kg_m2": (1e-9, 1e5),
     "delay_s": (0.0, 0.1),
@@ -255,7 +255,7 @@ def read_model(path: str | Path) -> ModelFile:
 
 
 def effect_errors(effects: list[EffectModel]) -> list[tuple[str, str]]:
-    """(key, what is wrong with it) for the effects of a model."""
+    """(key, problem) for the effects of a model."""
     errors = []
     for k, effect in enumerate(effects):
         wrong = name_error(effect.name)

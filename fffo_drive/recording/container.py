@@ -2,8 +2,8 @@
 
 The library's own `Writer` takes one message at a time (7 us each) and, if a write fails half-way, continues after the
 torn record, so that nothing after it can be read. Here a batch of rows is one block of memory, and a failed write is
-truncated: the file always ends with a complete record. Layout and order of records are those of `mcap.writer.Writer`; a test compares the two byte for byte. Format:
-https://mcap.dev/spec
+truncated: the file always ends with a complete record. Layout and order of records are those of `mcap.writer.Writer`;
+a test compares the two byte for byte. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations

@@ -87,10 +87,10 @@ class RunWriter:
     """Writes rows and events of one run to `path` (NAME.mcap).
 
     Until `close` the file is NAME.mcap.part. Log and publish time of a row are `deadline_ns +
-    time_offset_ns`. A chunk leaves for the file when it is full and on `flush`; what is pending is lost with
-    the process, what was flushed is not, and what was flushed `fsync_interval_s` before a power loss is not
-    either. After an OSError the writer is of no more use: `abandon` it (what the file holds stays readable).
-    `clock_ns` paces fsync, `wall_ns` says when the file was begun and ended.
+    time_offset_ns`. A chunk is written when it is full and on `flush`. Pending rows are lost with the process, flushed
+    rows are not, and rows flushed `fsync_interval_s` before a power failure are not either. After an OSError the writer
+    cannot be used any more: `abandon` it (the file stays readable). `clock_ns` paces fsync, `wall_ns` gives the start
+    and end time of the file.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """From any state of the drive to NMT operational: reset, identify, map, set its reactions, verify, start.
 
-Everything that is written is read back. What the drive refuses, lacks or keeps otherwise ends in
-DriveRefusedError with the object, the value and the drive's reason; silence ends in BusUnavailableError. The
-drive is not enabled here.
+Everything that is written is read back. If the drive refuses or lacks an object, or keeps a different value,
+DriveRefusedError names the object, the value and the drive's reason; silence raises BusUnavailableError. The drive is
+not enabled here.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ RATING_TOLERANCE = 0.01
 PDO_SLOTS = 4  # that every drive has; a drive may have as many as 512
 MOST_PDO_SLOTS = 512
 TORQUE_SLOPE = 0x6087  # per mille of the rated torque a second
-SYNC_DISTANCE_S = 0.002  # of the few that are sent before the loop runs, for a mode that follows with SYNC
+SYNC_DISTANCE_S = 0.002  # of the few SYNCs sent before the loop runs, for a mode display that is updated with SYNC
 
 
 def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
@@ -47,7 +47,7 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
 
     Raises DriveRefusedError or BusUnavailableError.
     """
-    for _ in range(2):  # a drive that is switched on at this very moment sends two boot-ups, once
+    for _ in range(2):  # a drive that is being switched on sends two boot-ups
         _reset(service, config)
         identity = read_identity(service)
         _check_drive(service, config)
@@ -73,7 +73,7 @@ def start(service: Service, config: CanopenDriveConfig, send_sync: Callable[[], 
     """
     service.check_one_node()
     service.command_nmt(NMT_START)
-    if config.silence_detection == silence.LIFE_GUARDING:  # a guarded node tells its state when it is asked
+    if config.silence_detection == silence.LIFE_GUARDING:  # a guarded node reports its state on request
         service.send_message(can.HEARTBEAT + config.node_id, bytes(1), remote=True)
     if not service.wait_until(lambda: service.nmt_state == STATE_OPERATIONAL, config.start_timeout_s):
         raise DriveRefusedError(
@@ -86,7 +86,7 @@ def start(service: Service, config: CanopenDriveConfig, send_sync: Callable[[], 
 
 
 def read_identity(service: Service) -> DriveIdentity:
-    """0x1018, 0x1008 and 0x100A; what the drive does not have is 0 or empty."""
+    """0x1018, 0x1008 and 0x100A; 0 or empty if the drive does not have the object."""
     numbers = [service.read_optional_int(0x1018, sub) or 0 for sub in range(1, 5)]
     vendor_id, product_code, revision, serial_number = numbers
     return DriveIdentity(
@@ -120,7 +120,7 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _check_drive(service: Service, config: CanopenDriveConfig) -> None:
-    """The list of needs that `drive-info` reads a file against, here against the drive itself."""
+    """Check the drive itself against the list of requirements that `drive-info` applies to a file."""
     objects = ToldObjects(service.read, most_silences=1)
     problems = [*check_device_type(objects, config), *check_modes(objects, config), *needs(objects, config)]
     if problems:
@@ -188,7 +188,7 @@ def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _switch_off_others(service: Service, first_index: int, used: set[int], purpose: str) -> None:
-    """Switch off PDOs that we do not use: they take time on the bus, or may take our command for theirs."""
+    """Switch off unused PDOs: they take time on the bus, or may use the COB-ID of the command."""
     for number in range(1, MOST_PDO_SLOTS + 1):
         index = first_index + number - 1
         cob_id = service.read_optional_int(index, 1)
@@ -247,7 +247,7 @@ def _count_is_fixed(service: Service, mapping: int, wanted: int, purpose: str) -
 
 
 def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
-    """What the drive does when we, or it, fall silent: all of this is refused with the drive not enabled."""
+    """Reactions to silence of the master or the drive; if one is refused, the drive is not enabled."""
     emergency = can.EMERGENCY + config.node_id
     told = service.read_optional_int(0x1014, 0)  # without the object it is the predefined one
     if told is not None and told & COB_ID_MASK != emergency:
@@ -283,7 +283,7 @@ def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _await_mode(service: Service, config: CanopenDriveConfig, meanwhile: Callable[[], None]) -> None:
-    """Until 0x6061 shows the mode. Raises DriveRefusedError."""
+    """Wait until 0x6061 shows the mode. Raises DriveRefusedError."""
     deadline_s = time.monotonic() + config.start_timeout_s
     while (shown := service.read_int(MODE_DISPLAY, 0, signed=True)) != config.mode:
         if time.monotonic() > deadline_s:

@@ -1,4 +1,4 @@
-"""Writing an object and reading it back: a drive that refuses, or keeps something else, is not enabled."""
+"""Write an object and read it back: a drive that refuses, or keeps a different value, is not enabled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The configuration of a drive on a bus: what it must satisfy, and the sum for the bus that follows."""
+"""The configuration of a drive on a bus: its constraints, bus load and timing budget."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ from .silence import HEARTBEAT, LIFE_GUARDING, RPDO_TIMER, Detection, Reaction
 
 ModeDisplay = Literal["at_once", "with_sync", "not_checked"]
 
-LISTEN_S = 0.5  # any cyclic master sends SYNC or commands within it, ours a heartbeat; many nodes' heartbeats take 1 s
+# any cyclic master sends SYNC or commands within it, this program a heartbeat; heartbeats of many nodes take 1 s
+LISTEN_S = 0.5
 ONE_MASTER = (
     "one bus has one master, and several axes on one bus under one SYNC are not built yet: end the other master "
     "(a device may send SYNC too: 0x1005, bit 30), or use another bus"
@@ -81,7 +82,7 @@ class CanopenDriveConfig:
     mode_display: ModeDisplay = "at_once"  # when 0x6061 shows the mode
     device_profile: int | None = 402  # low word of 0x1000; None: any
     modes_told: bool = True  # 0x6502 names the mode
-    # what stands between the axis and a silent PC
+    # protection of the axis against a silent PC
     silence_detection: Detection = HEARTBEAT
     silence_reaction: Reaction = "abort_connection"
     # reactions to silence
@@ -93,11 +94,11 @@ class CanopenDriveConfig:
     quick_stop_option: int | None = 2  # 0x605A: ramp, then switch on disabled
     fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
     max_torque_permille: int | None = None  # 0x6072
-    sdo: tuple[SdoWrite, ...] = ()  # what this drive needs beside all this
-    warning_codes: tuple[int, ...] = ()  # EMCY codes that only warn: told, and no reason to stop
+    sdo: tuple[SdoWrite, ...] = ()  # further objects that this drive needs
+    warning_codes: tuple[int, ...] = ()  # EMCY codes that are only warnings: reported, without a stop
     unserved_status_bits: tuple[int, ...] = ()  # of the statusword: 9, 12
     # bring-up
-    listen_s: float = LISTEN_S  # to the bus, before anything is sent
+    listen_s: float = LISTEN_S  # time of listening on the bus before anything is sent
     answer_timeout_s: float = 0.3  # of one SDO answer
     attempts: int = 3
     start_timeout_s: float = 3.0  # boot-up after a reset, and each change of state
@@ -122,7 +123,7 @@ class CanopenDriveConfig:
 
     @property
     def scaling(self) -> Scaling:
-        """Factors between the wire and the units of signals.py."""
+        """Factors between the bus and the units of signals.py."""
         sign = -1.0 if self.inverted else 1.0
         permille = permille_per_a(self.torque_constant_nm_per_a, self.rated_torque_nm)
         return Scaling(
@@ -134,7 +135,7 @@ class CanopenDriveConfig:
 
 
 def traffic(config: CanopenDriveConfig) -> list[Traffic]:
-    """Everything that comes again and again on the bus with this configuration."""
+    """All periodic frames on the bus with this configuration."""
     rate_hz = 1e9 / config.period_ns
     frames = [Traffic("SYNC", can.SYNC, 0, rate_hz)]
     frames.append(Traffic("RPDO1", config.command.cob_id, config.command.data_bytes, rate_hz))
@@ -145,7 +146,7 @@ def traffic(config: CanopenDriveConfig) -> list[Traffic]:
         else:  # on a change: with the SYNC after it (type 0), or kept apart by its inhibit time
             most_hz = 1e9 / pdo.inhibit_ns if pdo.inhibit_ns else rate_hz
             frames.append(Traffic(f"TPDO{pdo.number}", pdo.cob_id, pdo.data_bytes, most_hz, on_change=True))
-    guarded = config.silence_detection == LIFE_GUARDING  # a question and its answer, in place of two heartbeats
+    guarded = config.silence_detection == LIFE_GUARDING  # a request and its answer, instead of two heartbeats
     ours, theirs = (config.node_id, config.heartbeat_ms) if guarded else (config.master_id, config.drive_heartbeat_ms)
     frames.append(Traffic("heartbeat", can.HEARTBEAT + ours, 1, 1e3 / config.heartbeat_ms))
     frames.append(Traffic("drive heartbeat", can.HEARTBEAT + config.node_id, 1, 1e3 / theirs))
@@ -158,7 +159,7 @@ def load_of(config: CanopenDriveConfig) -> Load:
 
 
 def chain_of(config: CanopenDriveConfig, turnaround_s: float, host_s: float) -> Chain:
-    """The chain inside one period in which all TPDOs that follow SYNC come at once."""
+    """The timing chain of a period in which all synchronous TPDOs are sent."""
     frames = {item.name: item for item in traffic(config)}
     with_sync = {f"TPDO{pdo.number}" for pdo in config.answers if pdo.transmission <= MAX_SYNC_TYPE}
     return period_chain(
@@ -173,7 +174,7 @@ def chain_of(config: CanopenDriveConfig, turnaround_s: float, host_s: float) -> 
 
 
 def _problems(config: CanopenDriveConfig) -> Iterator[str]:
-    """Yield what is wrong, in words."""
+    """Yield all problems, in words."""
     for name in ("node_id", "master_id"):
         if getattr(config, name) not in can.NODE_IDS:
             yield f"{name} {getattr(config, name)}: node ids are 1 to 127"

@@ -1,17 +1,19 @@
 """The cyclic exchange with a CANopen drive, compiled: SYNC, feedback, command, heartbeat.
 
-Which answer belongs to which SYNC. A TPDO carries no number, so this is the rule: - An answer that lies
-in the queue before SYNC is sent is late: counted, never used. - Of several answers of one TPDO after one
-SYNC the last is used and the earlier ones are late. What comes after
-  `port_receive` has returned lies in the queue at the next SYNC, and is late.
-- After a tick whose answer came neither in time nor late, the next tick waits for a second answer until its
-  cut-off: if it comes, the first was the late one. If it does not, a frame was lost and the first is
-  good. So a drive that is always more than a whole period late cannot be told from one that is in time:
-  see turnaround_ns of the row for that.
+Assignment of answers to SYNCs. A TPDO carries no number, so the rule is:
 
-Nothing is sent while the bus is off: no command may go out late. The way back is an error frame
-"restarted", a frame from the bus, or, when the interface was gone, a frame that the kernel takes. The first
-frame then is a command without torque, in front of SYNC: what the drive still holds from before must not act.
+- An answer that is in the queue before SYNC is sent is late: counted, never used.
+- Of several answers of one TPDO after one SYNC, the last is used and the earlier ones are late. Frames that arrive
+after
+  `port_receive` has returned are in the queue at the next SYNC, and are late.
+- After a tick whose answer came neither in time nor late, the next tick waits for a second answer until its cut-off: if
+  it comes, the first was the late one. If it does not, a frame was lost and the first is good. So a drive that is
+  always more than a whole period late cannot be distinguished from one that is in time: see turnaround_ns of the row
+  for that.
+
+Nothing is sent while the bus is off: no command may go out late. The bus is back with an error frame "restarted", a
+frame from the bus, or, after a lost interface, a frame that the kernel accepts. The first frame then is a command
+without torque, before SYNC: a command still held by the drive must not act.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ from .service_queue import drop_service_frames, next_service_frame, service_fram
 __all__ = ["CanopenPort"]  # the kernels below are reached through the functions of drive.port
 
 MAX_DRAINED = 1 << 14  # frames read before one SYNC, so that a flood cannot hold the loop
-FLOOD_CHECK = 32  # frames between two looks at the clock while receiving
+FLOOD_CHECK = 32  # frames between two checks of the clock while receiving
 
 
 @njit

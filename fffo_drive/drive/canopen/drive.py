@@ -1,4 +1,4 @@
-"""A CANopen drive behind the drive port: brought up before the loop, served beside it, left safely."""
+"""A CANopen drive behind the drive port: brought up before the loop, served during it, released safely."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
 
 
 class CanopenDrive:
-    """The `Drive` protocol for a CANopen node. Two links: one for the loop alone, one for everything else."""
+    """The `Drive` protocol for a CANopen node. Two links: one for the loop only, one for everything else."""
 
     def __init__(self, config: CanopenDriveConfig) -> None:
-        """Raises MappingError when the EDS (if one is given) shows that the drive cannot be driven."""
+        """Raises MappingError if the EDS (if one is given) shows that the drive cannot be used."""
         self.config = config
         self.identity: DriveIdentity | None = None
         self._eds = load_eds(config.eds, config.node_id) if config.eds else None
@@ -54,10 +54,10 @@ class CanopenDrive:
         self._news = WarningNews(config.warning_codes)
 
     def listen(self) -> None:
-        """Take the bus's lease and begin to hear who else is there: `connect` does, unless it was done before.
+        """Take the bus's lease and begin to listen for others; `connect` does it unless it was done before.
 
-        Nothing is sent, and the kernel keeps what comes: there is time for other work until `connect`. Raises
-        BusUnavailableError; the bus is left then.
+        Nothing is sent, and the kernel buffers received frames: there is time for other work until `connect`. Raises
+        BusUnavailableError, with the bus released.
         """
         try:
             self._listening = Listening(self.config, self.config.listen_s)
@@ -70,7 +70,7 @@ class CanopenDrive:
             raise BusUnavailableError(str(error)) from error
 
     def _refuse_other_masters(self) -> None:
-        """Raise BusOccupiedError when somebody was heard who is in the way of a master."""
+        """Raise BusOccupiedError if another master or a conflicting node was heard."""
         if self._listening is None:
             self.listen()
         assert self._listening is not None
@@ -144,7 +144,7 @@ class CanopenDrive:
         return result
 
     def rehearsal_port(self) -> CanopenPort:
-        """A port on no link, of the type that `port` will have: to compile the loop before the drive is woken."""
+        """A port without a link, of the type that `port` will have, to compile the loop before the drive is started."""
         return make_port(self.config, NO_LINK, ServiceQueue(0).memory)
 
     def _sent_by_loop(self) -> int:
@@ -162,7 +162,7 @@ class CanopenDrive:
         return self._connected().emergencies
 
     def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
-        """All that the drive says of a fault, or of why it is not enabled; empty when it is not connected.
+        """All information of the drive on a fault, or on why it is not enabled; empty if it is not connected.
 
         EMCY, the statusword (the last one received, or `statusword`); with `ask` 0x603F, 0x1003, 0x60FD (limit
         switches, interlock) and 0x6079 (DC link) by SDO, which takes `answer_timeout_s` where nobody answers.
@@ -209,8 +209,8 @@ class CanopenDrive:
     def close(self, loop_ended: bool = True) -> None:
         """After the loop: no torque, no voltage, pre-operational. Never raises.
 
-        The drive is told to stop monitoring our heartbeat too: leaving in order is no fault. `loop_ended` False: the
-        loop's link stays open, for nobody else shall get a descriptor that a hung thread may yet write to.
+        The drive is also told to stop monitoring our heartbeat, as an orderly release is not a fault. `loop_ended`
+        False: the loop's link stays open, so that a descriptor to which a hung thread may still write is not reused.
         """
         service, link = self._service, self._link
         if service is not None:

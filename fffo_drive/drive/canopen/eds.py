@@ -1,7 +1,7 @@
-"""A vendor's EDS (CiA 306): what it says about the objects that the service needs, before the drive is asked.
+"""A vendor's EDS (CiA 306): the objects that the service needs, checked before the drive is connected.
 
-The parser is `canopen`'s, behind the repairs of `eds_tidy`: files in the wild are untidy. What was repaired is told,
-with its line; a file that cannot be used ends in one sentence.
+The parser is that of `canopen`, after the repairs of `eds_tidy`, because vendors' files deviate from the standard.
+Repairs are reported with their lines; an unusable file gives a one-sentence error.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Eds(NamedTuple):
 
     path: str
     dictionary: Any  # canopen's ObjectDictionary
-    remarks: tuple[EdsRemark, ...]  # what is not as CiA 306 has it
+    remarks: tuple[EdsRemark, ...]  # deviations from CiA 306
 
     @property
     def drive_name(self) -> str:
@@ -73,7 +73,7 @@ def read_eds(path: str, node_id: int) -> Eds:
 
 
 def load_eds(path: str, node_id: int) -> Any:
-    """The object dictionary of an EDS or DCF file; what is untidy in it goes to the log. Raises as `read_eds`."""
+    """The object dictionary of an EDS or DCF file; its deviations are logged. Raises as `read_eds`."""
     eds = read_eds(path, node_id)
     for remark in eds.remarks[:SHOWN_REMARKS]:
         _log.warning("EDS file %s: %s", path, remark)
@@ -111,7 +111,7 @@ def check_identity(dictionary: Any, identity: DriveIdentity, path: str) -> None:
 
 
 def supported_modes(dictionary: Any) -> int | None:
-    """0x6502 as far as the file tells it; 0 and empty are what files say that leave it to the drive."""
+    """0x6502 if the file states it; 0 and empty mean that the file leaves it to the drive."""
     return default_of(dictionary, 0x6502) or None
 
 

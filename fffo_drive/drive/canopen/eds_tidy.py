@@ -1,9 +1,9 @@
-"""Vendors' EDS files as they are found, made into one that a strict parser reads; with a remark for each repair.
+"""Repair of vendors' EDS files for a strict parser, with a remark for each repair.
 
 CiA 306 is an INI file in ASCII with numbers in C notation. Files in the wild are cp1252 or have a byte order mark,
 leave numbers empty, write them in other ways, count comment lines under another key, say things twice or spell keys
 in other cases. What can be meant in one way only is repaired; what cannot is left out. An empty default or limit is
-legal and brings no remark. Sections that no service of ours reads ([1003Name], [Tools], vendors' own) are read over.
+legal and gives no remark. Sections that are not used ([1003Name], [Tools], vendors' own) are skipped.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _NODE_ID = re.compile(r"\$?(?:my_)?node_?id", re.IGNORECASE)  # Roboteq writes $
 
 
 class EdsRemark(NamedTuple):
-    """Something in the file that is not as it should be. Line 0: the file as a whole."""
+    """A deviation in the file. Line 0: the file as a whole."""
 
     line: int
     text: str
@@ -95,7 +95,7 @@ def decode(raw: bytes) -> tuple[str, list[EdsRemark]]:
 
 
 def tidy(text: str) -> tuple[str, list[EdsRemark]]:
-    """The file as CiA 306 has it, and what was repaired or left out, by line."""
+    """The file in CiA 306 form, and its repairs and omissions, by line."""
     remarks: list[EdsRemark] = []
     sections = _read(text, remarks)
     objects = {name: section for name, section in sections.items() if name not in _PLAIN_SECTIONS.values()}

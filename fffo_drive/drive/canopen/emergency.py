@@ -1,4 +1,4 @@
-"""What a drive says of a fault, in words: EMCY codes, the error register, bits of the statusword, its own objects.
+"""Fault information of a drive in words: EMCY codes, the error register, bits of the statusword, vendor objects.
 
 Codes of CiA 301 (emergency error codes) and CiA 402-2 (error codes of 0x603F); a code in neither is named by its class,
 the upper half.
@@ -25,11 +25,11 @@ from ..port import DriveRefusedError
 from .service import Emergency, Service
 
 ERROR_CODE, ERROR_HISTORY, DIGITAL_INPUTS, DC_LINK_MV = 0x603F, 0x1003, 0x60FD, 0x6079
-LONGEST_HISTORY = 3  # newest entries of 0x1003 that are told
-BURST_NS = NS_PER_S  # EMCY so close together have one cause: all are told
+LONGEST_HISTORY = 3  # newest entries of 0x1003 that are reported
+BURST_NS = NS_PER_S  # EMCY this close together have one cause: all are reported
 LONGEST_BURST = 3
-OLD_NS = 2 * NS_PER_S  # from this age on an EMCY is told with its age
-WARNING_GAP_NS = NS_PER_S  # between two reports of what a drive warns of
+OLD_NS = 2 * NS_PER_S  # from this age on, an EMCY is reported with its age
+WARNING_GAP_NS = NS_PER_S  # between two reports of the same warning
 INPUT_BITS = {0: "negative limit switch", 1: "positive limit switch", 2: "home switch", 3: "interlock (STO, enable)"}
 FIRST_VENDOR_INPUT = 16  # bits of 0x60FD from here on have the vendor's meaning
 
@@ -79,7 +79,7 @@ def register_text(register: int) -> str:
 
 
 def emergency_text(emergency: Emergency) -> str:
-    """Everything that a message says."""
+    """All contents of a message."""
     text = f"EMCY {code_text(emergency.code)}, error register {register_text(emergency.error_register)}"
     return text + (f", vendor bytes {emergency.vendor.hex(' ')}" if any(emergency.vendor) else "")
 
@@ -126,7 +126,7 @@ def burst_text(emergencies: Iterable[Emergency], warning_codes: Sequence[int], n
 def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
     """By SDO: error code and history; inputs and DC link. What the drive lacks or refuses is left out.
 
-    `heard`: an EMCY tells the error already, so that "no error" is no news. Raises BusUnavailableError.
+    `heard`: an EMCY has reported the error already, so "no error" is omitted. Raises BusUnavailableError.
     """
     errors, supplies = [], []
     with contextlib.suppress(DriveRefusedError):
@@ -160,7 +160,7 @@ def _history(service: Service) -> list[str]:
 
 
 class WarningNews:
-    """What a drive warns of, once: EMCY of `codes`, and statusword bit 7. At most one report in WARNING_GAP_NS."""
+    """Warnings of a drive, each once: EMCY of `codes`, and statusword bit 7. At most one report in WARNING_GAP_NS."""
 
     def __init__(self, codes: Sequence[int]) -> None:
         self._codes = codes

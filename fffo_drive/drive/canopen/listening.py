@@ -1,10 +1,10 @@
-"""Who else is on a bus: it is listened to before anything of ours is sent there.
+"""Detection of other masters: the program listens on a bus before it sends anything.
 
-What is heard within `listen_s` tells a running master by its SYNC, NMT commands, or what it sends to our drive, and two
-nodes with the drive's id by heartbeats that contradict each other. Not heard are: a master that is silent for so long,
-or deals with other nodes alone and sends neither SYNC nor NMT commands; two nodes with one id that say the same
-(bring-up finds them, by two answers to one request); a master that begins at the very moment at which we do (on this
-machine the lease of the bus settles that, and a SYNC of its own is a fault of the running loop).
+Within `listen_s`, a running master is detected by its SYNC, NMT commands, or frames to our drive, and two nodes with
+the drive's id by contradicting heartbeats. Not detected are: a master that is silent for this time, or addresses other
+nodes only and sends neither SYNC nor NMT commands; two nodes with one id and identical heartbeats (bring-up finds them
+by two answers to one request); a master that starts at the same moment (on this machine the lease of the bus prevents
+that, and a foreign SYNC is a fault of the running loop).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TWO_NODES = "two nodes have this id, or its supply fails: look at both"
 
 
 class Obstacle(NamedTuple):
-    """Why we must not begin on a bus, and what to do."""
+    """A reason not to start on a bus, and what to do."""
 
     text: str
     remedy: str
@@ -63,7 +63,7 @@ def frames_of_any_master() -> dict[int, str]:
 
 
 class _Life:
-    """What the heartbeats of one node said since its last boot-up."""
+    """NMT states in the heartbeats of one node since its last boot-up."""
 
     def __init__(self) -> None:
         self.states: list[int] = []  # each change
@@ -82,7 +82,7 @@ class _Life:
 
 
 class Heard:
-    """What was heard on a bus on which nothing of ours is sent, and what speaks against beginning there.
+    """Frames heard on a bus before anything is sent, and reasons not to start there.
 
     With a configuration for its drive, without one for every node.
     """
@@ -107,7 +107,7 @@ class Heard:
                 self._lives.setdefault(node, _Life()).take(frame.data[0] & 0x7F)
 
     def obstacles(self) -> list[Obstacle]:
-        """Why we must not begin here."""
+        """Reasons not to start here."""
         found = []
         if self._masters:
             signs = ", ".join(text for can_id, text in self._of_masters.items() if can_id in self._masters)
@@ -124,7 +124,7 @@ def _state_name(state: int) -> str:
 
 
 class Listening:
-    """A bus that is heard from now on, and not spoken to: the kernel keeps what comes until `heard` reads it."""
+    """A bus on which the program listens without sending: the kernel buffers the frames until `heard` reads them."""
 
     def __init__(self, config: CanopenDriveConfig | str, listen_s: float) -> None:
         """For the drive of a configuration, or for every node of a bus. Raises LinkError."""

@@ -1,8 +1,8 @@
-"""LSS master (CiA 305): nodes that have no id yet are found by fastscan, and given one.
+"""LSS master (CiA 305): finds nodes without an id by fastscan, and assigns one.
 
-Fastscan guesses the address of a node (0x1018: vendor, product, revision, serial number) bit by bit; who fits, answers.
-A node that was found leaves the scan, so that the next one is found by the next scan. `ask` sends a request and returns
-the answers to it.
+Fastscan determines the address of a node (0x1018: vendor, product, revision, serial number) bit by bit; matching nodes
+answer. A node that was found leaves the scan, so that the next one is found by the next scan. `ask` sends a request and
+returns the answers to it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a drive must have so that we can drive it: one list, for a file (`drive-info`) and for the drive on the bus."""
+"""Requirements for a drive: one list, for a file (`drive-info`) and for the drive on the bus."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
 
 
 def needs(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
-    """What a drive lacks: one sentence each, with what stands in for it where something does."""
+    """Missing requirements: one sentence each, with the substitute if there is one."""
     wanted = [
         (CONTROLWORD, 0, "commands of state"),
         (STATUSWORD, 0, "its state"),

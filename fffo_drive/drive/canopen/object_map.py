@@ -1,4 +1,4 @@
-"""What the drive is told and asked: PDO mappings, their byte layouts as tables for the loop, and the scaling.
+"""PDO mappings, their byte layouts as tables for the loop, and the scaling.
 
 A TPDO of CiA 301 has one transmission type, so "every n-th SYNC and on change of state" takes two: TPDO2
 carries statusword and torque with every n-th SYNC, TPDO3 the statusword alone on the event (type 255,
@@ -43,7 +43,7 @@ Table = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class MappingError(ValueError):
-    """A configuration that no drive could follow. The text lists every problem, each with what is allowed."""
+    """An impossible configuration. The text lists every problem, each with what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class MappedObject:
 
     @property
     def word(self) -> int:
-        """The entry as it stands in 0x1600 or 0x1A00 (CiA 301 7.5.2.36)."""
+        """The entry as in 0x1600 or 0x1A00 (CiA 301 7.5.2.36)."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:
@@ -88,7 +88,7 @@ class PdoMap(NamedTuple):
 
 
 class Scaling(NamedTuple):
-    """The one place where a drive's units become revolutions and amperes; negative when inverted."""
+    """The only place where a drive's units become revolutions and amperes; negative if inverted."""
 
     velocity_rps_per_unit: float
     position_rev_per_count: float
@@ -144,7 +144,7 @@ def pdo_table(answers: Sequence[PdoMap]) -> Table:
 
 
 def field_table(answers: Sequence[PdoMap], torque: MappedObject = STANDARD_TORQUE) -> Table:
-    """One row an object that we use, shape (n, 5): row of its TPDO, byte offset, bytes, signed, FIELD_*."""
+    """One row per used object, shape (n, 5): row of its TPDO, byte offset, bytes, signed, FIELD_*."""
     rows = []
     known = {(index, 0): (field, signed) for index, (field, _, signed) in FEEDBACK_OBJECTS.items()}
     known[torque.index, torque.sub] = (FIELD_TORQUE, True)

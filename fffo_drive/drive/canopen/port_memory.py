@@ -1,4 +1,4 @@
-"""The compiled side of a CANopen drive: what it is made of, and how it is laid out in memory."""
+"""The compiled side of a CANopen drive and its memory layout."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Words = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class CanopenPort(NamedTuple):
-    """What the kernels of `cyclic` work on. The arrays are made once; nothing allocates afterwards."""
+    """Data of the kernels of `cyclic`. The arrays are created once; nothing allocates afterwards."""
 
     rx_fd: int
     tx_fd: int

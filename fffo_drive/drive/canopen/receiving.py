@@ -1,4 +1,4 @@
-"""Kernels that read a frame and take from it what it says: feedback, EMCY, heartbeat, bus errors."""
+"""Kernels that read and decode frames: feedback, EMCY, heartbeat, bus errors."""
 
 from __future__ import annotations
 
@@ -131,11 +131,11 @@ def _take_error_frame(port: CanopenPort, word: int) -> int:
 
 @njit
 def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
-    """Handle the frame in `port.received`. Of what others send SYNC is counted, the rest passed over. Returns 0."""
+    """Handle the frame in `port.received`. SYNC of others is counted, their other frames are ignored. Returns 0."""
     word: Any = np.int64(port.received_words[0])
     if word & can.ERROR_FLAG != 0:
         return _take_error_frame(port, word)
-    if port.memory[CONTROLLER_OFF] != 0:  # whatever arrives: the controller is on the bus again
+    if port.memory[CONTROLLER_OFF] != 0:  # any frame: the controller is on the bus again
         port.memory[CONTROLLER_OFF] = 0
         note_bus_state(port)
     can_id = word & can.EXTENDED_MASK

@@ -1,7 +1,7 @@
-"""Which nodes are on a bus, and what they call themselves.
+"""Scan of a bus: its nodes and their names.
 
-Every node id is asked once for its device type (0x1000, mandatory in CiA 301); heartbeats and boot-ups that come
-meanwhile tell of nodes that do not answer SDO (STOPPED). Nothing is reset and nothing is written. A node without an id
+Each node id is asked once for its device type (0x1000, mandatory in CiA 301); heartbeats and boot-ups received
+meanwhile reveal nodes that do not answer SDO (STOPPED). Nothing is reset and nothing is written. A node without an id
 answers LSS alone (`lss`).
 """
 
@@ -49,7 +49,7 @@ class NodeLink(Protocol):
 
 @dataclass
 class Sign:
-    """What one node has shown of itself."""
+    """Information on one node."""
 
     node_id: int
     answers: int = 0  # to one request
@@ -135,7 +135,7 @@ def _listen(link: NodeLink, roll: Roll, duration_s: float, clock: Callable[[], f
 
 
 class NodeName(NamedTuple):
-    """What a node calls itself; empty or 0 where it says nothing."""
+    """Names of a node; empty or 0 if it has none."""
 
     node_id: int
     device_type: int | None

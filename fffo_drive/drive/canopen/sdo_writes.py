@@ -1,6 +1,6 @@
-"""Objects that one drive needs written and others do not: units, limits, the rating of its motor.
+"""Objects to write on particular drives: units, limits, motor ratings.
 
-What the bring-up itself writes is not taken here: a list may configure a drive, and never command it.
+Objects written by the bring-up itself are not accepted: a list may configure a drive, but never command it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .service import SdoRefusedError, Service, object_name
 
 WritePhase = Literal["before_mapping", "before_enable", "after_disable"]
 
-# what moves an axis, and what the bring-up owns, with its reason
+# objects that move an axis or belong to the bring-up, with the reason
 _COMMANDS = "commands the drive: nothing but the loop may"
 _OWNED = "is written by the bring-up itself"
 RESERVED = {
@@ -47,7 +47,7 @@ class SdoWrite(NamedTuple):
 
 
 def reserved_reason(index: int) -> str:
-    """Why an object may not stand in the list; empty where it may."""
+    """Why an object is not allowed in the list; empty if it is."""
     return next((reason for indices, reason in RESERVED.items() if index in indices), "")
 
 

@@ -1,4 +1,4 @@
-"""Kernels that send a frame and keep the bus state: what an errno or an error frame says about it."""
+"""Kernels that send a frame and keep the bus state, from errno and error frames."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Ordinary CANopen traffic with one node: SDO through `canopen`, NMT commands, boot-up, heartbeat and EMCY.
 
-It has a link of its own, from which the kernel keeps the cyclic frames away. While the loop runs, what is
-sent here goes through the loop's queue, so that it reaches the bus only in the slot after the command.
+It has its own link, on which the kernel filters out the cyclic frames. While the loop runs, its frames go through the
+loop's queue, so that they reach the bus only in the slot after the command.
 
 `canopen`'s SDO client is used alone, without its network: one transfer at a time under a lock, whole
 transfers repeated after a timeout, frames checked before the client sees them (it takes extended ones for its
@@ -67,7 +67,7 @@ _NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 
 
 class _Client(SdoClient):
-    """The library's client, which on a timeout would log an error of its own beside the one that we raise."""
+    """The library's client, without its own log message on a timeout, which is raised as an error here."""
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         self.send_request(bytes([SDO_ABORT, 0, 0, 0]) + abort_code.to_bytes(4, "little"))  # type: ignore[no-untyped-call]
@@ -79,7 +79,7 @@ def object_name(index: int, sub: int) -> str:
 
 
 def service_filters(node_id: int) -> list[CanFilter]:
-    """What the service link needs to hear: the node's SDO answers and EMCY, and who else is on the bus."""
+    """Filters of the service link: the node's SDO answers and EMCY, and frames of others on the bus."""
     heartbeats = CanFilter(can.HEARTBEAT, can.STANDARD_MASK & ~0x7F)
     return [CanFilter(can.SDO_RESPONSE + node_id), CanFilter(can.EMERGENCY + node_id), heartbeats]
 
@@ -129,7 +129,7 @@ class Service:
         self.send_message(can.NMT, bytes([command, self.node_id]))
 
     def send_directly(self) -> None:
-        """From now on never through the queue: the loop has ended."""
+        """Bypass the queue from now on: the loop has ended."""
         self._direct = True
 
     # --- SDO ---

@@ -1,1 +1,1 @@
-"""The simulated drive: plant with friction and effects of its own, CiA 402 device, its two forms."""
+"""The simulated drive: plant with its own friction and effects, CiA 402 device, in process and as a node."""

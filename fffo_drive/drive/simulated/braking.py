@@ -1,8 +1,8 @@
 """How the drive stops by itself: the brake behind quick stop and fault reaction (option codes 0x605A and
 0x605E).
 
-In the torque mode the drive closes a speed loop of its own for it: a proportional controller on a speed ramp,
-or at the current limit.
+In torque mode the drive closes its own speed loop for this: a proportional controller on a speed ramp, or at the
+current limit.
 """
 
 from __future__ import annotations

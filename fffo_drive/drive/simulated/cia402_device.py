@@ -1,13 +1,12 @@
-"""The drive's side of the CiA 402 state machine (IEC 61800-7-201), for in-process port and CANopen node.
+"""The drive's side of the CiA 402 state machine (IEC 61800-7-201), for the in-process port and the CANopen node.
 
 `TRANSITIONS` is the machine, the one table; `device_step` looks the next state up in it, one transition a
 call. Controlwords act as levels (the same word sent again carries on: enable operation takes READY TO SWITCH
 ON through SWITCHED ON in two calls); only fault reset is an edge, of bit 7. A word that is no legal command
 in the present state is ignored.
 
-A word with bit 7 set is never read as a command that leads towards torque, but "disable voltage" and "quick
-stop" are obeyed whatever bit 7 is: a drive must not miss a stop because of a reset bit that was left
-standing.
+A word with bit 7 set is never taken as a command towards torque, but "disable voltage" and "quick stop" are obeyed
+whatever bit 7 is: a drive must not miss a stop because of a reset bit that was not cleared.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ STATE_NAMES = (
     "start",
 )
 
-# causes of a transition: the commands of the controlword, and what the drive itself does
+# causes of a transition: the commands of the controlword, and events in the drive
 NO_CAUSE = 0
 SHUTDOWN = 1
 SWITCH_ON = 2  # the same bits mean "disable operation" in OPERATION_ENABLED
@@ -50,7 +49,7 @@ DISABLE_VOLTAGE = 4
 QUICK_STOP = 5
 FAULT_RESET = 6
 AUTOMATIC = 7
-REACTION_DONE = 8  # quick stop or fault reaction has come to its end
+REACTION_DONE = 8  # quick stop or fault reaction has ended
 FAULT_DETECTED = 9
 N_CAUSES = 10
 
@@ -206,7 +205,7 @@ def statusword_of(state: int, bits: int) -> int:
 
 @njit
 def follows_target(state: int) -> bool:
-    """True where the target torque acts: OPERATION_ENABLED alone."""
+    """Whether the target torque acts: in OPERATION_ENABLED only."""
     return state == OPERATION_ENABLED
 
 

@@ -1,8 +1,8 @@
 """Transport delay, current controller and winding of the simulated drive.
 
-The command waits in a delay line, then a current controller of 11 kHz (every other sub-step) sets the voltage
-that brings the current a share of the way to the demand, as far as the DC link allows against the back-EMF.
-Between its updates the net voltage is held; the winding (R, L) is stepped exactly.
+The command passes a delay line, then a current controller at 11 kHz (every other sub-step) sets the voltage that moves
+the current by a share of its error, as far as the DC link allows against the back-EMF. Between its updates the net
+voltage is held; the winding (R, L) is stepped exactly.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def current_step(c: Floats, x: Floats, words: Integers, demand_a: float) -> floa
         peak_a = c[at.PEAK_CURRENT_A]
         target_a = min(peak_a, max(-peak_a, demand_a))
         wanted_a = current_a + c[at.CURRENT_APPROACH] * (target_a - current_a)
-        # the voltage that makes it so in two sub-steps of the winding
+        # the voltage that achieves this in two sub-steps of the winding
         settled = kept * kept
         wanted_v = back_emf_v + resistance * (wanted_a - settled * current_a) / (1.0 - settled)
         limit_v = c[at.DC_LINK_V]

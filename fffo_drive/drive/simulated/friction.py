@@ -1,4 +1,4 @@
-"""The plant's own friction, in four kinds. None shares a line with `fffo_drive.model`.
+"""The plant's own friction, in four kinds. None shares code with `fffo_drive.model`.
 
 *Five surfaces.* The torque is the sum over the frictional surfaces f1 to f5 of the paper's Fig. 2b: four
 bearings and the teeth of the gear. Each surface is an elasto-plastic element (Dupont et al., 2002) that is
@@ -18,7 +18,7 @@ fades with speed, so that the contact never gives energy (Olsson, 1996).
 its own loop (generalised Maxwell slip, Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005).
 
 All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step is exact for a speed that is
-constant over it, so no stiffness is too stiff for it. Friction is positive against positive speed.
+constant over it, so it is stable at any stiffness. Friction is positive against positive speed.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ _NEGLIGIBLE = 25.0  # exp(-25) of a level is far below anything that can be meas
 
 
 class FrictionScales(NamedTuple):
-    """What effects and temperature make of the friction; 1 is no change."""
+    """Factors of effects and temperature on the friction; 1: no change."""
 
     level: float  # multiplies Coulomb and stiction level
     stiction: float  # multiplies the rise from Coulomb to stiction level

@@ -1,8 +1,8 @@
-"""The simulated drive in process: the plant behind the drive port, on a clock that only the loop moves.
+"""The simulated drive in process: the plant behind the drive port, on a clock that only the loop advances.
 
-Each SYNC the plant lives on to the present with the current that the last SYNC applied, the drive latches its
-feedback, and takes the command that came last: what a drive does with synchronous PDOs. Nothing waits, so a
-minute takes as long as its arithmetic, and the same seed gives the same bits.
+At each SYNC the plant advances to the present with the current applied at the last SYNC, and the drive latches its
+feedback and takes the latest command, as a drive does with synchronous PDOs. Nothing waits, so a minute takes as long
+as its computation, and the same seed gives the same bits.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _receive(port: SimulatedPort, tick: int, cutoff_ns: int) -> int:
     feedback = port.feedback[0]
     received_ns = int(words[SYNC_NS]) + int(words[TURNAROUND_NS])
     if received_ns > cutoff_ns:
-        # it comes when nobody waits any more: the loop counts it as missing, the port as late
+        # it arrives after the cut-off: the loop counts it as missing, the port as late
         words[CLOCK_NS] = max(int(words[CLOCK_NS]), cutoff_ns)
         feedback["late_feedback"] += 1
         return 0
@@ -150,8 +150,8 @@ def _housekeeping(port: SimulatedPort, tick: int) -> int:
 class SimulatedDrive:
     """A drive that exists in memory only, behind the `Drive` protocol of `fffo_drive.drive.port`.
 
-    Everything that happens is decided by the configuration, the seed and the commands. Raises
-    PlantConfigError for a configuration that makes no drive.
+    The run is determined by the configuration, the seed and the commands. Raises PlantConfigError for an invalid
+    configuration.
     """
 
     def __init__(self, plant: PlantConfig | None = None, device: DeviceConfig | None = None) -> None:
@@ -246,7 +246,7 @@ class SimulatedDrive:
         feedback["emergency_count"] += 1
 
     def clear_fault(self) -> None:
-        """The fault's cause is gone. The device stays in FAULT until it is reset by the controlword."""
+        """Remove the fault's cause. The device stays in FAULT until it is reset by the controlword."""
         self._port.words[FAULT_PRESENT] = 0
         self._port.feedback[0]["emergency_code"] = 0
 

@@ -1,7 +1,7 @@
 """Random numbers of the plant: xoshiro128++ (Blackman and Vigna, 2019) in int64 words.
 
 All arithmetic stays below 2**63 with 32-bit words, so compiled and interpreted code give the same bits. The
-state is part of the plant's state: the same seed gives the same run, and a copied state goes on alike.
+state is part of the plant's state: the same seed gives the same run, and a copied state continues identically.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The configuration of a simulated drive: what a person writes down. `pack` makes the kernels' arrays of it.
+"""The configuration of a simulated drive, as written in its file. `pack` converts it to the kernels' arrays.
 
-The end-to-end delay is configured as one number, `delay_s`, because that is what is measured on a drive: from
-the sample on which a command was computed to the change of the reported velocity that it makes. It is the sum
-of
+The end-to-end delay is configured as one number, `delay_s`, because that can be measured on a drive: from the sample on
+which a command was computed to the resulting change of the reported velocity. It is the sum of
 
     the bus tick        sync_period_s: a command of sample k acts at SYNC k+1
     the hold            sync_period_s/2: it is held for one period, on average half a period old
@@ -28,7 +27,7 @@ from .surfaces import PlantFriction
 
 
 class PlantConfigError(ValueError):
-    """A configuration that makes no drive; the text has a line for each key that is wrong."""
+    """An invalid configuration of a drive; the text has a line for each wrong key."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class ResolverConfig:
 
 @dataclass(frozen=True)
 class ThermalConfig:
-    """The drive warms up by the losses of winding and friction, to first order; friction and an offset follow."""
+    """First-order warm-up by the losses of winding and friction, with its influence on friction and an offset."""
 
     k_per_w: float = key(1.5, "K/W", 0.0, 1000.0, "temperature rise in the end, per watt of loss")
     time_constant_s: float = key(600.0, "s", 1.0, 1e5, "thermal time constant")
@@ -56,7 +55,7 @@ class ThermalConfig:
 
 @dataclass(frozen=True)
 class EffectConfig:
-    """An effect that is switched on. Parameters that are not given have the defaults of the registry."""
+    """An effect that is switched on. Missing parameters have the defaults of the registry."""
 
     name: str = required_note("as `fffo-drive config effects` lists it")
     parameters: Mapping[str, float] = note({}, "by name; absent ones have the defaults of that list")
@@ -102,11 +101,11 @@ class PlantConfig:
 
     @property
     def rated_torque_nm(self) -> float:
-        """What 0x6076 holds, in Nm: rated current times torque constant."""
+        """Value of 0x6076, in Nm: rated current times torque constant."""
         return self.rated_current_a * self.torque_constant_nm_per_a
 
     def errors(self) -> list[tuple[str, str]]:
-        """Everything that is wrong, at once: pairs of dotted key and text with the allowed range."""
+        """All problems: pairs of dotted key and text with the allowed range."""
         found = range_errors(self)
         found += self.friction.errors("friction.")
         for k, effect in enumerate(self.effects):
@@ -162,7 +161,7 @@ def noiseless(config: PlantConfig) -> PlantConfig:
 
 
 def delay_budget(config: PlantConfig) -> DelayBudget:
-    """How `delay_s` is made up; see the head of the file."""
+    """Parts of `delay_s`; see the module docstring."""
     tick_s = config.sync_period_s
     kept = math.exp(-STEP_S / config.electrical_time_constant_s)
     approach = 1.0 - math.exp(-4.0 * math.pi * config.current_bandwidth_hz * STEP_S)
@@ -175,7 +174,7 @@ def delay_budget(config: PlantConfig) -> DelayBudget:
 
 @dataclass(frozen=True)
 class DeviceConfig:
-    """How the drive behaves as a CiA 402 device, in process."""
+    """Behaviour of the drive as a CiA 402 device, in process."""
 
     status_period: int = key(10, "-", 1, 10_000, "statusword and current are sent every so many SYNCs")
     turnaround_s: float = key(0.0, "s", 0.0, 0.1, "from SYNC to the drive's answer")

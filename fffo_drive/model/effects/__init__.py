@@ -1,1 +1,1 @@
-"""What a model may have beside J, Td and 2SEP friction: effects, each one file and one line of the registry."""
+"""Effects, in addition to J, Td and 2SEP friction: each is one file and one line of the registry."""

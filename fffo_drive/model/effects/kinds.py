@@ -1,4 +1,4 @@
-"""Pieces that several laws are made of: waves, hysteresis, lags. Kernels without memory of their own."""
+"""Building blocks of several laws: waves, hysteresis, lags. Kernels without their own memory."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from . import slots as s
 from .slots import Floats
 
 TURN = 2.0 * math.pi
-LEAST_LEVEL = 0.05  # of a surface, however much an effect takes away
+LEAST_LEVEL = 0.05  # smallest level of a surface, whatever an effect subtracts
 LEVEL_MEMORY = 6  # slots that surface_response keeps; over_step has another, the second after them
-PRESLIDING_OVER = 40.0  # exp(-40) of anything is nothing
+PRESLIDING_OVER = 40.0  # exp(-40) is negligible
 
 
 @njit
@@ -69,19 +69,19 @@ def over_step(signals: Floats, memory: Floats, value: float) -> float:
 
 @njit
 def level_response(signals: Floats, memory: Floats, change: float) -> float:
-    """What friction gains where the contact's level (Fc and Fs) is (1 + change) times as high."""
+    """Increase of friction if the contact's level (Fc and Fs) is (1 + change) times as high."""
     return surface_response(signals, memory, change, 0.0)
 
 
 @njit
 def surface_response(signals: Floats, memory: Floats, change: float, viscous_nm_per_rps: float) -> float:
-    """What friction gains on a surface of another level and a larger viscous coefficient; memory[0:LEVEL_MEMORY].
+    """Increase of friction on a surface of another level and a larger viscous coefficient; memory[0:LEVEL_MEMORY].
 
     The difference D of two 2SEP surfaces (2)-(7) on the same motion, both by their exact step: one has |S|, the other
-    |S| + change Sc + viscous |w|, Sc being |S| without its viscous part. The base surface begins each step with the
-    friction that stands in the signals, so that whatever else acts on it is in both. The distance is that of the
-    travel: the speed of a sample is not the mean of its step, and a presliding that is crossed in one or two steps
-    would not add up. memory: D, Omega of both surfaces, direction, F and travel before.
+    |S| + change Sc + viscous |w|, with Sc the part of |S| without viscous friction. The base surface begins each step
+    with the friction in the signals, so that all other influences are in both. The distance is that of the travel: the
+    speed of a sample is not the mean of its step, and a presliding that is crossed in one or two steps would not add
+    up. memory: D, Omega of both surfaces, direction, F and travel before.
     """
     direction = signals[s.DIRECTION]
     before_nm, there_nm = memory[4], memory[4] + memory[0]

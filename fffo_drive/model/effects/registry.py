@@ -1,6 +1,6 @@
-"""The registry of effects: every law by its name, and what is wrong with a request for one.
+"""The registry of effects: every law by its name, and checks of requests for one.
 
-An effect is added by its file in laws/ and a line in `NAMES`.
+To add an effect, add its file in laws/ and a line in `NAMES`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def law_of(name: str) -> Law:
 
 
 def law_of_kernel(kernel: VectorKernel) -> str:
-    """The law that a controller gives torque for by this kernel. Raises KeyError where there is none."""
+    """The law whose torque a controller computes by this kernel. Raises KeyError if there is none."""
     for law in LAWS.values():
         if kernel is (law.feedforward or law.kernel):
             return law.name
@@ -60,7 +60,7 @@ def law_of_kernel(kernel: VectorKernel) -> str:
 
 
 def axis_of_effect(name: str) -> Axis:
-    """The axis on which an effect lives."""
+    """The variable over which an effect acts."""
     if name.startswith(UNKNOWN):
         return next(word for word in AXIS_CODES if word == name.removeprefix(UNKNOWN))
     return LAWS[name].axis
@@ -75,7 +75,7 @@ def vector_of(name: str, values: Mapping[str, float]) -> list[float]:
 
 
 def is_compensable(name: str, values: Mapping[str, float]) -> bool:
-    """True where a feed-forward can give the torque: for a lookup only over what is known ahead."""
+    """Whether feed-forward can supply the torque; for a lookup, only over variables that are known ahead."""
     law = law_of(name)
     if law.name != "lookup":
         return law.compensable
@@ -84,7 +84,7 @@ def is_compensable(name: str, values: Mapping[str, float]) -> bool:
 
 
 def name_error(name: str) -> str | None:
-    """What is wrong with the name of an effect; None when nothing is."""
+    """Problem with the name of an effect; None if it is valid."""
     if name.startswith(UNKNOWN):
         word = name.removeprefix(UNKNOWN)
         return None if word in AXIS_CODES else f"no axis is called {word!r}{_suggestion(word, AXIS_CODES)}"
@@ -92,7 +92,7 @@ def name_error(name: str) -> str | None:
 
 
 def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, str]]:
-    """(parameter, what is wrong with it) for an effect whose name is known."""
+    """(parameter, problem) for an effect with a valid name."""
     known = {p.name: p for p in law_of(name).parameters}
     errors = []
     for key, value in values.items():

@@ -1,9 +1,9 @@
-"""What a law sees and says: slots of the float64 vector `signals`.
+"""Inputs and outputs of a law: slots of the float64 vector `signals`.
 
     J dw/dt = Kt i(t - Td) - F(2SEP) - E,    E = sum of the effects: the torque that they take away
 
 A law reads the motion, the torque and the constants of the axis, adds its torque to LOAD_NM (a feed-forward adds the
-same to the command) and what a sensor says too much to SENSOR_REV. Angles are of the motor shaft, multi-turn, in the
+same to the command) and the error of the sensor to SENSOR_REV. Angles are of the motor shaft, multi-turn, in the
 datum of the run. The first N_MOTION slots are the motion and come with each step; the rest is derived or constant.
 """
 
@@ -19,22 +19,22 @@ from ..axis import AxisConfig
 Floats = npt.NDArray[np.float64]
 
 # the motion, in the order of the columns of a followed record
-TIME_S = 0  # since the begin of the run
+TIME_S = 0  # since the start of the run
 VELOCITY_RPS = 1
 ACCELERATION_RPS2 = 2
 MOTOR_ANGLE_REV = 3  # in the middle of the step, where torque acts
-SENSOR_ANGLE_REV = 4  # at its end, where the sensor looks
+SENSOR_ANGLE_REV = 4  # at its end, when the sensor measures
 CURRENT_A = 5  # the command as it acts: Td late
 FRICTION_NM = 6  # of the 2SEP model
 TRAVEL_REV = 7  # since the last reversal
-DIRECTION = 8  # -1, 0 (never moved), 1: of the motion under way or last made
-CONTACT_LEVEL_NM = 9  # level of the Stribeck curve at this speed, without its viscous part; 0: made where it is wanted
+DIRECTION = 8  # -1, 0 (never moved), 1: of the present or last motion
+CONTACT_LEVEL_NM = 9  # level of the Stribeck curve at this speed, without its viscous part; 0: computed when needed
 N_MOTION = 10
 
 # derived at each step
 MOTOR_TORQUE_NM = 10  # Kt times the current
 CONTACT_NM = 11  # friction without its viscous part: follows the force between the surfaces; zero before any motion
-GRIP = 12  # -1 to 1: contact over the Coulomb level; how far presliding is crossed, and which way
+GRIP = 12  # -1 to 1: contact over the Coulomb level: progress and direction of presliding
 REST_S = 13  # time at rest so far; in motion: of the last rest
 SLIDE_REV = 14  # travel since the last rest
 RESTING = 15  # 1 at rest
@@ -82,7 +82,7 @@ MOTION_NAMES = {
 
 
 class AxisFacts(NamedTuple):
-    """What an effect needs besides the axis itself."""
+    """Inputs of an effect in addition to the axis."""
 
     rest_speed_rps: float = REST_SPEED_DEFAULT_RPS
 

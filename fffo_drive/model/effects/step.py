@@ -21,8 +21,8 @@ def loaded_step(
 ) -> AxisState:
     """The axis after one step of the table under a constant current. `offset_nm` opposes the motor's torque.
 
-    The leapfrog of `axis_step`; effects act at the middle of the step with the speed of the drift, and stand in the
-    table's signals afterwards. The first half of a kick has the effects of the step before, the whole is set right.
+    The leapfrog of `axis_step`; effects act at the middle of the step with the speed of the drift, and are in the
+    table's signals afterwards. The first half-kick uses the effects of the previous step and is corrected at the end.
     """
     signals = table.signals
     step_s = signals[s.STEP_S]
@@ -76,7 +76,7 @@ def simulate_with_effects(
     config: AxisConfig, terms: Sequence[Term], state: AxisState, current_a: Floats, period_s: float, substeps: int = 4,
     facts: AxisFacts | None = None,
 ) -> tuple[Floats, AxisState]:  # fmt: skip
-    """`loaded_simulate_into` with a table and an output of its own: (n, 5), and the state at the end."""
+    """`loaded_simulate_into` with its own table and output: (n, 5), and the final state."""
     table = effect_table(terms, config, period_s / substeps, facts)
     output = np.empty((current_a.size, 5))
     command = np.ascontiguousarray(current_a, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Effects as the kernels run them: packed tables, one step, and a whole followed record at once."""
+"""Effects for the kernels: packed tables, one step, and a whole followed record at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Integers = npt.NDArray[np.int64]
 
 
 class EffectTable(NamedTuple):
-    """Effects of one axis with their memory. Without effects the arrays have no rows, and nothing of it is run."""
+    """Effects of one axis with their memory. Without effects the arrays have no rows, and no effect code runs."""
 
     addresses: Integers  # (effects,)
     parameters: Floats  # (effects, slots.MAX_PARAMETERS)
@@ -28,7 +28,7 @@ class EffectTable(NamedTuple):
 
 
 class Term(NamedTuple):
-    """An effect by name with its parameters; those that are not given are zero (strengths) or typical (shapes)."""
+    """An effect by name with its parameters; missing ones are zero (strengths) or typical (shapes)."""
 
     name: str
     values: Mapping[str, float]
@@ -37,7 +37,7 @@ class Term(NamedTuple):
 def effect_table(
     terms: Sequence[Term], axis: AxisConfig, step_s: float, facts: AxisFacts | None = None, feedforward: bool = False
 ) -> EffectTable:
-    """Pack effects for an axis, memory at rest. With `feedforward` the kernels that a controller runs."""
+    """Pack effects for an axis, memory at rest. With `feedforward`, the kernels of a controller."""
     count = len(terms)
     addresses = np.zeros(count, np.int64)
     parameters = np.zeros((count, s.MAX_PARAMETERS))
@@ -52,7 +52,7 @@ def effect_table(
 
 @njit
 def derive_signals(signals: Floats) -> None:
-    """Everything that follows from the motion: torque, contact, grip, rest; and the outputs to zero."""
+    """Compute the signals derived from the motion: torque, contact, grip, rest; set the outputs to zero."""
     velocity_rps = signals[s.VELOCITY_RPS]
     speed_rps = abs(velocity_rps)
     step_s = signals[s.STEP_S]
@@ -75,7 +75,7 @@ def derive_signals(signals: Floats) -> None:
 
 @njit
 def effects_step(table: EffectTable) -> None:
-    """Run all effects on the motion that stands in the signals; LOAD_NM and SENSOR_REV are their sums."""
+    """Run all effects on the motion in the signals; LOAD_NM and SENSOR_REV are their sums."""
     derive_signals(table.signals)
     for k in range(table.addresses.size):
         call_on_vectors(table.addresses[k], table.signals, table.parameters[k], table.memory[k])
@@ -97,10 +97,10 @@ def effects_along(
     terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, facts: AxisFacts | None = None,
     feedforward: bool = False,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """(torque that the effects take away (n,) Nm, what the sensor says too much (n,) rev) along a followed record.
+    """(torque of the effects (n,) Nm, error of the sensor (n,) rev) along a followed record.
 
     `motion` (n, slots.N_MOTION), columns as in slots.MOTION_NAMES. The same kernels as in a simulation, from rest; with
-    `feedforward` the current of the motion is what it would be without the effects.
+    `feedforward` the current of the motion is that without the effects.
     """
     table = effect_table(terms, axis, period_s, facts, feedforward)
     table.signals[s.AT_INSTANTS] = 1.0
@@ -115,7 +115,7 @@ def regressors(
 ) -> tuple[tuple[str, ...], Floats, Floats]:  # fmt: skip
     """One strength of an effect at a time: (names (k,), torque per unit (n, k), sensor rev per unit (n, k)).
 
-    A strength that does nothing with this shape has a column of zeros.
+    A strength without influence at this shape has a column of zeros.
     """
     law = law_of(name)
     names = tuple(p.name for p in law.strengths)

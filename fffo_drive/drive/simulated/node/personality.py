@@ -1,6 +1,6 @@
-"""What a drive does otherwise than this simulated one by default: the section `personality:` of its file.
+"""Deviations of a drive from the default behaviour of the simulated one: the section `personality:` of its file.
 
-Every entry is something that a drive of some vendor does. The defaults are those of a drive that does none of it.
+Every entry is behaviour of some vendor's drive. The defaults are those of a drive without deviations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TARGET_BITS = (8, 16, 32)
 
 @dataclass(frozen=True)
 class Personality:
-    """What the drive does otherwise. Objects are named 0xINDEX:SUB, both in hexadecimal."""
+    """Deviations of the drive. Objects are named 0xINDEX:SUB, both in hexadecimal."""
 
     rtr_bit: Literal["free", "required"] = note(
         "free", "bit 30 (no remote frames) of a TPDO's COB-ID: free to be 0 or 1, or required to be 1 (else 06090030)"
@@ -51,7 +51,7 @@ class Personality:
     highest: Mapping[str, int] = note({}, "objects that take nothing above this")
 
     def errors(self) -> list[tuple[str, str]]:
-        """What is wrong beside the ranges: pairs of key and text."""
+        """Problems in addition to the ranges: pairs of key and text."""
         found = [
             (f"{name}.{text}", "an object is named 0xINDEX:SUB, as 0x60C2:02")
             for name in ("values", "lowest", "highest")
