@@ -79,7 +79,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("resetting", "u1", "ticks", "remaining duration of a fault reset, including this tick"),
 )
 
-# in logs of other programs only: no drive of this program reports it
+# of logs that other programs made: no drive of ours has it
 REFERENCE_POSITION = Signal("reference_position_rev", "<f8", "rev", "position by a reference encoder on the same shaft")
 
 ROW = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])

@@ -98,8 +98,8 @@ def commission(
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
-    `tell` gets a line for each step. Raises DriveError if the drive cannot be brought up, BoundsError if there is no
-    room, RealtimeRefusedError.
+    `tell` gets a line for each step. Raises DriveError where the drive cannot be brought up, BoundsError where there is
+    no room, RealtimeRefusedError.
     """
     procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell)
     reason = ""

@@ -52,13 +52,13 @@ class DriveProfile(StrictRecord):
     """A family of drives."""
 
     format: Annotated[str, formats.DRIVE_PROFILE.key] = formats.DRIVE_PROFILE.word
-    family: Annotated[str, Field(description="common name of vendor and series")]
+    family: Annotated[str, Field(description="vendor and series, as people know them")]
     vendor_id: Annotated[int | None, Field(ge=0, lt=1 << 32, description="0x1018:1; null: not known")] = None
     product_codes: Annotated[
         list[int], Field(description="0x1018:2 of the family; empty: every drive of the vendor")
     ] = Field(default_factory=list)
-    tried: Annotated[str, Field(min_length=3, description="what was tested, on which drive, and nothing else")]
-    remarks: Annotated[list[str], Field(description="what to know when wiring such a drive, one sentence each")] = (
+    tried: Annotated[str, Field(min_length=3, description="what was tried on what, and never more")]
+    remarks: Annotated[list[str], Field(description="what whoever wires such a drive must know, one sentence each")] = (
         Field(default_factory=list)
     )
     drive: Annotated[ProfileKeys, Field(description="keys of the drive section")]  # type: ignore[valid-type]

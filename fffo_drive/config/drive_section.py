@@ -55,12 +55,10 @@ class SdoWriteSection(StrictRecord):
         Field(description="before_mapping (and before ratings are compared), before_enable, or after_disable"),
     ] = "before_mapping"
     check: Annotated[bool, Field(description="read it back and compare; false for a command such as 0x1010")] = True
-    aborts: Annotated[list[int], Field(description="abort codes that do not count as a refusal")] = Field(
+    aborts: Annotated[list[int], Field(description="abort codes that are expected, and no refusal")] = Field(
         default_factory=list
     )
-    why: Annotated[
-        str, Field(min_length=3, max_length=200, description="what it is needed for; shown if the drive refuses")
-    ]
+    why: Annotated[str, Field(min_length=3, max_length=200, description="what it is needed for; a refusal says it")]
 
     @model_validator(mode="after")
     def _allowed(self) -> SdoWriteSection:
@@ -169,22 +167,20 @@ class CanopenDriveSection(StrictRecord):
     ]
     warning_codes: Annotated[
         list[Annotated[int, Field(ge=1, le=0xFFFF)]],
-        Field(description="EMCY codes that are only warnings, such as 0xFF00: reported as events, without a stop"),
+        Field(description="EMCY codes that only warn, as 0xFF00: reported as an event, no reason to stop"),
     ] = Field(default_factory=list)
     unserved_status_bits: Annotated[
         list[Literal[9, 12]],
         Field(description="statusword bits that this drive never sets: 9 remote, 12 follows the target torque"),
     ] = Field(default_factory=list)
     enable_delay_s: Annotated[
-        float,
-        Field(ge=0, le=10, description="from Operation Enabled to the start of the law, for a holding brake to open"),
+        float, Field(ge=0, le=10, description="from Operation Enabled to the law: a holding brake opens meanwhile")
     ] = 0.0
     profile: Annotated[
         str | None,
         Field(
-            description="profile of the drive's family: a name listed by "
-            "`fffo-drive config drives`, or a file relative "
-            "to this one; its values are the defaults of the keys here"
+            description="of the drive's family: a name that `fffo-drive config drives` lists, or a file relative to "
+            "this one; what it says is the default of the keys here"
         ),
     ] = None
     mode: Annotated[
@@ -213,35 +209,26 @@ class CanopenDriveSection(StrictRecord):
     silence_detection: Annotated[
         Detection,
         Field(
-            description="how the drive detects that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
-            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts a drive that does not)"
+            description="how the drive notices that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
+            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts that it does not)"
         ),
     ] = HEARTBEAT
     silence_reaction: Annotated[
         Reaction,
         Field(
-            description="what determines how it then stops: abort_connection "
-            "(0x6007), error_behaviour (0x1029), vendor "
-            "(set by sdo), none (accepts a drive without)"
+            description="what says how it stops then: abort_connection (0x6007), error_behaviour (0x1029), vendor "
+            "(set by sdo), none (accepts that nothing does)"
         ),
     ] = "abort_connection"
     highest_rate_hz: Annotated[
-        int | None, Field(ge=1, description="highest rate at which the drive accepts commands; null: not known")
+        int | None, Field(ge=1, description="that the drive takes commands at; null: not known")
     ] = None
     eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
-    listen_s: Annotated[
-        float, Field(ge=0.1, le=10, description="time of listening on the bus before anything is sent")
-    ] = LISTEN_S
-    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="timeout of one SDO answer; see attempts")] = (
-        0.3
-    )
-    attempts: Annotated[int, Field(ge=1, le=20, description="attempts of an SDO transfer that is not answered")] = 3
-    start_timeout_s: Annotated[
-        float, Field(ge=0.01, le=60, description="timeout of boot-up and of each change of state")
-    ] = 3.0
-    turnaround_us: Annotated[
-        float, Field(ge=0, le=10_000, description="turnaround of the drive, for the timing budget")
-    ] = 50.0
+    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
+    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
+    attempts: Annotated[int, Field(ge=1, le=20, description="of an SDO transfer that is not answered")] = 3
+    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
+    turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
 
     @model_validator(mode="after")
     def _one_resolution(self) -> CanopenDriveSection:

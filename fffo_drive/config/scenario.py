@@ -50,7 +50,7 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-REPLACED = Field(description="replaces this section of the axis file; absent: everything in it is off")
+REPLACED = Field(description="takes the place of the axis file's section; absent: everything in it is off")
 Gain = Annotated[float | None, Field(ge=0, le=1e6)]
 
 
@@ -107,7 +107,9 @@ class ScenarioFile(StrictRecord):
     """A comparison."""
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
-    name: Annotated[str, Field(pattern=r"^[\w.-]+$", description="title of the report; letters, digits, _ . -")]
+    name: Annotated[
+        str, Field(pattern=r"^[\w.-]+$", description="stands in the report's title; letters, digits, _ . -")
+    ]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
     first_seed: Annotated[int, Field(ge=0, le=2**30, description="first seed of noise, phases and signs")] = 1

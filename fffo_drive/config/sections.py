@@ -17,7 +17,7 @@ Ordinate = Annotated[float, Field(ge=-1000, le=1000)]
 Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
 Point = Annotated[tuple[Annotated[float, Field(ge=0, le=86_400)], Ordinate], Strict(False)]
 Reaction = Literal["coast", "quick_stop"]
-PROFILE_KIND = Field(description="kind of profile; it determines the other keys")
+PROFILE_KIND = Field(description="which profile it is: the other keys are those of this kind")
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
@@ -31,13 +31,12 @@ class ObserverSection(StrictRecord):
     learns_in: Annotated[
         Literal["friction", "integral"],
         Field(
-            description="where L e is added: to the friction estimate (the paper), or to the integral, where it does "
-            "not decay"
+            description="where L e goes: the friction estimate (the paper), or the integral, where it does not decay"
         ),
     ] = "friction"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
-        float, Field(ge=0, le=10, description="dead band: a smaller measured velocity does not reverse the model")
+        float, Field(ge=0, le=10, description="measured velocity reverses the model only beyond this")
     ] = 0.1
 
 
@@ -46,7 +45,7 @@ class FeedforwardSection(StrictRecord):
 
     inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
     preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = False
-    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference of the same age")] = False
+    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
 
 
 class EffectsSection(StrictRecord):
@@ -57,19 +56,14 @@ class EffectsSection(StrictRecord):
         default_factory=list
     )
     each_limit_share: Annotated[
-        float,
-        Field(
-            gt=0, le=1, description="bound of the torque of each effect, as a share of the torque at current_limit_a"
-        ),
+        float, Field(gt=0, le=1, description="bound of an effect's torque, of that at current_limit_a")
     ] = 0.25
-    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of the sum of all effects, likewise")] = (
-        0.4
-    )
+    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of their sum")] = 0.4
     monitor: Annotated[
-        bool, Field(description="compare windows with and without the effects; remove effects that make tracking worse")
+        bool, Field(description="try windows with and without them, and take them out where tracking gets worse")
     ] = True
     monitor_window_s: Annotated[
-        float, Field(ge=0.05, le=60, description="length of such a window: at least one cycle of a repetitive motion")
+        float, Field(ge=0.05, le=60, description="of such a window: long enough for what the axis does again and again")
     ] = 1.0
 
 
@@ -159,12 +153,10 @@ class ControllerSection(StrictRecord):
     at_rest: Annotated[RestSection, Field(description="gains and friction term at standstill")] = RestSection()
     feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
     effects: Annotated[EffectsSection, Field(description="compensation of the model's effects")] = EffectsSection()
-    phase_margin_deg: Annotated[
-        float, Field(ge=0, le=90, description="smallest accepted, with the delay in the loop")
-    ] = 35.0
-    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest accepted")] = 2.0
+    phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
+    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
     accept_unproven: Annotated[
-        bool, Field(description="run although (14) or a margin is violated; row and file record this")
+        bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
     ] = False
     velocity: Annotated[VelocitySection, Field(description="velocity feedback of the error")] = VelocitySection()
     adaptation: Annotated[AdaptationSection, Field(description="adaptation to slow change")] = AdaptationSection()
@@ -190,7 +182,9 @@ class EnvelopeSection(StrictRecord):
         Literal["trip", "limit"],
         Field(description="when the I2t budget is used up: trip, or limit to continuous_current_a"),
     ] = "trip"
-    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: unlimited rotation")] = None
+    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
+        None
+    )
     following_error_rps: Annotated[
         Rps, Field(description="trips when the velocity error exceeds this for longer than following_error_s, rev/s")
     ]
@@ -222,16 +216,10 @@ class EnvelopeSection(StrictRecord):
 class LoopSection(StrictRecord):
     """The tick: its rate, its cut-off, and what counts as late."""
 
-    rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tested")] = 2000
-    cutoff_share: Annotated[
-        float, Field(gt=0.05, le=0.9, description="time from SYNC to the cut-off, as a share of the period")
-    ] = 0.6
-    late_share: Annotated[
-        float, Field(gt=0, le=1, description="lateness from which a tick is late, as a share of the period")
-    ] = 0.2
-    minimum_gap_share: Annotated[
-        float, Field(ge=0.5, le=1, description="smallest distance of two SYNCs, as a share of the period")
-    ] = 0.8
+    rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
+    cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
+    late_share: Annotated[float, Field(gt=0, le=1, description="lateness of a late tick, of the period")] = 0.2
+    minimum_gap_share: Annotated[float, Field(ge=0.5, le=1, description="no two SYNCs are closer")] = 0.8
     tail_s: Annotated[float, Field(ge=0, le=60, description="standstill under control after a profile")] = 0.25
     longest_profile_s: Annotated[float, Field(gt=0, le=86_400, description="a longer profile is refused, s")] = 600.0
 
@@ -247,14 +235,9 @@ class RealtimeSection(StrictRecord):
     priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
     cpu: Annotated[int | Literal["last", "any"], Field(description="CPU of the loop")] = "last"
     lock_memory: Annotated[
-        bool,
-        Field(
-            description="lock the memory of the whole process in RAM (mlockall), so that the loop has no page faults"
-        ),
+        bool, Field(description="keep the memory of the whole process in RAM (mlockall): the loop waits for no page")
     ] = True
-    required: Annotated[
-        bool, Field(description="false: continue without rights that the system refuses, with a warning")
-    ] = True
+    required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
 
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
@@ -264,19 +247,17 @@ class RecordingSection(StrictRecord):
     """Where runs are recorded, the size of the files, and how much is kept."""
 
     directory: Annotated[str, Field(description="where recordings are written")] = "runs"
-    compression: Annotated[Literal["zstd", "none"], Field(description="compression of the chunks")] = "zstd"
-    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="largest loss if the process is killed")] = 1.0
+    compression: Annotated[Literal["zstd", "none"], Field(description="of the recording's chunks")] = "zstd"
+    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
     fsync_interval_s: Annotated[
-        float | None,
-        Field(ge=0.1, le=3600, description="largest loss at a power failure; null: when the kernel writes"),
+        float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
     ] = None
     rotate_bytes: Annotated[Bytes | None, Field(description="size at which a new file begins; null: no limit")] = None
     rotate_s: Annotated[
         float | None, Field(ge=1, le=86_400, description="time after which a new file begins; null: no limit")
     ] = None
     quota_bytes: Annotated[
-        Bytes | None,
-        Field(description="limit of all recordings in the directory: the oldest finished files are deleted"),
+        Bytes | None, Field(description="of the recordings in the directory: the oldest finished ones are deleted")
     ] = None
 
     @model_validator(mode="after")
@@ -386,8 +367,8 @@ class DecideProfile(PartsProfile):
     """The motion that separates one effect from similar ones: parts of the recipe, or a chirp of current."""
 
     kind: Annotated[Literal["decide"], PROFILE_KIND]
-    effect: Annotated[str, Field(description="name of the effect, as reported by `fffo-drive diagnose`")]
-    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="amplitude of a chirp")] = 0.5
+    effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
+    amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
 
     @field_validator("effect")
     @classmethod
@@ -468,19 +449,17 @@ class DaemonSection(StrictRecord):
     ] = "anyone"
     client_loss: Annotated[
         Literal["stop", "quick_stop", "go_on"],
-        Field(description="reaction when the connection of the client in charge ends"),
+        Field(description="what happens when the client that holds the axis goes away"),
     ] = "stop"
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of a controlled stop")] = 100.0
     set_points: Annotated[SetPointSection, Field(description="limits of live set points and jogs")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
-        float,
-        Field(gt=0, le=60, description="a controlled stop that takes longer becomes a quick stop, and that a fault"),
+        float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")
     ] = 3.0
     retry_s: Annotated[float, Field(ge=0.05, le=600, description="between attempts to reach the drive")] = 2.0
     supervisor_timeout_s: Annotated[
-        float,
-        Field(ge=0.1, le=60, description="if the supervisor is silent for this time, the loop quick-stops and ends"),
+        float, Field(ge=0.1, le=60, description="a supervisor silent for so long: the loop quick-stops and ends")
     ] = 1.0
     scope: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the scope page; HOST is 127.0.0.1; null: none (extra `live`)")
@@ -489,7 +468,7 @@ class DaemonSection(StrictRecord):
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
     record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
-    record_required: Annotated[bool, Field(description="true: the axis is stopped if its recording fails")] = False
+    record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
     profiles: Annotated[
         dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")
     ] = Field(default_factory=dict)

@@ -82,7 +82,7 @@ class ControllerTerms(NamedTuple):
 
 @njit
 def controller_at_rest() -> ControllerState:
-    """Memory before the first step, and whenever the drive has no torque."""
+    """Memory before the first step, and whenever the drive gives no torque."""
     return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0)
 
 
@@ -90,7 +90,7 @@ def controller_at_rest() -> ControllerState:
 def _hand_over(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
-    """Bumpless switch of the observer: the integrator takes over what the estimate loses."""
+    """Switch the observer: what the estimate loses the integrator gains, so that the command does not jump."""
     if toggle == TOGGLE_OFF:
         integral_a = state.integral_a + state.friction.torque_nm / config.torque_constant_nm_per_a
         nothing = FrictionState(0.0, 0.0, 0.0, 0.0)
@@ -129,8 +129,8 @@ def controller_step(
 
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
-    While the reference is zero, lambda would be a second integrator, several times as strong as that of the PI, and an
-    axis with stiction would hunt. At rest the PI's integral alone acts, with the gains at rest.
+    While the reference stands at zero lambda would be a second integrator, several times as strong as the PI's, and an
+    axis with stiction would hunt. What the axis needs at rest the PI's integral finds, with the gains at rest.
     """
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
@@ -209,7 +209,7 @@ def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> b
 
 @njit
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
-    """Bumpless end of a feed-forward torque: the integrator takes it over."""
+    """What a feed-forward loses at once the integrator gains, so that the command does not jump."""
     integral_a = state.integral_a + torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
         integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest

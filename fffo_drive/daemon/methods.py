@@ -206,7 +206,7 @@ class Api:
         motion = supervisor.follow(asked, epoch)
         number = motion.set_point_number
         to_rps, hold_ticks = asked.set_point.target_rps, asked.set_point.hold_ticks
-        if asked != before:  # renewals of a jog are not reported
+        if asked != before:  # what renews a jog is no news
             self._command(caller, f"{asked.kind} {to_rps:g} rps")
         if wait_s > 0:
             await self._reached(

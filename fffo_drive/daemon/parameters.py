@@ -31,7 +31,7 @@ class Info(StrictRecord):
 
 
 class Bound(StrictRecord):
-    """Parameters of requests for torque or motion."""
+    """Parameters of what asks for torque or motion."""
 
     epoch: Annotated[
         int | None, Field(ge=1, description="epoch from a status: refused if another epoch has begun since")
@@ -48,7 +48,7 @@ class Enable(Bound):
 
 
 class Ending(StrictRecord):
-    """Parameters of requests that end a motion or a fault."""
+    """Parameters of what ends a motion or a fault."""
 
     wait_s: Annotated[Seconds, Field(description="how long to wait for completion; 0: do not wait")] = 10.0
 
@@ -162,28 +162,28 @@ class Method(NamedTuple):
     """One method; `methods.Api` has its handler under the same name."""
 
     parameters: type[BaseModel]
-    watching: bool  # reads only: allowed on the read-only socket
+    watching: bool  # only looks: allowed on the read-only socket
     summary: str
 
 
 METHODS: dict[str, Method] = {
-    "info": Method(Info, True, "protocol version, axis, drive, profiles, keys, states"),
-    "status": Method(Nothing, True, "the present status"),
-    "enable": Method(Enable, False, "torque on; the axis is held at standstill"),
+    "info": Method(Info, True, "protocol version, axis, what may be asked for"),
+    "status": Method(Nothing, True, "the status of this moment"),
+    "enable": Method(Enable, False, "torque; the axis is held at standstill"),
     "disable": Method(Ending, False, "brake to standstill, then no torque"),
     "start": Method(Start, False, "run a profile"),
-    "jog": Method(Jog, False, "turn at a velocity for as long as the jog is renewed (ctl renews it until Ctrl-C)"),
-    "velocity": Method(SetVelocity, False, "turn at a velocity, which can be changed at any time"),
-    "step": Method(Step, False, "change the velocity set point by an amount"),
-    "toggle": Method(Toggle, False, "friction from the reference, from the feedback, or off"),
+    "jog": Method(Jog, False, "turn at a velocity as long as it is renewed (ctl renews it until Ctrl-C)"),
+    "velocity": Method(SetVelocity, False, "turn at a velocity, which may be changed at any time"),
+    "step": Method(Step, False, "change the velocity set point by so much"),
+    "toggle": Method(Toggle, False, "friction from the reference, the feedback, or not"),
     "stop": Method(Ending, False, "brake to standstill and stay enabled"),
     "quick_stop": Method(Ending, False, "the drive's quick stop, then no torque"),
     "reset_fault": Method(Ending, False, "leave a latched fault"),
-    "model": Method(Model, False, "use another model file; only without torque"),
+    "model": Method(Model, False, "use another model file, while there is no torque"),
     "set": Method(Set, False, "change one gain or switch until the next reload"),
     "reload": Method(Nothing, False, "read the axis file again, as SIGHUP does"),
     "record": Method(RecordSwitch, False, "begin or end a recording"),
-    "events": Method(Events, True, "the latest events"),
-    "subscribe": Method(Subscribe, True, "receive statuses at a rate, and events, on this connection"),
+    "events": Method(Events, True, "what happened last"),
+    "subscribe": Method(Subscribe, True, "statuses at a rate, and events, on this connection"),
     "schema": Method(Nothing, True, "JSON schemas of all parameters"),
 }

@@ -1,4 +1,4 @@
-"""Whether a daemon serves an axis, and its state."""
+"""Whether a daemon serves an axis, and what it says."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ANSWER_S = 2.0
 
 
 def torque_on(name: str, sockets: Path | None = None) -> bool | None:
-    """Whether the axis' daemon has torque on; None if no daemon answers."""
+    """Whether the axis' daemon has torque on; None where no daemon answers."""
     for directory in [sockets] if sockets else [home / name for home in (SYSTEM_DIRECTORY, user_directory())]:
         path = directory / WATCH
         if not path.exists():

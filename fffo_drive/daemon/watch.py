@@ -18,7 +18,7 @@ from ..workflows.plan import Plan
 from .connection import Connection
 from .states import StateEvent
 
-RESET_TICKS = 60  # duration of a reset request (loop.FAULT_RESET_TICKS, and the drive's answer)
+RESET_TICKS = 60  # a reset is asked for this long (loop.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05
 SILENT_S = 0.5  # without an answer to SYNC for this long, at rest, the drive counts as lost
 

@@ -28,7 +28,7 @@ REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to i
 # of Kp and Ki at rest, the largest first: half costs nothing in motion and covers an axis that differs by 30 %
 # (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
-FRICTION_SPAN = 100.0  # required range of friction damping
+FRICTION_SPAN = 100.0  # the range over which friction damping is to be allowed to vary
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
 SHORTEST_DELAY_S = 1e-4

@@ -282,8 +282,8 @@ def diagnosis() -> Figure:
         if index:
             _arrow(axes, [(-0.4 + 2.8 * index, 4.4), (0.08 + 2.8 * index, 4.4)])
     lower = (
-        ("3 gain on blocks\noutside the fit", BLUE), ("4, 5 friction form?\nplausible?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
-        ("7 model, page,\nresidual", GREEN),
+        ("3 gain on blocks\nthat the fit did not see", BLUE), ("4, 5 form of friction?\nplausible axis?", BLUE), ("6 proof on\nheld-out runs", ORANGE),  # noqa: E501
+        ("7 model, page,\nunexplained rest", GREEN),
     )  # fmt: skip
     for index, (text, colour) in enumerate(lower):
         x = 8.5 - 2.8 * index

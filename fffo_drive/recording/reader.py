@@ -147,7 +147,7 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
 
 
 def read_metadata(path: Path | str) -> dict[str, str]:
-    """Metadata at the beginning of a recording, without reading its rows; {} if there are none.
+    """What a recording says of itself at its beginning, without reading its rows; {} where it says nothing.
 
     Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
     """

@@ -1,4 +1,4 @@
-"""The parts of one tick, each a kernel: wake, exchange, follow the profile, apply the law, monitor, write the row."""
+"""The pieces of one tick, each a kernel: wake, exchange, follow the profile, apply the law, look, write the row."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def apply_law(
     config: ControllerConfig, state: ControllerState, mode: int, reference: Reference, velocity_rps: float,
     toggle: int, active: bool, added_nm: float, followed_rps: float,
 ) -> tuple[LawOutput, ControllerState]:  # fmt: skip
-    """The velocity law, an open-loop current, or nothing; the memory is reset while the law does not act."""
+    """The velocity law, an open-loop current, or nothing; the memory rests while the law does not act."""
     if not active:
         return LawOutput(MODE_IDLE, steady_reference(0.0), terms_of_current(0.0)), controller_at_rest()
     if mode == MODE_CURRENT:
@@ -416,7 +416,7 @@ def write_row(
 
 @njit
 def publish_tick(ring: Ring, head: int, status: Words, timing: Timing, row: Any) -> None:
-    """Publish the row and the status words to other threads."""
+    """The row and the status words become visible to other threads."""
     store_release(ring.words, HEAD, head)
     status[b.DEADLINE_NS] = timing.deadline_ns
     status[b.MODE] = row["mode"]

@@ -125,11 +125,10 @@ class Law:
     remedy: str  # remedy at the machine and in the controller
     compensable: bool  # feed-forward can supply the torque
     regime: str  # where it acts
-    lookalikes: tuple[str, ...]  # laws that it can be confused with
-    experiment: str  # how to tell it apart from those
-    motions: tuple[str, ...]  # the part of it that a run can do: parts of the recipe
-    # (identification.excitation.PARTS), or CHIRP
-    picture: Axis  # the axis over which a plot shows it best
+    lookalikes: tuple[str, ...]  # laws that it is confused with
+    experiment: str  # what tells it from them
+    motions: tuple[str, ...]  # what of it a run can do: parts of the recipe (identification.excitation.PARTS), or CHIRP
+    picture: Axis  # the axis over which a plot convinces
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
     level: bool = False  # it changes the level of the friction
