@@ -399,10 +399,7 @@ def api() -> str:
         "",
         "## Answers and errors",
         "",
-        "```text",
-        answers.strip(),
-        "```",
-        "",
+        *_answers(answers),
         "## Methods",
         "",
     ]
@@ -416,6 +413,24 @@ def api() -> str:
         ]
         lines += _parameters(method.parameters.model_json_schema())
     return "\n".join(lines)
+
+
+def _answers(text: str) -> list[str]:
+    """Paragraphs of a docstring; one whose lines are names, and indented answers to them, as a table."""
+    lines = []
+    for part in text.strip().split("\n\n"):
+        if "\n    " not in part:
+            lines += [cell(part), ""]
+            continue
+        rows: list[tuple[str, str]] = []
+        for line in part.split("\n"):
+            names, _, answer = line.partition("  ")  # no names: a line that continues an answer
+            if names:
+                rows.append((", ".join(f"`{name}`" for name in names.split(", ")), answer.strip()))
+            else:
+                rows[-1] = (rows[-1][0], f"{rows[-1][1]} {line.strip()}")
+        lines += table(("method", "answer"), ((names, cell(answer).replace("*", "\\*")) for names, answer in rows))
+    return lines
 
 
 def _parameters(schema: Mapping[str, Any]) -> list[str]:
