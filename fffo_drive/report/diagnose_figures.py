@@ -80,7 +80,7 @@ def _effect(name: str, picture: Picture, width: str, words: DiagnosisWords) -> F
         name=name,
         kind="xy",
         title=words.text(picture.title),
-        caption=f"What is left without and with it: means with 95 % intervals.{note}",
+        caption=f"Residual without and with the effect: means with 95 % intervals.{note}",
         x=PlotAxis(words.text(picture.x_label), words.unit(picture.x_unit) or "-"),
         y=PlotAxis(words.text(picture.y_label), words.unit(picture.y_unit) or "-"),
         series=tuple(_distinct(series)),
@@ -113,14 +113,14 @@ def _distinct(series: Sequence[Series]) -> list[Series]:
 
 def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figure, ...]:
     """The residual of each run over time: its envelope before and after."""
-    roles = {"fit": "chosen and fitted on it", "held_out": "held out: never seen by the fit"}
+    roles = {"fit": "used to choose and fit", "held_out": "held out: not used for the fit"}
     ordered = sorted(runs, key=lambda run: run.role != "held_out")
     return tuple(
         Figure(
             name=f"run-{number}",
             kind="time",
             title=f"{run.name} ({roles[run.role]})",
-            caption="Smallest and largest residual in each piece of time.",
+            caption="Smallest and largest residual in each interval.",
             x=PlotAxis("time", "s"),
             y=PlotAxis(f"{words.torque} that is left", words.torque_unit),
             series=(
@@ -155,8 +155,8 @@ def channel_figure(channels: Sequence[ResidualChannel], words: DiagnosisWords) -
     return Figure(
         name="channels",
         kind="bars",
-        title="Where the residual lives",
-        caption="Share of the squared residual that a free curve over this axis alone explains.",
+        title="What the residual depends on",
+        caption="Share of the squared residual that a free curve over this quantity alone explains.",
         x=PlotAxis(
             "axis",
             "-",
