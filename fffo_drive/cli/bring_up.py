@@ -166,7 +166,7 @@ def report_lines(report: BringUpReport) -> Iterator[str]:
         yield from _trials(report)
     if report.facts:
         yield ""
-        yield "what is known:"
+        yield "values of the axis file:"
         for name, fact in report.facts.items():
             shown = f"{fact.value:.10g}" if isinstance(fact.value, int | float) else str(fact.value)
             yield from _wrapped(f"  {name}: {shown}   ({fact.source})", 4)
@@ -178,7 +178,7 @@ def report_lines(report: BringUpReport) -> Iterator[str]:
     fine = [one for one in report.findings if one.level is Severity.OK]
     if fine:
         yield ""
-        yield from _wrapped("in order: " + "; ".join(one.text for one in fine), 2)
+        yield from _wrapped("ok: " + "; ".join(one.text for one in fine), 2)
     if report.axis_file is not None:
         yield ""
         yield f"written: {report.axis_file}, {report.model_file}"
@@ -194,7 +194,7 @@ def _finding(finding: HostFinding) -> Iterator[str]:
 def _trials(report: BringUpReport) -> Iterator[str]:
     yield "without torque, in us         50 % / 99 % / highest"
     if report.adapter is not None:
-        yield f"  a frame out and back here   {report.adapter.adapter_us.text}"
+        yield f"  frame sent to received      {report.adapter.adapter_us.text}"
         yield f"  SDO request to answer       {report.adapter.answer_us.text}"
     for trial in report.trials:
         if not trial.refused:
@@ -206,9 +206,10 @@ def _trials(report: BringUpReport) -> Iterator[str]:
 
 def _trial(trial: RateTrial) -> Iterator[str]:
     yield (f"  {trial.rate_hz:>4} Hz  SYNC to feedback    {trial.turnaround_us.text}, jitter {trial.jitter_us:.0f}")
-    yield f"           loop woken late     {trial.lateness_us.text}, SYNC jitter {trial.sync_jitter_us:.0f}"
+    yield f"           loop wakes late     {trial.lateness_us.text}, SYNC jitter {trial.sync_jitter_us:.0f}"
     yield (
-        f"           of {trial.ticks} ticks: {trial.missing} unanswered, {trial.late} late, {trial.skipped} skipped; "
+        f"           of {trial.ticks} ticks: {trial.missing} without feedback, {trial.late} late, {trial.skipped} "
+        "skipped; "
         f"bus {trial.bus_load:.0%}"
     )
 

@@ -52,13 +52,13 @@ class DriveProfile(StrictRecord):
     """A family of drives."""
 
     format: Annotated[str, formats.DRIVE_PROFILE.key] = formats.DRIVE_PROFILE.word
-    family: Annotated[str, Field(description="vendor and series, as people know them")]
+    family: Annotated[str, Field(description="vendor and series, in common terms")]
     vendor_id: Annotated[int | None, Field(ge=0, lt=1 << 32, description="0x1018:1; null: not known")] = None
     product_codes: Annotated[
         list[int], Field(description="0x1018:2 of its members; none: every drive of the vendor")
     ] = Field(default_factory=list)
-    tried: Annotated[str, Field(min_length=3, description="what was tried on what, and never more")]
-    remarks: Annotated[list[str], Field(description="what whoever wires such a drive must know, one sentence each")] = (
+    tried: Annotated[str, Field(min_length=3, description="what was tested, and on which drive or node")]
+    remarks: Annotated[list[str], Field(description="what to know before wiring such a drive, one sentence each")] = (
         Field(default_factory=list)
     )
     drive: Annotated[ProfileKeys, Field(description="keys of the drive section")]  # type: ignore[valid-type]
@@ -97,7 +97,7 @@ def profile_path(axis_path: Path, name: str) -> Path:
     if given.stem in shipped_profiles() and given.name == str(given):
         return shipped_profiles()[given.stem]
     raise DocumentError(
-        f"{axis_path}: drive.profile: '{name}' is neither a file beside this one nor a profile that comes with the "
+        f"{axis_path}: drive.profile: '{name}' is neither a file next to this one nor a profile that comes with the "
         f"program: {', '.join(shipped_profiles())}"
     )
 

@@ -55,10 +55,17 @@ class SdoWriteSection(StrictRecord):
         Field(description="before_mapping (and before ratings are compared), before_enable, or after_disable"),
     ] = "before_mapping"
     check: Annotated[bool, Field(description="read it back and compare; false for a command such as 0x1010")] = True
-    aborts: Annotated[list[int], Field(description="abort codes that are expected, and no refusal")] = Field(
-        default_factory=list
+    aborts: Annotated[list[int], Field(description="abort codes that are expected and do not count as a refusal")] = (
+        Field(default_factory=list)
     )
-    why: Annotated[str, Field(min_length=3, max_length=200, description="what it is needed for; a refusal says it")]
+    why: Annotated[
+        str,
+        Field(
+            min_length=3,
+            max_length=200,
+            description="what it is needed for; part of the message if the drive refuses it",
+        ),
+    ]
 
     @model_validator(mode="after")
     def _allowed(self) -> SdoWriteSection:
@@ -121,10 +128,10 @@ class CanopenDriveSection(StrictRecord):
     node_id: Annotated[int, Field(ge=1, le=127, description="node ID of the drive")]
     master_id: Annotated[int, Field(ge=1, le=127, description="node id of our heartbeat")] = 127
     counts_per_rev: Annotated[
-        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 in a revolution, any number")
+        int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 per revolution, any number")
     ] = None
     resolver_bits: Annotated[
-        int | None, Field(ge=8, le=31, description="2^bits counts a revolution, in place of counts_per_rev")
+        int | None, Field(ge=8, le=31, description="2^bits counts per revolution, instead of counts_per_rev")
     ] = None
     velocity_units_per_rps: Annotated[float, Field(gt=0, description="0x606C for one rev/s")] = 32768.0
     rated_torque_nm: Annotated[float, Field(gt=0, le=1e5, description="0x6076; compared with the drive's")]
@@ -161,20 +168,21 @@ class CanopenDriveSection(StrictRecord):
     ]
     warning_codes: Annotated[
         list[Annotated[int, Field(ge=1, le=0xFFFF)]],
-        Field(description="EMCY codes that only warn, as 0xFF00: reported as an event, no reason to stop"),
+        Field(description="EMCY codes that only warn, such as 0xFF00: reported as an event, without a stop"),
     ] = Field(default_factory=list)
     unserved_status_bits: Annotated[
         list[Literal[9, 12]],
         Field(description="statusword bits that this drive never sets: 9 remote, 12 follows the target torque"),
     ] = Field(default_factory=list)
     enable_delay_s: Annotated[
-        float, Field(ge=0, le=10, description="from Operation Enabled to the law: a holding brake opens meanwhile")
+        float,
+        Field(ge=0, le=10, description="from Operation Enabled to the start of the law, while a holding brake opens"),
     ] = 0.0
     profile: Annotated[
         str | None,
         Field(
             description="of the drive's family: a name that `fffo-drive config drives` lists, or a file relative to "
-            "this one; what it says is the default of the keys here"
+            "this one; it sets the defaults of the keys here"
         ),
     ] = None
     mode: Annotated[
@@ -201,31 +209,35 @@ class CanopenDriveSection(StrictRecord):
     silence_detection: Annotated[
         Detection,
         Field(
-            description="how the drive notices that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
-            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts that it does not)"
+            description="how the drive detects that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
+            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts that it does not detect it)"
         ),
     ] = HEARTBEAT
     silence_reaction: Annotated[
         Reaction,
         Field(
-            description="what says how it stops then: abort_connection (0x6007), error_behaviour (0x1029), vendor "
-            "(set by sdo), none (accepts that nothing does)"
+            description="what defines how it then stops: abort_connection (0x6007), error_behaviour (0x1029), vendor "
+            "(set by sdo), none (accepts that nothing defines it)"
         ),
     ] = "abort_connection"
     highest_rate_hz: Annotated[
-        int | None, Field(ge=1, description="that the drive takes commands at; null: not known")
+        int | None, Field(ge=1, description="highest rate of commands that the drive accepts; null: unknown")
     ] = None
     eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
-    listen_s: Annotated[float, Field(ge=0.1, le=10, description="to the bus, before anything is sent there")] = LISTEN_S
-    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="of one SDO answer; asked three times")] = 0.3
-    attempts: Annotated[int, Field(ge=1, le=20, description="of an SDO transfer that is not answered")] = 3
-    start_timeout_s: Annotated[float, Field(ge=0.01, le=60, description="boot-up, and each change of state")] = 3.0
+    listen_s: Annotated[
+        float, Field(ge=0.1, le=10, description="listening time on the bus before anything is sent")
+    ] = LISTEN_S
+    answer_timeout_s: Annotated[float, Field(ge=0.01, le=10, description="timeout of one SDO response")] = 0.3
+    attempts: Annotated[int, Field(ge=1, le=20, description="attempts of an SDO transfer without response")] = 3
+    start_timeout_s: Annotated[
+        float, Field(ge=0.01, le=60, description="timeout of boot-up and of each change of state")
+    ] = 3.0
     turnaround_us: Annotated[float, Field(ge=0, le=10_000, description="of the drive, for the sum of the bus")] = 50.0
 
     @model_validator(mode="after")
     def _one_resolution(self) -> CanopenDriveSection:
         if self.counts_per_rev is not None and self.resolver_bits is not None:
-            raise ValueError("counts_per_rev and resolver_bits say the same: give one of them")
+            raise ValueError("counts_per_rev and resolver_bits define the same: give one of them")
         if "vendor" in (self.silence_detection, self.silence_reaction) and not self.sdo:
             raise ValueError("silence_detection or silence_reaction is vendor: the objects that set it belong in sdo")
         standard = (MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE)
@@ -233,7 +245,7 @@ class CanopenDriveSection(StrictRecord):
             ("target", self.target, TARGET_TORQUE), ("torque_feedback", self.torque_feedback, TORQUE)
         ):  # fmt: skip
             if one.object != standard_object and one.units_per_a is None:
-                raise ValueError(f"{key}.units_per_a: 0x{one.object:04X} counts in units of its own, give them")
+                raise ValueError(f"{key}.units_per_a: 0x{one.object:04X} has its own units, give them")
         if self.mode not in standard and self.mode >= 0:
             raise ValueError(f"mode {self.mode}: 10, 4, or a negative one of the vendor's; others command no torque")
         return self

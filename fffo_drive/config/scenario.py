@@ -50,7 +50,7 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-REPLACED = Field(description="takes the place of the axis file's section; absent: everything in it is off")
+REPLACED = Field(description="replaces the section of the axis file; absent: everything in it is off")
 Gain = Annotated[float | None, Field(ge=0, le=1e6)]
 
 
@@ -108,7 +108,7 @@ class ScenarioFile(StrictRecord):
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
     name: Annotated[
-        str, Field(pattern=r"^[\w.-]+$", description="stands in the report's title; letters, digits, _ . -")
+        str, Field(pattern=r"^[\w.-]+$", description="name in the title of the report; letters, digits, _ . -")
     ]
     axis: Annotated[str, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
@@ -275,7 +275,7 @@ def cutouts_of(duration_s: float) -> tuple[tuple[float, float], ...]:
 def case_of(scenario: Scenario, seed: int) -> Case:
     """One seed. Raises DocumentError for a scenario without a simulated drive."""
     if scenario.plant is None or scenario.device is None:
-        raise DocumentError(f"{scenario.path}: drive: no simulated drive: name one, or run on the bus")
+        raise DocumentError(f"{scenario.path}: drive: no simulated drive: give one, or run on the bus")
     profile = reference_of(scenario, seed)
     candidates = candidates_of(scenario, seed)
     ring_rows = simulated_ring_rows(profile, scenario.axis.loop.tail_s)

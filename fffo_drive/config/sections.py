@@ -17,7 +17,7 @@ Ordinate = Annotated[float, Field(ge=-1000, le=1000)]
 Pair = Annotated[tuple[float, float], Strict(False)]  # a list of two numbers, in YAML and JSON
 Point = Annotated[tuple[Annotated[float, Field(ge=0, le=86_400)], Ordinate], Strict(False)]
 Reaction = Literal["coast", "quick_stop"]
-PROFILE_KIND = Field(description="which profile it is: the other keys are those of this kind")
+PROFILE_KIND = Field(description="kind of profile: it determines the other keys")
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
@@ -31,12 +31,13 @@ class ObserverSection(StrictRecord):
     learns_in: Annotated[
         Literal["friction", "integral"],
         Field(
-            description="where L e goes: the friction estimate (the paper), or the integral, where it does not decay"
+            description="where L e is added: to the friction estimate (the paper), or to the integral, where it "
+            "does not decay"
         ),
     ] = "friction"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
-        float, Field(ge=0, le=10, description="measured velocity reverses the model only beyond this")
+        float, Field(ge=0, le=10, description="the measured velocity reverses the model only above this")
     ] = 0.1
 
 
@@ -44,26 +45,35 @@ class FeedforwardSection(StrictRecord):
     """Beyond the paper: each part has its switch and its term in the row."""
 
     inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
-    preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = False
+    preview: Annotated[bool, Field(description="read the reference in advance, so that the torque acts on time")] = (
+        False
+    )
     delay_aware: Annotated[bool, Field(description="compare the feedback with a reference as old as it is")] = False
 
 
 class EffectsSection(StrictRecord):
     """Feed-forward of the model's effects. One that depends on the angle needs an absolute one."""
 
-    compensate: Annotated[bool, Field(description="give the torque of the model's effects with the command")] = True
+    compensate: Annotated[bool, Field(description="add the torque of the model's effects to the command")] = True
     out_of_service: Annotated[list[str], Field(description="effects of the model that are not compensated")] = Field(
         default_factory=list
     )
     each_limit_share: Annotated[
-        float, Field(gt=0, le=1, description="bound of an effect's torque, of that at current_limit_a")
+        float,
+        Field(gt=0, le=1, description="bound of each effect's torque, as a share of the torque at current_limit_a"),
     ] = 0.25
-    total_limit_share: Annotated[float, Field(gt=0, le=1, description="bound of their sum")] = 0.4
+    total_limit_share: Annotated[
+        float, Field(gt=0, le=1, description="bound of the sum of all effects, as a share of the same torque")
+    ] = 0.4
     monitor: Annotated[
-        bool, Field(description="try windows with and without them, and take them out where tracking gets worse")
+        bool,
+        Field(
+            description="compare windows with and without each effect, and take it out of service if tracking is "
+            "worse with it"
+        ),
     ] = True
     monitor_window_s: Annotated[
-        float, Field(ge=0.05, le=60, description="of such a window: long enough for what the axis does again and again")
+        float, Field(ge=0.05, le=60, description="length of such a window: longer than the cycle of the axis")
     ] = 1.0
 
 
@@ -113,7 +123,7 @@ class AdaptationSection(StrictRecord):
             "observer.learns_in: integral"
         ),
     ] = False
-    time_s: Annotated[float, Field(ge=5, le=3600, description="time constant, counted in motion only")] = 30.0
+    time_s: Annotated[float, Field(ge=5, le=3600, description="time constant, counted during motion only")] = 30.0
     bound_share: Annotated[
         float,
         Field(
@@ -129,14 +139,14 @@ def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSect
     """Raise ValueError where the P and I terms hold less than what the model lacks, or more."""
     if learns_in != "integral":
         raise ValueError(
-            "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the "
-            "friction estimate learns is hidden from it"
+            "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': it does "
+            "not see what the friction estimate learns"
         )
     off = [f"feedforward.{part}" for part in FeedforwardSection.model_fields if not getattr(feedforward, part)]
     if off:
         raise ValueError(
-            f"adaptation.enabled: needs {', '.join(off)}: what is not fed forward is in the P and I terms, and would "
-            "be learned as friction"
+            f"adaptation.enabled: needs {', '.join(off)}: without them the P and I terms contain more than friction, "
+            "and all of it would be learned as friction"
         )
 
 
@@ -153,10 +163,12 @@ class ControllerSection(StrictRecord):
     at_rest: Annotated[RestSection, Field(description="gains and friction term at standstill")] = RestSection()
     feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
     effects: Annotated[EffectsSection, Field(description="compensation of the model's effects")] = EffectsSection()
-    phase_margin_deg: Annotated[float, Field(ge=0, le=90, description="smallest one accepted, with the delay")] = 35.0
-    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest one accepted")] = 2.0
+    phase_margin_deg: Annotated[
+        float, Field(ge=0, le=90, description="smallest accepted phase margin, with the delay")
+    ] = 35.0
+    gain_margin: Annotated[float, Field(ge=1, le=100, description="smallest accepted gain margin")] = 2.0
     accept_unproven: Annotated[
-        bool, Field(description="run although (14) or a margin is broken; the row and the file say so")
+        bool, Field(description="run although (14) or a margin is violated; the row and the file say so")
     ] = False
     velocity: Annotated[VelocitySection, Field(description="velocity feedback of the error")] = VelocitySection()
     adaptation: Annotated[AdaptationSection, Field(description="adaptation to slow change")] = AdaptationSection()
@@ -182,9 +194,7 @@ class EnvelopeSection(StrictRecord):
         Literal["trip", "limit"],
         Field(description="when the I2t budget is used up: trip, or limit to continuous_current_a"),
     ] = "trip"
-    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: the axis may turn for ever")] = (
-        None
-    )
+    position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: unlimited")] = None
     following_error_rps: Annotated[
         Rps, Field(description="trips when the velocity error exceeds this for longer than following_error_s, rev/s")
     ]
@@ -215,9 +225,15 @@ class LoopSection(StrictRecord):
     """The tick: its rate, its cut-off, and what counts as late."""
 
     rate_hz: Annotated[int, Field(ge=50, le=4000, description="500, 1000 and 2000 are tried")] = 2000
-    cutoff_share: Annotated[float, Field(gt=0.05, le=0.9, description="of the period, from SYNC to the cut-off")] = 0.6
-    late_share: Annotated[float, Field(gt=0, le=1, description="lateness of a late tick, of the period")] = 0.2
-    minimum_gap_share: Annotated[float, Field(ge=0.5, le=1, description="no two SYNCs are closer")] = 0.8
+    cutoff_share: Annotated[
+        float, Field(gt=0.05, le=0.9, description="time from SYNC to the cut-off, as a share of the period")
+    ] = 0.6
+    late_share: Annotated[
+        float, Field(gt=0, le=1, description="lateness from which a tick counts as late, as a share of the period")
+    ] = 0.2
+    minimum_gap_share: Annotated[
+        float, Field(ge=0.5, le=1, description="least time between two SYNCs, as a share of the period")
+    ] = 0.8
     tail_s: Annotated[float, Field(ge=0, le=60, description="standstill under control after a profile")] = 0.25
     longest_profile_s: Annotated[float, Field(gt=0, le=86_400, description="a longer profile is refused, s")] = 600.0
 
@@ -233,9 +249,15 @@ class RealtimeSection(StrictRecord):
     priority: Annotated[int, Field(ge=0, le=98, description="SCHED_FIFO; 0: ordinary scheduling")] = 60
     cpu: Annotated[int | Literal["last", "any"], Field(description="CPU of the loop")] = "last"
     lock_memory: Annotated[
-        bool, Field(description="keep the memory of the whole process in RAM (mlockall): the loop waits for no page")
+        bool,
+        Field(
+            description="keep the memory of the whole process in RAM (mlockall), so that the loop never waits "
+            "for a page"
+        ),
     ] = True
-    required: Annotated[bool, Field(description="false: go on without what the system refuses, and say so")] = True
+    required: Annotated[bool, Field(description="false: continue without what the system refuses, and report it")] = (
+        True
+    )
 
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
@@ -246,16 +268,18 @@ class RecordingSection(StrictRecord):
 
     directory: Annotated[str, Field(description="where recordings are written")] = "runs"
     compression: Annotated[Literal["zstd", "none"], Field(description="of the recording's chunks")] = "zstd"
-    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="what a killed process loses at most")] = 1.0
+    flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="most that a killed process loses")] = 1.0
     fsync_interval_s: Annotated[
-        float | None, Field(ge=0.1, le=3600, description="what a power loss costs at most; null: as the kernel writes")
+        float | None,
+        Field(ge=0.1, le=3600, description="most that a power failure loses; null: when the kernel writes"),
     ] = None
     rotate_bytes: Annotated[Bytes | None, Field(description="a new file from this size on; null: no limit")] = None
     rotate_s: Annotated[
         float | None, Field(ge=1, le=86_400, description="a new file after this time; null: no limit")
     ] = None
     quota_bytes: Annotated[
-        Bytes | None, Field(description="of the recordings in the directory: the oldest finished ones are deleted")
+        Bytes | None,
+        Field(description="size limit of the recordings in the directory: the oldest finished ones are deleted"),
     ] = None
 
     @model_validator(mode="after")
@@ -285,7 +309,7 @@ class SineProfile(StrictRecord):
     """One sine."""
 
     kind: Annotated[Literal["sine"], PROFILE_KIND]
-    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+    mode: Annotated[Literal["velocity", "current"], Field(description="kind of reference: velocity or current")] = (
         "velocity"
     )
     duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")]
@@ -297,7 +321,7 @@ class PointsProfile(StrictRecord):
     """Straight lines between points: steps, ramps, staircases, dwells."""
 
     kind: Annotated[Literal["points"], PROFILE_KIND]
-    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+    mode: Annotated[Literal["velocity", "current"], Field(description="kind of reference: velocity or current")] = (
         "velocity"
     )
     points: Annotated[list[Point], Field(min_length=2, description="[time_s, rps or A] each")]
@@ -365,7 +389,7 @@ class DecideProfile(PartsProfile):
     """What tells one effect from its lookalikes: parts of the recipe, or a chirp of current."""
 
     kind: Annotated[Literal["decide"], PROFILE_KIND]
-    effect: Annotated[str, Field(description="as a report of `fffo-drive diagnose` names it")]
+    effect: Annotated[str, Field(description="name of the effect, as in the report of `fffo-drive diagnose`")]
     amplitude_a: Annotated[float, Field(gt=0, le=1000, description="of a chirp")] = 0.5
 
     @field_validator("effect")
@@ -414,14 +438,14 @@ class SetPointSection(StrictRecord):
     """Live set points (`ctl jog`, `velocity`, `step`): how the reference gets there."""
 
     largest_rps: Annotated[
-        Rps | None, Field(description="a set point beyond it is refused; null: envelope.speed_limit_rps")
+        Rps | None, Field(description="a larger set point is refused; null: envelope.speed_limit_rps")
     ] = None
     acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="bound of the reference's acceleration")] = 50.0
     jerk_rps3: Annotated[
         float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; of stops and of a lapsed jog too")
     ] = 1000.0
     jog_timeout_s: Annotated[
-        float, Field(ge=0.05, le=10, description="a jog that is not renewed within it ends at standstill")
+        float, Field(ge=0.05, le=10, description="a jog that is not renewed within this time ends at standstill")
     ] = 0.5
     window_margin_rev: Annotated[
         float,
@@ -442,17 +466,26 @@ class DaemonSection(StrictRecord):
     ] = "anyone"
     client_loss: Annotated[
         Literal["stop", "quick_stop", "go_on"],
-        Field(description="what happens when the client that holds the axis goes away"),
+        Field(description="reaction when the client that holds the axis disconnects"),
     ] = "stop"
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of an ordered stop")] = 100.0
     set_points: Annotated[SetPointSection, Field(description="limits of live set points and jogs")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
-        float, Field(gt=0, le=60, description="an ordered stop that takes longer becomes a quick stop, this a fault")
+        float,
+        Field(
+            gt=0,
+            le=60,
+            description="an ordered stop that takes longer becomes a quick stop; a quick stop that takes longer "
+            "becomes a fault",
+        ),
     ] = 3.0
     retry_s: Annotated[float, Field(ge=0.05, le=600, description="between attempts to reach the drive")] = 2.0
     supervisor_timeout_s: Annotated[
-        float, Field(ge=0.1, le=60, description="a supervisor silent for so long: the loop quick-stops and ends")
+        float,
+        Field(
+            ge=0.1, le=60, description="if the supervisor is silent for longer, the loop makes a quick stop and ends"
+        ),
     ] = 1.0
     scope: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the scope page; HOST is 127.0.0.1; null: none (extra `live`)")
@@ -461,7 +494,7 @@ class DaemonSection(StrictRecord):
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
     record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
-    record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
+    record_required: Annotated[bool, Field(description="true: stop the axis if its recording fails")] = False
     profiles: Annotated[
         dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")
     ] = Field(default_factory=dict)

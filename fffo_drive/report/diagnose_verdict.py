@@ -222,13 +222,13 @@ def _not_finite(diagnosis: Diagnosis) -> bool:
 def _rest(rest: Rest, words: DiagnosisWords) -> str:
     left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
     text = (
-        f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
-        "the same rows leaves, or what does not repeat"
+        f"Not explained: {left} {words.small_torque} rms remain on the fitted runs; a black-box model of the same rows "
+        f"would leave {floor}, or that much does not repeat"
     )
     if rest.repeats_share is not None:
-        text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
+        text += f"; {100.0 * rest.repeats_share:.0f} % of the squared residual repeats"
     if rest.axes:
-        text += f"; it goes with {names_of([words.axis(axis) for axis in rest.axes])}"
+        text += f"; it depends on {names_of([words.axis(axis) for axis in rest.axes])}"
     return text + "."
 
 

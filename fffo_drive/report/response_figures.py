@@ -140,8 +140,8 @@ def damping_figure(damping: list[dict[str, float]], physical: Floats, words: Ide
     return Figure(
         name="damping", kind="xy", title="Damping over amplitude",
         caption="Power dissipated by friction divided by the mean square of the velocity, in windows of 0.5 s; "
-                "line: steady friction of the model by harmonic balance; dotted: viscous part alone. Only the points contain "
-                "presliding and lag.",
+                "line: steady friction of the model by harmonic balance; dotted: viscous part "
+                "alone. Only the points contain presliding and lag.",
         x=PlotAxis("amplitude of the velocity", words.velocity_unit, log=True),
         y=PlotAxis("damping", words.damping_unit, log=True), width="half",
         series=(

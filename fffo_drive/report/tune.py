@@ -98,7 +98,7 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         Line(label="Margins", text=f"Phase {significant(margins.phase_deg, 2)}°, gain {significant(margins.gain, 2)} "
                                    f"with delay and observer; required: {tuning.wish.phase_margin_deg:g}° and "
                                    f"{tuning.wish.gain_margin:g}."),
-        Line(label="Step", text=f"Overshoots by {significant(design.overshoot_percent, 2)}%, at worst "
+        Line(label="Step", text=f"Overshoots by {significant(design.overshoot_percent, 2)} %, at worst "
                                 f"{significant(tuning.worst_overshoot_percent, 2)} % with the observer, and is within "
                                 f"2 % after {significant(1e3 * design.settled_s, 2)} ms."),
         Line(label="At rest", text=f"{significant(100.0 * gains.rest_share, 3)} % of Kp and Ki give a phase margin of "

@@ -12,7 +12,7 @@ from fffo_drive.report.page import render_page
 
 PROFILE = reference(20.0)
 HEADLINE = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
-REST = "75 % of the squared residual that is left could be explained and is not"
+REST = "75 % of the remaining squared residual has an unknown cause"
 
 
 def circle(**changes):

@@ -260,8 +260,8 @@ def test_a_rest_is_never_silent():
                 for line in report.verdict.lines
             )
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
-        assert "2 are what a black box" in said
-        assert "40 % of the square" in said
+        assert "a black-box model of the same rows would leave 2" in said
+        assert "40 % of the squared residual repeats" in said
         assert "travel since reversal and time" in said
     assert report_object(found)["unexplained_rest"]["floor_nm"] == 0.002
 
