@@ -112,5 +112,5 @@ def effect_line(effect: dict[str, Any]) -> str:
         place = "" if row["run"] is None else f" in {row['run']}"
         numbers.append(f"{row['symbol']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
     share = effect.get("share_of_the_others_residual")
-    told = "" if share is None else f" ({100.0 * share:.0f} % of what all else leaves)"
+    told = "" if share is None else f" ({100.0 * share:.0f} % of what the others leave)"
     return f"{effect['name']}{told}: {', '.join(numbers)}"

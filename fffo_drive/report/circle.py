@@ -183,6 +183,7 @@ def circle_report(source: CircleSource) -> Report:
         title=f"Circle of {source.axis}",
         subtitle="Run, record, diagnose, adopt, run again. The page of the diagnosis is diagnosis/report.html.",
         verdict=_verdict(source),
+        opening="exceedance",
         tables=tuple(tables),
         sections=sections,
         provenance=source.provenance,

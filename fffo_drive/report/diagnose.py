@@ -48,9 +48,9 @@ DASH = Cell(text="–")
 NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
 GAINS = (
-    "Takes away: share of the squared residual of the fit runs that all other effects leave, outliers counted "
-    "linearly. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
-    "turn), and on the held-out runs; 95 % intervals. p is over the whole search: the chance that noise "
+    "Explains: share of the squared residual of the fit runs that the other effects leave, outliers counted "
+    "linearly. Gain: log-likelihood given the other effects, on rows that were not fitted (blocks of the fit runs in "
+    "turn), and on the held-out runs; 95 % intervals. p, over the entire search: the probability that noise "
     f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
 )
 FORM = (
@@ -135,7 +135,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
 
 def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     columns = [
-        Heading(label="takes away", unit="%"),
+        Heading(label="explains", unit="%"),
         Heading(label="fitted runs", unit="nats", group="gain"),
         Heading(label="held out", unit="nats", group="gain"),
         Heading(label="size", unit="% of friction"),
@@ -218,10 +218,10 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
         floor = f" What does not repeat: {rms} {words.small_torque} rms."
     note = (
         f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
-        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's {words.text('inertia')} "
-        f"along the measured motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks "
-        "that are drawn again. "
-        f"Below the held-out runs: where each effect acts in them. {ceiling.note.capitalize()}.{floor}"
+        f"of 0.25 and 0.5 s: the {words.torque} residual, integrated with the model's {words.text('inertia')} "
+        f"along the measured motion, without the mean {words.torque} of each window. 95 % intervals from resampled "
+        "blocks. "
+        f"Below the held-out runs: the parts of them in which each effect acts. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
 
@@ -262,8 +262,8 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
         for rival in finding.rivals[:SHOWN_RIVALS]
     ]
     note = (
-        "Each was refitted in the place of the finding, all parameters free, and judged on rows that the fit did not "
-        "see. One family: the gains differ by less than two standard deviations."
+        "Each was fitted instead of the finding, all parameters free, and compared on rows that were not "
+        "fitted. One family: the gains differ by less than two standard deviations."
     )
     return Table(
         name="rivals", title="Effects that were compared with it", note=note, corner="Rival", columns=columns, rows=rows
@@ -296,7 +296,9 @@ def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
     ]
     note = "What a free curve over one axis, or the mean after an event, explains of the squared residual."
     if pairs:
-        note += f" Of {len(pairs)} pairs of axes, beyond their curves, the strongest; report.json has all."
+        note += (
+            f" Of {len(pairs)} pairs of axes, the strongest, in addition to their single curves; report.json has all."
+        )
     return Table(
         name="channels", title="What the residual depends on", note=note, corner="Axis", columns=columns, rows=rows
     )
@@ -322,8 +324,9 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     return Table(
         name="rejected",
         title="Tried and not accepted",
-        note="Explained enough to be tried, and refused: by what a machine can be, by the measured current, or because "
-        "it did not carry over.",
+        note="Explained enough to be tried, and rejected: physically impossible, contradicted by the measured "
+        "current, or "
+        "not confirmed by other runs.",
         corner="Effect",
         columns=columns,
         rows=rows,
@@ -350,7 +353,8 @@ def _runs(look: RunsLook, words: DiagnosisWords) -> Table:
     ]
     remarks = "".join(f" {remark.text[:1].upper()}{remark.text[1:]}." for remark in look.remarks)
     note = (
-        "A rigid regression of each fitted run by itself: what runs of one axis agree in. 95 % intervals from whole "
+        "A rigid-body regression of each fitted run alone; runs of one axis should agree. 95 % intervals from "
+        "resampled "
         f"blocks; not determined: this run alone does not determine it.{remarks}"
     )
     return Table(name="runs", title="Each run alone", note=note, corner="Run", columns=columns, rows=rows)

@@ -232,10 +232,11 @@ def _parameters(results: dict[str, Any]) -> Table:
     unit = "N per command" if results["units"] == "linear" else "Nm/A"
     rows.append(Row(label="Kt", unit=unit, cells=[number(constant, 6), *[dash] * 5, Cell(text="declared")]))
     note = (
-        f"Below each value its {100 * CONFIDENCE:g} % interval. Standard deviation: from noise (whole windows count "
-        "once, neighbours may be correlated); from what fits with observers of three bandwidths, whose mean is taken, "
-        "disagree about beyond that, and the bias that the sensor's noise makes. Windows: how many quarter seconds, in "
-        "effect, bear on it. Velocity lag: of the drive's velocity behind its position."
+        f"Below each value: its {100 * CONFIDENCE:g} % interval. Standard deviation: noise (each window counts once, "
+        "because neighbouring rows may be correlated), and specification (disagreement beyond the noise between fits "
+        "with observers of three bandwidths, whose mean is the value, and the bias from sensor noise). Windows: "
+        "effective number of quarter-second windows that determine it. Velocity lag: of the drive's velocity behind "
+        "its position."
     )
     columns = [
         Heading(label="value"), Heading(label="sd"), Heading(label="sd", unit="%"),

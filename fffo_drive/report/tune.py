@@ -271,7 +271,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
         Row(label="hold of the command", unit="s",
             cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),
         *_lag_given_back(model, axis),
-        Row(label="whole delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
+        Row(label="total delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
         Row(label="Kt", unit="Nm/A",
             cells=[number(model.torque_constant_nm_per_a, 4), Cell(text="–"), _text("declared")]),
     ]  # fmt: skip

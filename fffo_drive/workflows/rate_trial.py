@@ -102,7 +102,7 @@ def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...
     apart = np.diff(rows["tick"].astype(np.int64))
     return RateTrial(
         rate_hz,
-        "" if turnaround_us.size else "no feedback answers SYNC: see the PDO mapping and loop.cutoff_share",
+        "" if turnaround_us.size else "no feedback after SYNC: see the PDO mapping and loop.cutoff_share",
         int(rows.size),
         int(np.count_nonzero(~answered)),
         int(rows["late"].sum()),

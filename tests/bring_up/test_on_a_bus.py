@@ -187,7 +187,7 @@ def test_a_drive_that_does_not_answer_sync_cannot_be_measured(bus, tmp_path):
     with Drive(bus, answers_sync=False) as node:
         report = bring_up_axis(wishes(bus, measure=True), Person())
     assert not report.ready
-    assert said(report, "failure") == ["bring-up: no feedback answers SYNC: see the PDO mapping and loop.cutoff_share"]
+    assert said(report, "failure") == ["bring-up: no feedback after SYNC: see the PDO mapping and loop.cutoff_share"]
     assert node.controlwords == {0}
     assert command.exit_code(report) == 70
 

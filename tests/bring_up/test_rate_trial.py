@@ -79,7 +79,7 @@ def test_jitter_is_the_standard_deviation_of_the_turnaround():
         (rows_of(2000, late=range(10)), []),
         (rows_of(2000, late=range(11)), ["this machine woke the loop late 11 times in 1000 periods"]),
         (rows_of(2000, skipped=range(100, 111)), ["this machine woke the loop late 11 times in 989 periods"]),
-        (rows_of(2000, missing=range(1000)), ["no feedback answers SYNC"]),
+        (rows_of(2000, missing=range(1000)), ["no feedback after SYNC"]),
         (rows_of(2000)[:0], ["the loop did not run"]),
     ],
 )
