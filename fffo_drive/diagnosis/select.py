@@ -178,7 +178,7 @@ class Selector:
         if weakest is None or found.accepted[weakest].share >= CURVE_OF_REST * rest_share or "rest" in self.ablate:
             return None
         one = found.accepted[weakest]
-        reason = f"it takes away {100.0 * one.share:.0f} %, little beside what nothing here explains"
+        reason = f"it explains {100.0 * one.share:.0f} %, little compared with the residual that nothing explains"
         self.refused[one.name] = Refused(one.name, reason, one.share, one.p)
         effects = [e for k, e in enumerate(found.fitted.effects) if k != weakest]
         accepted = [note for note in found.accepted if note is not one]

@@ -129,7 +129,7 @@ def test_what_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, object
 def test_a_rate_beyond_the_drives_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = axis_file(tmp_path, profile="nanotec_cl4e")
     assert main(["config", "check", str(path)]) == 78
-    assert "loop.rate_hz: 2000 Hz; the drive takes commands at no more than 1000 Hz" in capsys.readouterr().err
+    assert "loop.rate_hz: 2000 Hz; the drive accepts commands at no more than 1000 Hz" in capsys.readouterr().err
 
 
 def test_a_drive_is_known_by_its_identity() -> None:

@@ -397,7 +397,7 @@ def test_a_curve_that_takes_little_beside_what_nothing_explains_is_refused(share
     assert search.without_doubtful(own, 0.0) is None
     if fewer is not None:
         assert len(fewer.accepted) == len(selection.accepted) - 1
-        assert "little beside what nothing here explains" in next(
+        assert "little compared with the residual that nothing explains" in next(
             one.reason for one in fewer.refused if one.name.startswith("unknown:")
         )
 
