@@ -76,8 +76,8 @@ def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...
     if rms <= TOLD_RATIO * floor:
         return None
     sentence = (
-        f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of the fitted "
-        f"runs alone: {rms:.3g} Nm rms remain, {floor:.3g} with them; "
+        f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of "
+        f"the fitted runs alone: {rms:.3g} Nm rms remain, {floor:.3g} with them; "
         f"it depends on {' and '.join(axes).replace('_', ' ')}"
     )
     return Rest(rms, floor, None, axes, sentence)

@@ -369,7 +369,7 @@ def test_a_node_that_only_beats_is_told(bus):
 
 
 def test_a_directory_that_is_not_there_is_named_before_the_bus_is_used(bus):
-    with BusLog(bus) as log, pytest.raises(DocumentError, match="there is no directory nowhere"):
+    with BusLog(bus) as log, pytest.raises(DocumentError, match="no such directory: nowhere"):
         bring_up_axis(wishes(bus, out=Path("nowhere/axis.yaml")), Person())
     assert log.frames == []
 

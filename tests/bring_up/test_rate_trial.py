@@ -120,7 +120,7 @@ def draft_on(bus):
 def test_the_sum_for_the_bus_has_a_word_in_it():
     draft = draft_on("socketcan:can0")
     assert problems_at(draft.axis, draft.model, 2000, 20.0) == []
-    assert problems_at(draft.axis, draft.model, 2000, 300.0)[0].startswith("SYNC, answers and command take")
+    assert problems_at(draft.axis, draft.model, 2000, 300.0)[0].startswith("SYNC, feedback and command take")
     assert problems_at(draft.axis, draft.model, 1000, 300.0) == []
 
 

@@ -70,7 +70,7 @@ def test_one_obstacle_is_one_sentence(changes, said):
         ({(0x60FD, 0): u32(8)}, "STO: 0x60FD is 0x00000008: the interlock input"),
         ({(0x6072, 0): struct.pack("<H", 100)}, "torque limit: 0x6072 limits the torque to 10% of the rated torque"),
         ({(0x60FE, 1): u32(1)}, "brake: the brake is set (0x60FE:01, bit 0)"),
-        ({(0x6079, 0): u32(0)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied, though bit 4"),
+        ({(0x6079, 0): u32(0)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied, although bit 4"),
         ({(0x60FD, 0): 0x08000020}, "not read: objects that could not be read: 0x60FD:00 (abort 0x08000020)"),
     ],
 )  # fmt: skip

@@ -113,7 +113,7 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C counts in units of its own"),
+        ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C has its own units"),
         ({"torque_feedback": {"object": 0x207E}}, "torque_feedback.units_per_a: 0x207E"),
         ({"silence_detection": "vendor"}, "the objects that set it belong in sdo"),
         ({"mode": 8}, "mode 8: 10, 4, or a negative one"),

@@ -75,5 +75,7 @@ def test_the_headline_is_of_what_a_real_axis_measures():
 
 
 def test_what_was_found_and_is_not_in_service_is_no_headline():
-    report = circle_report(circle(effects=("cogging", "backlash"), not_compensated={"backlash": "not known ahead"}))
+    report = circle_report(
+        circle(effects=("cogging", "backlash"), not_compensated={"backlash": "not known in advance"})
+    )
     assert report.verdict.headline.startswith("Found and adopted: cogging. ")
