@@ -243,7 +243,7 @@ def test_nobody_on_the_bus(bus, tmp_path):
 def test_of_two_drives_one_is_named_or_asked_for(bus, tmp_path):
     with Drive(bus, 5), Drive(bus, 9):
         alone = bring_up_axis(wishes(bus), Person())
-        assert alone.verdict == "2 nodes answer (5, 9): name one with --node"
+        assert alone.verdict == "2 nodes answer (5, 9): choose one with --node"
         assert (command.exit_code(alone), alone.axis_file) == (78, None)
         person = Person("9")
         assert bring_up_axis(wishes(bus), person).node_id == 9
