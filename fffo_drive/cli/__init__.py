@@ -14,16 +14,16 @@ from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
 # subcommand -> (module, one line for --help)
 COMMANDS = {
     "run": ("run", "run one profile on a drive, in process or on a bus, and record it"),
-    "bring-up": ("bring_up", "from a drive on a bus to its axis file: scan, read, measure, write; moves nothing"),
+    "bring-up": ("bring_up", "write the axis file of a drive on a bus: scan, read, measure; moves nothing"),
     "commission": ("commission", "check signs, scales, delay and limits of an axis, and write a record"),
     "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
     "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
     "evaluate": ("evaluate", "compare controllers over seeds, on recordings or on a bus"),
-    "replay": ("replay", "put a recorded run through the law again, bit for bit"),
-    "import": ("import_logs", "take in logs of other programs: recognise their columns, write recordings"),
+    "replay": ("replay", "run a recording through the control law again and compare, bit for bit"),
+    "import": ("import_logs", "convert logs of other programs: recognise their columns, write recordings"),
     "identify": ("identify", "fit a model to logs of an axis, with uncertainties and residuals"),
     "diagnose": ("diagnose", "find what the model of an axis lacks, name it, and show the error before and after"),
-    "adopt": ("adopt", "put a diagnosed model in service on an axis, when all of its gates pass"),
+    "adopt": ("adopt", "put a diagnosed model in service on an axis if all gates pass"),
     "close-the-loop": ("close_the_loop", "run, record, diagnose, adopt, run again: the error before and after"),
     "tune": ("tune", "choose gains for a fitted model, with margins, and write them"),
     "serve": ("serve", "serve an axis as a daemon: supervise, record, listen on a Unix socket"),
@@ -31,12 +31,12 @@ COMMANDS = {
     "workbench": ("workbench", "record, identify, tune, diagnose and adopt in a browser"),
     "init": ("init", "write the example files: axes, drives, models, profiles, scenarios"),
     "ctl": ("ctl", "control a daemon: status, enable, start, toggle, stop, set, record, events"),
-    "scope": ("scope", "say where a daemon serves its scope page for a browser, and open it"),
+    "scope": ("scope", "print the address of a daemon's scope page, and open it in a browser"),
     "top": ("top", "watch a daemon in the terminal: state, ticks, error, current, recorder"),
     "log": ("log", "read what was recorded: info, recover"),
-    "doctor": ("doctor", "look over this machine: kernel, limits, CPU, interrupts, CAN interface, lateness"),
-    "install": ("install", "put units, rules and configuration of the service in place, or take them away"),
-    "drive-info": ("drive_info", "say what can be done with a drive, from its EDS"),
+    "doctor": ("doctor", "check this machine: kernel, limits, CPU, interrupts, CAN interface, lateness"),
+    "install": ("install", "install or remove the units, rules and configuration of the service"),
+    "drive-info": ("drive_info", "show from the EDS of a drive whether and how it can be used"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
     "manual": (".manual.command", "open the manual, or build its pages"),  # a floor above: it reads all other commands
 }
@@ -54,8 +54,8 @@ def build_parser() -> argparse.ArgumentParser:
         prog="fffo-drive",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit codes: 0 done, 2 wrong usage, 65 a diagnosis does not carry over, 69 bus unavailable, "
-        "70 fault of the drive, 74 disk, 78 bad input",
+        epilog="exit codes: 0 done, 2 wrong usage, 65 a diagnosis that held-out runs do not confirm, "
+        "69 bus unavailable, 70 drive fault, 74 disk error, 78 bad input",
     )
     parser.add_argument("--version", action="version", version=f"fffo-drive {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

@@ -1,11 +1,11 @@
-"""Put a diagnosed model in service on an axis: shows its gates, and names it in the axis file when all of them pass.
+"""Put a diagnosed model in service on an axis: show its gates, and enter it in the axis file if all of them pass.
 
-The drive must have no torque. The former model stays in AXIS.adoptions.yaml; --rollback names it again. The controller
-gives torque for every effect that can be compensated, from the next start on (or `fffo-drive ctl reload` of a daemon),
-and a monitor takes an effect out of service when tracking is worse with it (controller.effects.monitor).
+The drive must be without torque. AXIS.adoptions.yaml records the previous model; --rollback restores it. From the next
+start (or `fffo-drive ctl reload` of a daemon) the controller compensates every effect that can be compensated, and a
+monitor takes an effect out of service if tracking is worse with it (controller.effects.monitor).
 
-Exit codes: 0 adopted (with --dry-run: all gates passed), 1 a gate refuses it, 70 the axis' daemon has torque on, 74 the
-axis file cannot be written, 78 a file is missing or damaged, or the model is not one of this axis.
+Exit codes: 0 adopted (with --dry-run: all gates passed), 1 a gate refuses it, 70 the axis's daemon has torque on, 74
+the axis file cannot be written, 78 a file is missing or damaged, or the model is of another axis.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT}  # the fi
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("model", metavar="MODEL", nargs="?", help="model file that `fffo-drive diagnose` wrote")
-    parser.add_argument("--axis", metavar="AXIS", required=True, help="axis file in which it is named")
-    parser.add_argument("--report", metavar="FILE", help="report of the diagnosis (default: report.json beside MODEL)")
-    parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets (default: looked for)")
+    parser.add_argument("--axis", metavar="AXIS", required=True, help="axis file to enter the model in")
+    parser.add_argument("--report", metavar="FILE", help="report of the diagnosis (default: report.json next to MODEL)")
+    parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets (default: search for it)")
     parser.add_argument("--dry-run", action="store_true", help="show the gates, change nothing")
-    parser.add_argument("--rollback", action="store_true", help="name the model that was in service before")
+    parser.add_argument("--rollback", action="store_true", help="restore the previous model")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -45,10 +45,10 @@ def execute(options: argparse.Namespace) -> int:
     axis_path = Path(options.axis)
     if options.rollback:
         if options.model:
-            raise DocumentError("--rollback names the former model by itself: leave MODEL out")
+            raise DocumentError("--rollback restores the previous model: leave MODEL out")
         return _roll_back(axis_path, options.json)
     if not options.model:
-        raise DocumentError("a model file is needed, or --rollback: fffo-drive adopt MODEL --axis AXIS")
+        raise DocumentError("give a model file or --rollback: fffo-drive adopt MODEL --axis AXIS")
     model_path = Path(options.model)
     axis = read_axis(axis_path)
     serving = torque_on(axis.name, Path(options.sockets) if options.sockets else None)
@@ -63,9 +63,9 @@ def execute(options: argparse.Namespace) -> int:
     else:
         print_gates(found)
         if adopted is not None:
-            print(f"{axis_path}: model: {adopted.model}, before: {adopted.former} (back with --rollback)")
+            print(f"{axis_path}: model: {adopted.model}, before: {adopted.former} (--rollback restores it)")
             if serving is not None:
-                print("the axis is served: `fffo-drive ctl reload` takes it into the running daemon")
+                print("a daemon serves this axis: `fffo-drive ctl reload` loads the model into it")
     if passed:
         return 0
     hint = f"; `controller.effects.out_of_service: [{', '.join(weak)}]` leaves it out" if weak else ""

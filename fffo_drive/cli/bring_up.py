@@ -1,17 +1,17 @@
-"""From a bus with a drive on it to an axis file, without moving anything.
+"""Write the axis file of a drive on a bus, without moving anything.
 
 fffo-drive bring-up socketcan:can0 --out axis.yaml
 
-Listens whether somebody else commands on the bus, scans it (nodes without an id too, by LSS), reads its
-objects, says what stands between it and Operation Enabled, measures how fast a loop drive, bus and this machine allow
-(SYNC and feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
+Checks that the bus has no other master, scans it (also for nodes without an id, by LSS), reads the drive's objects,
+lists what keeps it from Operation Enabled, measures the highest rate that drive, bus and this machine allow (SYNC and
+feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
 
-What no drive reports is asked on a terminal, or given by options. For the measurement the drive's PDOs, its monitoring
-and what its profile writes are set up as for a run; nothing is stored in it. The next step is `fffo-drive commission`,
-which moves the axis.
+At a terminal it asks for what no drive reports; options give the same. For the measurement the drive's PDOs, its
+monitoring and the objects of its profile are set up as for a run; nothing is stored in the drive. The next step is
+`fffo-drive commission`, which moves the axis.
 
-exit codes: 0 ready to be commissioned, 69 nobody answers or the bus is not free, 70 something stands in the way,
-78 files are there already, or something is not known
+exit codes: 0 ready to be commissioned, 69 no node answers or the bus is not free, 70 the drive is not ready,
+78 the files exist already, or a value is unknown
 """
 
 from __future__ import annotations
@@ -41,19 +41,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite files")
     parser.add_argument("--assign", type=int, metavar="ID", help="give this id to the one node that has none (LSS)")
     parser.add_argument("--bitrate", type=int, metavar="HZ", help="bit rate of the bus (default: the interface's)")
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="measure so long at each rate (2)")
+    parser.add_argument(
+        "--seconds", type=float, default=2.0, metavar="S", help="seconds of measurement at each rate (2)"
+    )
     parser.add_argument("--no-measure", action="store_true", help="read and write files only")
-    parser.add_argument("--yes", action="store_true", help="ask nothing: take what is assumed; starts no motion")
-    parser.add_argument("--json", action="store_true", help="print one JSON object, and ask nothing")
-    known = parser.add_argument_group("what no drive reports, or reports wrongly")
+    parser.add_argument("--yes", action="store_true", help="do not ask: accept assumed values; nothing moves")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, do not ask")
+    known = parser.add_argument_group("values that the drive does not report, or reports wrongly")
     for name, (option, text) in OPTIONS.items():
         known.add_argument(option, dest=name, type=_above_zero, metavar="NUMBER", help=text)
     known.add_argument(
         "--profile",
         metavar="NAME",
-        help="its family, if vendor and product do not say; `fffo-drive config drives`",
+        help="profile of its family, if vendor and product do not identify it (`fffo-drive config drives`)",
     )
-    known.add_argument("--inertia", dest="inertia_kg_m2", type=_above_zero, metavar="KGM2", help="of motor and load")
+    known.add_argument(
+        "--inertia", dest="inertia_kg_m2", type=_above_zero, metavar="KGM2", help="inertia of motor and load"
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -140,7 +144,7 @@ class Terminal:
 def _lead_on(axis_file: Path) -> int:
     """Offer the next step, which moves the axis; no is the answer of who types nothing."""
     try:
-        answer = input("start it now? The axis will move a little, within bounds [y/N] ")
+        answer = input("start it now? The axis will move a little, within limits [y/N] ")
     except EOFError:
         return EXIT_OK
     if answer.strip().lower() not in ("y", "yes"):
@@ -162,7 +166,7 @@ def report_lines(report: BringUpReport) -> Iterator[str]:
         yield from _trials(report)
     if report.facts:
         yield ""
-        yield "what is known:"
+        yield "values of the axis file:"
         for name, fact in report.facts.items():
             shown = f"{fact.value:.10g}" if isinstance(fact.value, int | float) else str(fact.value)
             yield from _wrapped(f"  {name}: {shown}   ({fact.source})", 4)
@@ -174,7 +178,7 @@ def report_lines(report: BringUpReport) -> Iterator[str]:
     fine = [one for one in report.findings if one.level is Severity.OK]
     if fine:
         yield ""
-        yield from _wrapped("in order: " + "; ".join(one.text for one in fine), 2)
+        yield from _wrapped("ok: " + "; ".join(one.text for one in fine), 2)
     if report.axis_file is not None:
         yield ""
         yield f"written: {report.axis_file}, {report.model_file}"
@@ -190,7 +194,7 @@ def _finding(finding: HostFinding) -> Iterator[str]:
 def _trials(report: BringUpReport) -> Iterator[str]:
     yield "without torque, in us         50 % / 99 % / highest"
     if report.adapter is not None:
-        yield f"  a frame out and back here   {report.adapter.adapter_us.text}"
+        yield f"  frame sent to received      {report.adapter.adapter_us.text}"
         yield f"  SDO request to answer       {report.adapter.answer_us.text}"
     for trial in report.trials:
         if not trial.refused:
@@ -202,9 +206,10 @@ def _trials(report: BringUpReport) -> Iterator[str]:
 
 def _trial(trial: RateTrial) -> Iterator[str]:
     yield (f"  {trial.rate_hz:>4} Hz  SYNC to feedback    {trial.turnaround_us.text}, jitter {trial.jitter_us:.0f}")
-    yield f"           loop woken late     {trial.lateness_us.text}, SYNC jitter {trial.sync_jitter_us:.0f}"
+    yield f"           loop wakes late     {trial.lateness_us.text}, SYNC jitter {trial.sync_jitter_us:.0f}"
     yield (
-        f"           of {trial.ticks} ticks: {trial.missing} unanswered, {trial.late} late, {trial.skipped} skipped; "
+        f"           of {trial.ticks} ticks: {trial.missing} without feedback, {trial.late} late, {trial.skipped} "
+        "skipped; "
         f"bus {trial.bus_load:.0%}"
     )
 

@@ -1,15 +1,16 @@
-"""The whole circle on one axis: run, record, diagnose, adopt, run again; the tracking error before and after.
+"""Run, record, diagnose, adopt and run again, and show the tracking error before and after.
 
 AXIS is an axis file whose drive may move: in process, or on a bus (with --sim FILE a simulated drive is started there).
-Its own profile, an identification current and the recipe that separates effects are recorded; the profile's run is held
-out from the choice of effects. Everything is written to DIR, with an axis file of its own: AXIS stays as it is.
-DIR/report.html and report.json have the tracking error before and after, DIR/diagnosis what was found.
+It records the axis's own profile, an identification current and the recipe that separates effects. The run of the
+profile is held out: it is not used to choose effects. Everything is written to DIR, including a new axis file; AXIS
+itself is not changed. DIR/report.html and report.json have the tracking error before and after, DIR/diagnosis the
+findings.
 
-On the simulated drive the limits on silence are widened, a run that a busy machine has spoiled is made again, and all
-of them at 1000 or 500 Hz where it cannot keep the rate; on hardware a spoiled run is an error.
+With a simulated drive the timeouts are longer. If the machine is too busy, a run is repeated, and then all runs at 1000
+or 500 Hz. On hardware a disturbed run is an error.
 
-Exit codes: 0 adopted, or nothing was found; 1 something was found and a gate refuses it, or it does not carry over to
-the run that was held out; 69 no bus; 70 the drive, or a machine that keeps no rate; 74 the disk; 78 bad input.
+Exit codes: 0 adopted, or nothing found; 1 a gate refuses the finding, or the held-out run does not confirm it; 69 no
+bus; 70 drive fault, or the machine keeps no rate; 74 disk error; 78 bad input.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ EXIT_NOT_ADOPTED = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("axis", metavar="AXIS", help="axis file (YAML); its profile is a velocity")
-    parser.add_argument("--out", metavar="DIR", help="directory for everything (default: runs/circle_TIME)")
+    parser.add_argument("axis", metavar="AXIS", help="axis file (YAML) with a velocity profile")
+    parser.add_argument("--out", metavar="DIR", help="output directory (default: runs/circle_TIME)")
     parser.add_argument("--drive", metavar="FACTS", help="declared facts (default: from the axis file)")
     parser.add_argument("--sim", metavar="FILE", help="the simulated drive of this file, in process or on the bus")
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
@@ -50,9 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help=f"runs of {QUICK_S:g} s, and no recipe: separates fewer effects",
+        help=f"runs of {QUICK_S:g} s without the recipe: separates fewer effects",
     )
-    parser.add_argument("--uncommissioned", action="store_true", help="enable a drive on a bus without its record")
+    parser.add_argument(
+        "--uncommissioned", action="store_true", help="enable a drive on a bus without a commissioning record"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

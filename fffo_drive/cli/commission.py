@@ -1,9 +1,9 @@
 """Check signs, scales, delay and limits of an axis before any loop is closed, and write a record of it.
 
-The axis moves: small current pulses of both signs grow until it turns a little; it asks first (`--yes`: it does not).
-Current, speed, travel and time are bounded, and it stops at the first unexpected result. `fffo-drive run` enables a
-drive on a bus only with a record that has passed, for this drive and these declared facts, and that the file names
-under `commissioning:`. It asks before it writes that line; --accept writes it later, without moving anything.
+The axis moves: small current pulses of both signs grow until it turns a little. The program asks first, unless you give
+--yes. Current, speed, travel and time are limited, and it stops at the first unexpected result. `fffo-drive run`
+enables a drive on a bus only with a record that has passed, for this drive and these declared facts, and that the axis
+file names under `commissioning:`. The program asks before it writes that line; --accept writes it later, without motion.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
     parser.add_argument("--accept", action="store_true", help="name the record that has passed in AXIS, move nothing")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
-    bounds = parser.add_argument_group("bounds", "defaults are made from the file's envelope, and stay inside it")
+    bounds = parser.add_argument_group(
+        "bounds", "the defaults come from the envelope of the axis file and are within it"
+    )
     bounds.add_argument("--current", type=float, metavar="A", help="largest current (default: half the continuous)")
     bounds.add_argument("--speed", type=float, metavar="RPS", help="largest speed (default: 5, or half the limit)")
     bounds.add_argument("--travel", type=float, metavar="REV", help="largest travel from here (default: 2)")
@@ -81,7 +83,7 @@ def execute(options: argparse.Namespace) -> int:
         _print(record, plan, out)
     if not record.passed:
         failed = [check.name for check in record.checks if check.verdict == FAILED]
-        raise DriveFaultError(f"not passed: {', '.join(failed) or 'not all checks were made'}; the record is in {out}")
+        raise DriveFaultError(f"not passed: {', '.join(failed) or 'not all checks were done'}; the record is in {out}")
     asks = not options.json and not _named(plan, out) and sys.stdin.isatty()
     if asks and _agreed(f"write `commissioning: {os.path.relpath(out, plan.path.parent)}` into {plan.path}?"):
         accept_record(plan, out)
@@ -117,7 +119,7 @@ def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
         return True
     if options.json or not sys.stdin.isatty():
         raise UnconfirmedError(
-            "commission moves the axis, and here nobody can be asked: see that it may, and give --yes"
+            "commission moves the axis and there is no terminal to ask at: make sure that it may move, and give --yes"
         )
     return _agreed("may it move?")
 
@@ -133,10 +135,10 @@ def verdict_line(record: CommissioningRecord) -> str:
         others = f" (and {len(of[FAILED]) - 1} more)" if len(of[FAILED]) > 1 else ""
         return f"not passed: {first.name}{others}: {first.text}"
     if of[NOT_DONE]:
-        return f"not passed: {len(of[NOT_DONE])} of {len(record.checks)} checks were not made: {of[NOT_DONE][0].text}"
+        return f"not passed: {len(of[NOT_DONE])} of {len(record.checks)} checks were not done: {of[NOT_DONE][0].text}"
     if of[WARNING]:
         names = ", ".join(check.name for check in of[WARNING])
-        return f"passed, with {len(of[WARNING])} of {len(record.checks)} checks to look at: {names}"
+        return f"passed, with a warning from {len(of[WARNING])} of {len(record.checks)} checks: {names}"
     return f"passed: all {len(record.checks)} checks are ok"
 
 
@@ -144,7 +146,7 @@ def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
     """What to do now, in one sentence."""
     if not record.passed:
         remedy = next((check.remedy for check in record.checks if check.verdict == FAILED and check.remedy), "")
-        return remedy or "see what ended it, and commission again"
+        return remedy or "remove the cause, and commission again"
     name = os.path.relpath(out, plan.path.parent)
     if _named(plan, out):
         return f"fffo-drive run {plan.path}"

@@ -1,10 +1,10 @@
-"""Check files and print what they may hold.
+"""Check files, and print their schemas and tables.
 
-fffo-drive config check AXIS...     every error at once; margins, the sum for the bus; two axes on one bus
+fffo-drive config check AXIS...     all errors at once; margins and bus load; finds two axes on one bus
 fffo-drive config schema KIND       JSON schema for editors: axis, drive_profile, simulated, model, scenario, facts
-fffo-drive config drives            profiles of drive families that come with the program, and what was tried
-fffo-drive config signals           the table of recorded signals
-fffo-drive config effects           the table of effects that the simulated drive can be given
+fffo-drive config drives            the drive profiles that come with the program, and how each was tested
+fffo-drive config signals           table of recorded signals
+fffo-drive config effects           table of effects of the simulated drive
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SCHEMAS: dict[str, Any] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    check = actions.add_parser("check", help="check axis files and all that they name")
+    check = actions.add_parser("check", help="check axis files and the files that they name")
     check.add_argument("config", metavar="AXIS", nargs="+", help="axis file (YAML)")
     schema = actions.add_parser("schema", help="JSON schema of a file")
     schema.add_argument("kind", choices=list(SCHEMAS))
@@ -108,8 +108,8 @@ def _check(plan: Plan) -> None:
             print(f"    {step.name:<22} {step.worst_s * 1e6:7.0f} {step.typical_s * 1e6:9.0f}")
         if not chain.fits:
             print(
-                f"  warning: the worst case is {-chain.slack_s * 1e6:.0f} us beyond the period: a command that then "
-                "comes after the next SYNC acts one period later (counted by the drive as an old set-point)"
+                f"  warning: the worst case is {-chain.slack_s * 1e6:.0f} us beyond the period: a command that "
+                "arrives after the next SYNC acts one period later (the drive counts an old set-point)"
             )
     else:
         open_drive(plan)

@@ -1,7 +1,7 @@
 """Control a daemon (fffo-drive serve) over its socket. The commands are the methods of its API.
 
-Without --axis there must be one daemon only. Profiles and models given as files are read here and sent: the daemon does
-not need to see them. Exit codes: 69 no daemon, 70 refused or fault, 78 bad input.
+--axis is needed if more than one daemon runs. Profile and model files are read here and sent to the daemon, which needs
+no access to them. Exit codes: 69 no daemon, 70 refused or fault, 78 bad input.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _follow(client: DaemonClient, as_json: bool) -> None:
 
 def _hold(client: DaemonClient) -> None:
     """Stay connected; leaving is what the daemon reacts to."""
-    print("holding the axis; Ctrl-C lets go (daemon.client_loss)", file=sys.stderr, flush=True)
+    print("holding the axis; Ctrl-C releases it (daemon.client_loss)", file=sys.stderr, flush=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     client.call("subscribe", events=True, status_hz=0)
     _follow(client, False)

@@ -1,18 +1,18 @@
 """Find what the model of an axis lacks, name it, add it, and show the error before and after on held-out runs.
 
-RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the runs of --fit alone; those of
---held-out are looked at once, for the proof. Without --model the base model is identified from the same runs. Writes
-the page DIR/report.html, DIR/report.json (its schema is stable) and DIR/model.yaml, the base with what was found, which
+RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the --fit runs only; the --held-out runs
+are used once, to prove the result. Without --model the base model is identified from the --fit runs. Writes the page
+DIR/report.html, DIR/report.json (its schema is stable) and DIR/model.yaml, the base model with the effects found, which
 `fffo-drive adopt` puts in service.
 
-Where what was found does not lower the error of the held-out runs there is no model: page and report say so, and a
-DIR/model.yaml of an earlier diagnosis is removed.
+If the effects found do not lower the error of the held-out runs, no model is written and a DIR/model.yaml of an earlier
+diagnosis is removed.
 
---without leaves parts of the search out: names of laws (cogging), of axes (unknown:velocity), of kinds of curves
-(friction(time)) and of tables over two axes ('motor_angle x speed').
+--without excludes parts of the search: laws (cogging), axes (unknown:velocity), kinds of curves (friction(time)) and
+tables over two axes ('motor_angle x speed').
 
-Exit codes: 0 done, also where no effect was found; 65 nothing that was found carries over to the held-out runs, no
-model is written; 74 the disk; 78 bad input.
+Exit codes: 0 done, also if no effect was found; 65 the held-out runs confirm none of the effects, no model is written;
+74 disk error; 78 bad input.
 """
 
 from __future__ import annotations
@@ -48,18 +48,20 @@ CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its val
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings carry them")
-    parser.add_argument("--fit", required=True, nargs="+", metavar="RUN", help="runs on which effects are chosen")
-    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs for the proof alone")
+    parser.add_argument(
+        "--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings contain them"
+    )
+    parser.add_argument("--fit", required=True, nargs="+", metavar="RUN", help="runs to choose and fit effects on")
+    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs to prove the result on")
     parser.add_argument("--model", metavar="MODEL", help="base model to start from (default: identified from the runs)")
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for report and model")
     parser.add_argument(
         "--alpha", type=float, metavar="P",
-        help="chance of a false finding in a drive without effects that is accepted (default: 0.01)",
+        help="accepted probability of a false finding in a drive without effects (default: 0.01)",
     )  # fmt: skip
-    parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="what the search leaves out")
+    parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="names to exclude from the search")
     parser.add_argument("--name", help="name of the model (default: the directory's)")
-    parser.add_argument("--json", action="store_true", help="print report.json in place of the summary")
+    parser.add_argument("--json", action="store_true", help="print report.json instead of the summary")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -85,7 +87,7 @@ def execute(options: argparse.Namespace) -> int:
         without=options.without, told=told, bar=partial(progress_bar, quiet=options.json),
     )  # fmt: skip
     if done.removed is not None:
-        print(f"{done.removed}: of an earlier diagnosis, removed: these runs carry no model", file=sys.stderr)
+        print(f"{done.removed}: from an earlier diagnosis, removed: these runs give no model", file=sys.stderr)
     if options.json:
         print(json.dumps(json.loads(done.report.read_text(encoding="utf-8")), indent=2))
     else:
@@ -103,15 +105,15 @@ def _require(options: argparse.Namespace, out: Path) -> None:
         raise DocumentError(f"--model: {model_path} is where the result is written: give another --out")
     shared = {Path(path).resolve() for path in options.fit} & {Path(path).resolve() for path in options.held_out}
     if shared:
-        raise DocumentError(f"{sorted(shared)[0]}: a run cannot be fitted and held out")
+        raise DocumentError(f"{sorted(shared)[0]}: the same run cannot be both fitted and held out")
     if options.alpha is not None and not 0.0 < options.alpha < 1.0:
-        raise DocumentError(f"--alpha: {options.alpha:g} is no probability: give one above 0 and below 1")
+        raise DocumentError(f"--alpha: {options.alpha:g} is not a probability: give a number above 0 and below 1")
     known = searched_names()
     for name in options.without:
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-            raise DocumentError(f"--without: nothing that is searched is called {name!r}; {hint}")
+            raise DocumentError(f"--without: the search has nothing called {name!r}; {hint}")
 
 
 def searched_names() -> list[str]:
@@ -147,11 +149,12 @@ def _print(found: Diagnosis) -> None:
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability
         print(
-            f"  {finding.name}{family}: {share:.0f} % of the squared residual that all others leave, p {chance:.2g}; "
+            f"  {finding.name}{family}: {share:.0f} % of the squared residual that the other effects leave, p "
+            f"{chance:.2g}; "
             f"{numbers}"
         )
         if unproven(finding):
-            print("    on the held-out runs it does not lower the error")
+            print("    it does not lower the error on the held-out runs")
         if finding.doubt:
             print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:
@@ -183,7 +186,7 @@ def curve_words(finding: Finding, words: DiagnosisWords = ROTARY) -> str:
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
         length = words.unit("rev")
-        return f"{size}, after {low} to {high} {length}; the strongest after {reach_rev:.3g} {length}"
+        return f"{size}, after {low} to {high} {length}; strongest after {reach_rev:.3g} {length}"
     return f"a curve of {len(curve.knots)} knots over {low} to {high}: {size}"
 
 

@@ -1,14 +1,14 @@
-"""Look over this machine for what stands in the way of a loop on it: kernel, limits, CPU, interrupts, CAN interface.
+"""Check whether this machine can run the loop: kernel, limits, CPU, interrupts, CAN interface.
 
 fffo-drive doctor                 with the defaults of an axis file, and every CAN interface
 fffo-drive doctor AXIS            for one axis: its rate, priority, CPU, bus and bit rate
-fffo-drive doctor --record DIR    also write what was read to DIR; `--root DIR` looks at it again, on any machine
+fffo-drive doctor --record DIR    also save the data read to DIR; `--root DIR` checks them again, on any machine
 
-Each line is ok, a warning or a failure, and says what to type. Changes nothing by itself. It measures for a few seconds
-how late a thread with the loop's properties wakes: under the load of the day, let it measure for longer. Meanwhile it
-listens to the axis's bus, on which it sends nothing: who else commands there, and which nodes are there.
+Each line is ok, a warning or a failure, with the command that helps. Nothing is changed. For a few seconds it measures
+how late a thread with the properties of the loop wakes; measure for longer, under the usual load, before you rely on
+it. Meanwhile it listens on the bus of the axis, without sending, for other masters and for the nodes there.
 
-exit codes: 0 no failure, 1 at least one, 74 no such record, 78 bad axis file
+exit codes: 0 no failure, 1 one or more failures, 74 no such record, 78 bad axis file
 """
 
 from __future__ import annotations
@@ -30,16 +30,18 @@ EXIT_FAILURES = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("axis", metavar="AXIS", nargs="?", help="axis file; without one its defaults are assumed")
-    parser.add_argument("--bus", help="socketcan:can0 in place of the file's bus")
     parser.add_argument(
-        "--seconds", type=_seconds, default=3.0, metavar="S", help="measure lateness for so long (3; 0: not)"
+        "axis", metavar="AXIS", nargs="?", help="axis file (default: the default values of an axis file)"
+    )
+    parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=3.0, metavar="S", help="seconds of lateness measurement (3; 0: none)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
-        "--root", default="/", metavar="DIR", help="look at a record of another machine; nothing is measured"
+        "--root", default="/", metavar="DIR", help="check a record of another machine; nothing is measured"
     )
-    parser.add_argument("--record", metavar="DIR", help="write everything that was read to DIR")
+    parser.add_argument("--record", metavar="DIR", help="save all data read to DIR")
 
 
 def execute(options: argparse.Namespace) -> int:

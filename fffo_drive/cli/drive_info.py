@@ -1,9 +1,9 @@
-"""Say what we can and cannot do with a drive, from its EDS alone.
+"""Show from the EDS of a drive whether and how it can be used.
 
-fffo-drive drive-info FILE.eds                 modes, PDO mappings, what is missing, a drive section for an axis file
+fffo-drive drive-info FILE.eds                 modes, PDO mappings, missing objects, a drive section for an axis file
 fffo-drive drive-info FILE.eds --profile OUT   ... and write the profile of its family, for drive.profile
 
-Nothing is sent. Exit code 0 when the file speaks for the drive or leaves it open, 78 when it speaks against it.
+Nothing is sent. Exit code 0 if the drive can be used or the file does not say, 78 if it cannot be used.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("file", metavar="EDS", help="electronic data sheet (CiA 306) of the drive: .eds or .dcf")
     parser.add_argument("--node", type=int, default=1, metavar="ID", help="node id (default: %(default)s)")
-    parser.add_argument("--profile", type=Path, metavar="OUT", help="write the profile of the drive's family there")
+    parser.add_argument("--profile", type=Path, metavar="OUT", help="write the profile of the drive's family to OUT")
     parser.add_argument(
-        "--without-profile", action="store_true", help="take the file alone, also where the program knows the family"
+        "--without-profile",
+        action="store_true",
+        help="use only the file, even if the program has a profile of the family",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -94,16 +96,16 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
     lines = [f"{eds.path}: {eds.drive_name}", f"  {', '.join(identity) or 'no identity'}", ""]
     lines += [_verdict(eds, fitness), "", "modes (0x6502):"]
     modes = None if fitness.modes is None else ", ".join(mode_names(fitness.modes)) or "none"
-    told = modes or "not in the file; the drive is asked when it is connected"
-    lines += textwrap.wrap(told, WIDTH, initial_indent="  ", subsequent_indent="  ")
+    listed = modes or "not in the file; they are read from the drive when it is connected"
+    lines += textwrap.wrap(listed, WIDTH, initial_indent="  ", subsequent_indent="  ")
     if fitness.refusals:
         return lines + _remarks(eds)
     lines.append(f"  used: {mode_text(fitness.mode)}")
     if known is not None:
-        lines += ["", f"profile of its family: {known[0]} ({known[1].family})", f"  tried: {known[1].tried}"]
+        lines += ["", f"profile of its family: {known[0]} ({known[1].family})", f"  tested with: {known[1].tried}"]
         lines += [f"  {remark}" for remark in known[1].remarks]
     if fitness.proposal.stand_ins:
-        lines += ["", "what stands in for what it lacks:", *(f"  {text}" for text in fitness.proposal.stand_ins)]
+        lines += ["", "replacements for missing objects:", *(f"  {text}" for text in fitness.proposal.stand_ins)]
     units = [f"  {text}" for text in fitness.proposal.remarks]
     section = fitness.section
     if velocity := section.get("velocity_units_per_rps"):
@@ -112,14 +114,14 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
         units.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
     if units:
         lines += ["", "units and rate:", *units]
-    lines += ["", "PDO mappings that we set up:"]
+    lines += ["", "PDO mappings that the program sets up:"]
     for pdo in fitness.pdos:
         state = "; ".join(pdo.problems) or "possible"
         lines.append(f"  {pdo.name}  {pdo.objects:<16}  {pdo.purpose}: {state}")
     if fitness.welcome_missing:
         lines += [
             "",
-            "objects that we would use, and that it lacks:",
+            "optional objects that it lacks:",
             *(f"  {text}" for text in fitness.welcome_missing),
         ]
     text = snippet(eds, node_id, fitness, known[0] if known else None)
@@ -130,7 +132,7 @@ def _remarks(eds: Eds) -> list[str]:
     """What of the file is not as the standard has it."""
     if not eds.remarks:
         return []
-    head = f"the file is not as CiA 306 has it ({len(eds.remarks)}):"
+    head = f"the file departs from CiA 306 ({len(eds.remarks)}):"
     return ["", head, *(f"  {remark}" for remark in eds.remarks)]
 
 

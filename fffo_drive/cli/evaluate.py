@@ -2,9 +2,9 @@
 
   fffo-drive evaluate configs/scenarios/paper.yaml --controllers pi,pi+fffo --out DIR
   fffo-drive evaluate --runs pi.mcap pi_fffo.mcap --out DIR
-  fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus; real time, one run after the other
+  fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus, in real time, one run after another
 
-Writes report.html and report.json into DIR and prints the metrics. A seed varies noise and phases of the reference.
+Writes report.html and report.json to DIR and prints the metrics. A seed varies noise and phases of the reference.
 """
 
 from __future__ import annotations
@@ -57,9 +57,11 @@ class Compared(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="scenario file (configs/scenarios/*.yaml)")
-    parser.add_argument("--controllers", metavar="NAMES", help="some of the scenario's, comma-separated (default: all)")
+    parser.add_argument(
+        "--controllers", metavar="NAMES", help="controllers of the scenario, comma-separated (default: all)"
+    )
     parser.add_argument("--seeds", type=int, metavar="N", help="number of seeds (default: the scenario's)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--runs", nargs="+", metavar="FILE", help="evaluate recordings (.mcap) instead of running")
     source.add_argument(
@@ -82,7 +84,7 @@ def execute(options: argparse.Namespace) -> int:
         compared = _compared_recordings(options.runs, scenario)
     else:
         if scenario is None:
-            raise DocumentError("evaluate: a SCENARIO or --runs FILE... is needed")
+            raise DocumentError("evaluate: give a SCENARIO or --runs FILE...")
         compared = _compared_scenario(scenario, options, out)
     summary = summarise(compared.evaluations, compared.percent_of)
     facts = {"seeds": str(len(summary.seeds)), "controllers": ", ".join(summary.controllers)}
@@ -140,7 +142,7 @@ def _compared_recordings(files: Sequence[str], scenario: Scenario | None) -> Com
     )
     return Compared(
         f"Evaluation of {len(files)} recordings",
-        "Recorded runs; those of one controller count as seeds, in the order given.",
+        "Recorded runs; runs of one controller count as seeds, in the order given.",
         evaluations,
         yardstick,
         None if scenario is None else scenario.file.percent_of,
@@ -156,7 +158,7 @@ def print_summary(summary: Summary) -> None:
         if f"{kind}.ise" not in summary.figures:
             continue
         base = summary.figures[f"{kind}.ise"].base
-        title = f"error against {kind} velocity (rps, ISE rps² s), and per cent of {base}"
+        title = f"error against {kind} velocity (rps, ISE rps² s), and % of {base}"
         table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, collapse_padding=True)
         table.add_column("", no_wrap=True)
         for title in (*METRICS.values(), "lag ms"):

@@ -1,11 +1,11 @@
-"""Fit a model to logs of one axis: parameters with honest uncertainties, residuals, frequency response.
+"""Fit a model to logs of one axis: parameters with uncertainties, residuals, frequency response.
 
 LOG is a recording (MCAP) or a table (CSV, TXT, TSV, plain or gzip, or MAT); several are fitted together. --drive is a
-YAML file of declared facts (torque constant, resolver, poles and slots, columns of foreign logs; `fffo-drive config
-schema facts`); recordings of ours and of `fffo-drive import` carry them. A constant torque,
-friction that differs by direction, gravity and waves of the angle are fitted beside the model where the logs show them.
-Writes DIR/model.yaml, which a controller can run, and the page DIR/report.html with DIR/report.json; --svg also draws
-every figure of the page.
+YAML file of declared facts (torque constant, resolver, poles and slots, columns of other programs' logs; `fffo-drive
+config schema facts`); recordings of this program and of `fffo-drive import` contain them. If the logs show a constant
+torque, friction that differs by direction, gravity or ripple over the angle, it is fitted as well. Writes
+DIR/model.yaml for the controller, and the page DIR/report.html with DIR/report.json; --svg also draws every figure of
+the page.
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ FIGURES = "figures"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("logs", metavar="LOG", nargs="+", help="recordings or tables of one axis")
-    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings carry them")
+    parser.add_argument(
+        "--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings contain them"
+    )
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="directory for model.yaml, report.html and report.json"
     )
     parser.add_argument("--name", help="name of the model (default: the directory's)")
-    parser.add_argument("--svg", action="store_true", help=f"draw each figure as DIR/{FIGURES}/NAME.svg too")
+    parser.add_argument("--svg", action="store_true", help=f"also draw each figure as DIR/{FIGURES}/NAME.svg")
     parser.add_argument("--json", action="store_true", help="print the parameters as JSON")
 
 
@@ -110,5 +112,5 @@ def effect_line(effect: dict[str, Any]) -> str:
         place = "" if row["run"] is None else f" in {row['run']}"
         numbers.append(f"{row['symbol']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
     share = effect.get("share_of_the_others_residual")
-    told = "" if share is None else f" ({100.0 * share:.0f} % of what all else leaves)"
+    told = "" if share is None else f" ({100.0 * share:.0f} % of what the others leave)"
     return f"{effect['name']}{told}: {', '.join(numbers)}"

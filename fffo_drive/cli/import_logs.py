@@ -1,13 +1,12 @@
-"""Take in logs that other programs made: recognise their columns, show on what grounds, write recordings of ours.
+"""Convert logs of other programs to recordings: recognise their columns, give the reasons, write MCAP.
 
 LOG is text of any delimiter (metadata and unit lines, decimal comma, no names), an export of EPOS Studio or TwinCAT
 Scope, MATLAB (.mat), JSON records, NPZ, Parquet, or an MCAP of another program. Each becomes DIR/NAME.mcap, which
-`identify` and `diagnose` take as it is; DIR/facts.yaml holds what is declared about the axis.
+`identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about the axis.
 
-What neither names nor units nor the data decide is an assumption, marked with "?". On a terminal it is asked before
-anything is written, one by one; --yes takes the assumptions as they are. DIR/columns.png shows what each column was
-taken for, DIR/data.png what the data can show. --map FILE gives them beforehand: the DIR/map.yaml that
-an earlier import wrote.
+What names, units and data do not decide is an assumption, marked with "?". At a terminal the program asks for each one
+before it writes; --yes accepts all of them. DIR/columns.png shows how each column was interpreted, DIR/data.png what
+the data can show. --map FILE gives columns and units in advance: DIR/map.yaml of an earlier import.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("logs", metavar="LOG", nargs="+", help="files of one axis")
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for recordings, facts.yaml and map.yaml")
-    parser.add_argument("--yes", action="store_true", help="take assumptions without asking")
+    parser.add_argument("--yes", action="store_true", help="accept assumptions without asking")
     parser.add_argument("--map", metavar="FILE", help=f"columns and units: the {MAP_NAME} of an earlier import")
     roles = parser.add_argument_group("which column is what (default: recognised; '' for none)")
     for role, signal in ROLES.items():
@@ -73,13 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="COLUMN=UNIT",
         help="unit of a column: " + ", ".join(UNITS).replace("%", "%%"),
     )
-    roles.add_argument("--rate", type=float, metavar="HZ", help="samples a second, where there is no time")
-    roles.add_argument("--counts-per-turn", type=float, metavar="N", help="of a position in counts")
+    roles.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if there is no time column")
+    roles.add_argument(
+        "--counts-per-turn", type=float, metavar="N", help="counts per revolution of a position in counts"
+    )
     axis = parser.add_argument_group("the axis")
     axis.add_argument(
         "--torque-constant", type=float, metavar="NM_PER_A", help="Nm for a unit of the input (linear: N)"
     )
-    axis.add_argument("--linear", action="store_true", help="a linear axis: m and N in place of rev and Nm")
+    axis.add_argument("--linear", action="store_true", help="a linear axis: m and N instead of rev and Nm")
     axis.add_argument("--gear-ratio", type=float, metavar="N", help="motor speed over output speed")
     axis.add_argument("--pole-pairs", type=int, metavar="N")
     axis.add_argument("--slots", type=int, metavar="N")
@@ -91,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="largest torque of the load's weight, at the motor",
     )
     axis.add_argument("--absolute-angle", action="store_true", help="the angle's zero is the same in every run")
-    parser.add_argument("--json", action="store_true", help="print what was recognised as JSON; asks nothing")
+    parser.add_argument("--json", action="store_true", help="print the recognised columns as JSON; does not ask")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -102,7 +103,7 @@ def execute(options: argparse.Namespace) -> int:
         _print_tables(logs)
     if assumptions(logs) and not options.yes and not options.map:
         if options.json or not sys.stdin.isatty():
-            raise RecordingError(f"what is marked with '?' is an assumption: take it with --yes, or {SAY_IT}")
+            raise RecordingError(f"lines marked with '?' are assumptions: accept them with --yes, or {SAY_IT}")
         asked = _asked(logs, hints)
         if asked is None:
             print("nothing was written")
@@ -123,7 +124,7 @@ def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) ->
         print(f"warning: {warning}", file=sys.stderr)
     if not has_constant and found.torque_unit not in ("Nm", "N"):
         print(
-            f"no torque constant is given: torque is in units of the input ({found.torque_unit}), and inertia and "
+            f"no torque constant given: torque is in units of the input ({found.torque_unit}), and inertia and "
             "friction with it; --torque-constant makes them Nm"
         )
     if done.coverage is not None:
@@ -144,10 +145,10 @@ def _told(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     for text in options.unit:
         column, equals, unit = text.rpartition("=")
         if not equals:
-            raise RecordingError(f"--unit {text}: COLUMN=UNIT is wanted")
+            raise RecordingError(f"--unit {text}: give COLUMN=UNIT")
         units[column] = unit
     if options.rate is not None and not options.rate > 0.0:
-        raise RecordingError(f"--rate {options.rate:g}: a positive number of samples a second is wanted")
+        raise RecordingError(f"--rate {options.rate:g}: give a positive number of samples per second")
     hints = Hints(
         options.rate or told.get("rate_hz"), options.counts_per_turn or told.get("counts_per_turn"),
         options.linear or bool(told.get("linear")), roles, known_units(units),
@@ -166,7 +167,10 @@ def _print_tables(logs: Sequence[RecognisedLog]) -> None:
 
 def _asked(logs: list[RecognisedLog], hints: Hints) -> tuple[list[RecognisedLog], Hints] | None:
     """The logs once every assumption was taken or put right at the terminal; None to write nothing."""
-    print("Each assumption: Enter takes it; a unit or another column puts it right; - leaves it out; q writes nothing.")
+    print(
+        "For each assumption: Enter accepts it, a unit or another column corrects it, - leaves it out, q quits "
+        "without writing."
+    )
     sources = [one.source for one in logs]
     taken: set[tuple[str, str, str]] = set()
     while True:

@@ -1,15 +1,15 @@
-"""Put the service in place on a Debian machine (systemd, udev), and take it away again.
+"""Install the service on a Debian machine (systemd, udev), or remove it.
 
 fffo-drive install                  the unit fffo-drive@.service, udev rule, group, networkd examples, /etc/fffo-drive
-fffo-drive install --network can0   the networkd files of can0 in effect, not as examples
-fffo-drive install --uninstall      everything away; files edited since are left and named
+fffo-drive install --network can0   also put the networkd files of can0 into effect
+fffo-drive install --uninstall      remove everything; files that you edited are kept and listed
 fffo-drive install --root DIR       into another root directory (an image); `--program PATH` as seen from there
 
-Nothing is enabled or started by it. The program must lie where a service may look, which is not a home directory:
+Nothing is enabled or started. The program must be installed where a service can read it, so not in a home directory:
 
     python3 -m venv /opt/fffo-drive && /opt/fffo-drive/bin/pip install . && /opt/fffo-drive/bin/fffo-drive install
 
-exit codes: 0 done, 1 files are in place but a program of the system failed, 2 wrong usage, 74 not permitted, or disk,
+exit codes: 0 done, 1 files installed but a system program failed, 2 wrong usage, 74 not permitted or disk error,
 78 cannot be installed like this
 """
 
@@ -41,11 +41,15 @@ ACTIONS = (INSTALLED, UPDATED, UNCHANGED, REMOVED, KEPT)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("--uninstall", action="store_true", help="take everything away again")
+    parser.add_argument("--uninstall", action="store_true", help="remove everything")
     parser.add_argument("--root", default="/", metavar="DIR", help="root directory of the machine (/)")
-    parser.add_argument("--program", metavar="PATH", help="fffo-drive as the service is to start it (this one)")
+    parser.add_argument("--program", metavar="PATH", help="program that the service starts (default: this one)")
     parser.add_argument(
-        "--network", action="append", default=[], metavar="NAME", help="networkd files that take effect: can0, vcan0"
+        "--network",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="put the networkd files of this interface into effect: can0, vcan0",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -82,7 +86,11 @@ def _hindrance(root: Path, options: argparse.Namespace) -> str:
         return f"--root {root}: no such directory"
     if options.uninstall:
         running = active_instances() if is_live(root) else []
-        return f"{', '.join(running)} runs: systemctl disable --now {' '.join(running)}, then again" if running else ""
+        return (
+            f"{', '.join(running)} is running: first systemctl disable --now {' '.join(running)}, then again"
+            if running
+            else ""
+        )
     unknown = set(options.network) - set(example_interfaces())
     if unknown:
         return f"--network {min(unknown)}: there are files for {', '.join(example_interfaces())}"
@@ -123,7 +131,7 @@ def _as_text(root: Path, uninstall: bool, outcomes: Sequence[PlacedFiles], resul
             "",
             "next: edit /etc/fffo-drive/can0.yaml, fffo-drive doctor /etc/fffo-drive/can0.yaml,",
             "      fffo-drive commission /etc/fffo-drive/can0.yaml, systemctl enable --now fffo-drive@can0;",
-            f"      usermod -aG {GROUP} NAME for everybody who may use `fffo-drive ctl`",
+            f"      usermod -aG {GROUP} NAME for each user of `fffo-drive ctl`",
         ]
     return "\n".join(lines)
 

@@ -1,7 +1,7 @@
-"""Read what was recorded.
+"""Read recordings.
 
-fffo-drive log info FILE...       rows, columns with units, metadata, events; says when a file is torn
-fffo-drive log recover IN OUT     write a whole file from a torn one (NAME.mcap.part)
+fffo-drive log info FILE...       rows, columns with units, metadata, events, and whether the file is complete
+fffo-drive log recover IN OUT     write a complete file from an incomplete one (NAME.mcap.part)
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from ..recording.recover import recover
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="what is in a recording")
+    info = actions.add_parser("info", help="contents of a recording")
     info.add_argument("files", metavar="FILE", nargs="+", help="recording (.mcap, .mcap.part)")
     info.add_argument("--json", action="store_true", help="print one JSON object, or a list of them")
-    rescue = actions.add_parser("recover", help="make a whole file of a torn one")
+    rescue = actions.add_parser("recover", help="write a complete file from an incomplete one")
     rescue.add_argument("torn", metavar="IN", help="torn recording")
     rescue.add_argument("whole", metavar="OUT", help="file to write; must not exist")
     rescue.add_argument("--json", action="store_true", help="print one JSON object")
@@ -65,7 +65,7 @@ def _recover(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({key: str(v) if isinstance(v, Path) else v for key, v in report._asdict().items()}, indent=2))
         return 0
-    reason = "the file was whole" if report.was_complete else report.reason
+    reason = "the file was complete" if report.was_complete else report.reason
     print(f"{report.path_out}: {report.rows} rows in {report.messages} messages; {reason}; ", end="")
     print(f"{report.bytes_discarded} of {report.bytes_in} bytes discarded")
     return 0

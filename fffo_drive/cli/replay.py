@@ -1,12 +1,11 @@
-"""Put recorded runs through the law and the envelope again.
+"""Run recordings through the control law and the envelope again, and compare.
 
-Without --with, the blocks, effects and limits in the recording are used, each where it was in force, and every term and
-command must come out the same, bit for bit (exit code 1 when not). With --with FILE, an axis file or a model file, that
-law is run on the recorded feedback and compared.
+Without --with, replay uses the parameters, effects and limits of the recording, each where it was in force. Every term
+and command must be the same, bit for bit (exit code 1 if not). With --with FILE, an axis file or a model file, that
+law is run on the recorded feedback and compared with the recording.
 
-Several files are replayed as one, in the order given; a file that was continued after rotation brings its continuations
-along. A recording of an older version, which does not name its blocks, is replayed with the axis file and the model
-that it carries.
+Several files are replayed as one, in the order given; the continuations of a rotated file are included. A recording of
+an older version, which does not name its parameters, is replayed with the axis file and the model in it.
 """
 
 from __future__ import annotations
@@ -25,9 +24,7 @@ EXIT_DIFFERENT = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("runs", metavar="RUN", nargs="+", help="recordings (.mcap) in the order they were written")
-    parser.add_argument(
-        "--with", dest="other", metavar="FILE", help="axis or model file whose law is compared with the recorded one"
-    )
+    parser.add_argument("--with", dest="other", metavar="FILE", help="axis or model file to compare with the recording")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -66,17 +63,16 @@ def sentences(files: list[Path], report: ReplayReport, other: str | None) -> lis
         ]
         whole = report.profiles
         if whole.as_asked or whole.other:
-            said = f", {whole.other} with samples other than asked for" if whole.other else ""
-            lines.append(f"  profiles that ran from end to end: {whole.as_asked} as asked for{said}")
+            said = f", {whole.other} with other samples than commanded" if whole.other else ""
+            lines.append(f"  complete profiles: {whole.as_asked} as commanded{said}")
         live = report.live
         if any(live):
-            said = f", {live.other} with another one" if live.other else ""
+            said = f", {live.other} with a different one" if live.other else ""
             said += f", {live.not_followed} not followed" if live.not_followed else ""
-            lines.append(f"  rows by live set points: {live.as_asked} with the reference made again{said}")
+            lines.append(f"  rows with live set points: {live.as_asked} with the same reference{said}")
     if report.not_replayed:
         lines.append(
-            f"  {report.not_replayed} rows not replayed: the recording does not hold the begin of that motion, "
-            "or rows of it are missing"
+            f"  {report.not_replayed} rows not replayed: the recording lacks the beginning of that motion or rows of it"
         )
     if not report.names_blocks:
         lines.append("  a recording of an older version: the axis file and the model in it were used for all its rows")
@@ -87,16 +83,18 @@ def _outcome(report: ReplayReport, other: str | None) -> str:
     if other is not None:
         found = f"; its envelope finds a fault elsewhere ({report.first_trip})" if report.trips_elsewhere else ""
         return (
-            f"{report.rows} rows; {other} asks for {report.rms_difference_a:.4g} A (rms), at most "
-            f"{report.largest_difference_a:.4g} A, beside the recorded current, and commands "
-            f"{report.rms_command_difference_a:.4g} A (rms) beside it{found}"
+            f"{report.rows} rows; {other} requests a current that differs from the recorded one by "
+            f"{report.rms_difference_a:.4g} A (rms), at most {report.largest_difference_a:.4g} A; the command "
+            "differs by "
+            f"{report.rms_command_difference_a:.4g} A (rms){found}"
         )
     if report.all_identical == report.all_rows and report.rows:
         return (
-            f"{report.rows} rows, every term and command reproduced bit for bit ({report.all_rows} with those at rest)"
+            f"{report.rows} rows, every term and command reproduced bit for bit "
+            f"({report.all_rows} rows including standstill)"
         )
     if not report.rows:
-        return "no row in which the law acted could be replayed"
+        return "no row with the law active could be replayed"
     return (
         f"{report.all_identical} of {report.all_rows} rows reproduced, first difference at tick "
         f"{report.first_difference_tick} ({report.first_difference}), at most {report.largest_difference_a:.3g} A"

@@ -1,8 +1,8 @@
 """Run one profile on a drive, in process or on a bus, and record it.
 
-CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, law, limits, profile.
-Everything is checked before anything moves. The run is written as one MCAP file. With --served the daemon that has the
-axis (fffo-drive serve) runs the profile and records; no bus is opened here.
+CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, control law, limits,
+profile. Everything is checked before anything moves. The run is recorded in one MCAP file.
+With --served the daemon that has the axis (fffo-drive serve) runs the profile and records; no bus is opened here.
 """
 
 from __future__ import annotations
@@ -32,16 +32,20 @@ from .progress import progress_bar
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("config", metavar="CONFIG", help="axis file (YAML)")
-    parser.add_argument("--toggle", choices=list(TOGGLES), help="friction from: off, ff, fb (default: the file's)")
+    parser.add_argument(
+        "--toggle",
+        choices=list(TOGGLES),
+        help="friction from: off (none), ff (reference), fb (measured velocity) (default: the file's)",
+    )
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument(
-        "--profile", metavar="FILE", help="instead of the file's profile that of FILE (configs/profiles)"
+        "--profile", metavar="FILE", help="profile of FILE (configs/profiles) instead of the axis file's"
     )
     chosen.add_argument(
         "--decide",
         type=_effect_name,
         metavar="EFFECT",
-        help="instead of the file's profile the motion that distinguishes this effect from its lookalikes",
+        help="motion that separates this effect from similar ones, instead of the file's profile",
     )
     parser.add_argument("--bus", help="bus instead of the file's: socketcan:can0, loopback:PORT")
     parser.add_argument("--out", metavar="FILE", help="file to write (default: recording.directory/NAME_TIME.mcap)")

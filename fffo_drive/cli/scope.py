@@ -1,9 +1,9 @@
-"""Say where the scope page of a daemon is (fffo-drive serve --scope PORT), with the key that lets it command.
+"""Print the address of a daemon's scope page (fffo-drive serve --scope PORT), with the key that permits commands.
 
-Whoever may use the daemon's control socket reads the key; others get the page to look at, and nothing else: no Stop.
---role gives an address for somebody who may do less, --name one whose actions the daemon's log tells by this name.
---viewers says what Foxglove, Lichtblick and PlotJuggler connect to (serve --foxglove PORT), and the key for services.
-Through ssh: ssh -L PORT:127.0.0.1:PORT HOST, with one and the same PORT.
+Only users of the daemon's control socket can read the key; without it the page is read-only and has no Stop.
+--role prints an address with fewer rights, and --name one with a name for the daemon's log.
+--viewers prints the address for Foxglove, Lichtblick and PlotJuggler (serve --foxglove PORT) and the key for services.
+Through ssh: ssh -L PORT:127.0.0.1:PORT HOST, with the same PORT on both sides.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("--axis", metavar="NAME", help="which daemon: name of its directory (vcan0, bench)")
     parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
-    parser.add_argument("--open", action="store_true", help="open it in the browser of this machine")
-    parser.add_argument("--watch", action="store_true", help="without the key: to look, and nothing else")
-    parser.add_argument("--role", choices=ROLES, default=ROLES[-1], help="what the key allows (%(default)s)")
-    parser.add_argument("--name", metavar="NAME", help="who gets the address, for the daemon's log")
-    parser.add_argument("--viewers", action="store_true", help="the WebSocket for Foxglove and the like, and the key")
+    parser.add_argument("--open", action="store_true", help="open the page in a browser on this machine")
+    parser.add_argument("--watch", action="store_true", help="print the address without the key: read-only")
+    parser.add_argument("--role", choices=ROLES, default=ROLES[-1], help="rights of the address (%(default)s)")
+    parser.add_argument("--name", metavar="NAME", help="user of the address, for the daemon's log")
+    parser.add_argument(
+        "--viewers", action="store_true", help="print the WebSocket address for Foxglove and others, and the key"
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -69,7 +71,7 @@ def key_of(directory: Path, options: argparse.Namespace) -> str:
     try:
         keys = Keys((directory / TOKEN_FILE).read_text(encoding="utf-8").strip())
     except OSError as error:
-        print(f"without the key, to look and nothing else: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
+        print(f"without the key, read-only: {TOKEN_FILE} {error.strerror}", file=sys.stderr)
         return ""
     key = f"{options.name}:{keys.of(options.role)}" if options.name else keys.of(options.role)
     if keys.asker(key) is None:

@@ -1,9 +1,10 @@
 """Serve one axis on a bus: connect, keep it connected, supervise, record, and listen on a Unix socket (fffo-drive ctl).
 
-Runs in the foreground until SIGTERM or Ctrl-C, which stop the axis in order. SIGHUP reads the file again. Under systemd
-it is `fffo-drive@NAME.service`; by hand its sockets are in $XDG_RUNTIME_DIR/fffo-drive/NAME. With --scope (or
-daemon.scope in the axis file) it also serves a page for a browser, with --foxglove (daemon.foxglove) a WebSocket for
-Foxglove, Lichtblick and PlotJuggler, on this machine alone unless an address is given; fffo-drive scope says where.
+Runs in the foreground until SIGTERM or Ctrl-C; both make an ordered stop. SIGHUP reads the axis file again. Under
+systemd it is `fffo-drive@NAME.service`; started by hand, its sockets are in $XDG_RUNTIME_DIR/fffo-drive/NAME. With
+--scope (or daemon.scope in the axis file) it also serves a page for a browser, with --foxglove (daemon.foxglove) a
+WebSocket for Foxglove, Lichtblick and PlotJuggler, on this machine only unless you give an address; `fffo-drive scope`
+prints the address.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sockets", metavar="DIR", help="directory of control.sock and watch.sock")
     parser.add_argument("--uncommissioned", action="store_true", help="enable a drive without a commissioning record")
     where: dict[str, Any] = {"metavar": "[HOST:]PORT", "type": _address}
-    parser.add_argument("--scope", help="serve the scope page here; HOST is 127.0.0.1, port 0 a free one", **where)
-    parser.add_argument("--foxglove", help="serve a WebSocket for Foxglove, Lichtblick, PlotJuggler here", **where)
+    parser.add_argument(
+        "--scope", help="address of the scope page (default HOST: 127.0.0.1; port 0: a free one)", **where
+    )
+    parser.add_argument("--foxglove", help="address of the WebSocket for Foxglove, Lichtblick, PlotJuggler", **where)
 
 
 def execute(options: argparse.Namespace) -> int:

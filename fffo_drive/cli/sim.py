@@ -1,8 +1,8 @@
 """Run the simulated drive as a CANopen node on a bus, until SIGTERM or Ctrl-C.
 
 FILE describes plant, effects, device and node (configs/simulated_drive.yaml). Prints one line when it is ready.
-With --dictionary the drive has the objects of another: those of an EDS or DCF, or of a list of objects in YAML. With
---eds it writes the electronic data sheet (CiA 306) of the drive and ends.
+With --dictionary the node has the objects of another drive, from an EDS, a DCF or a list of objects in YAML. With
+--eds it writes the electronic data sheet (CiA 306) of the drive and exits.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bus", default="loopback:29500", help="socketcan:vcan0, loopback:PORT (default: %(default)s)")
     parser.add_argument("--node", type=int, metavar="ID", help="node id instead of the file's")
     parser.add_argument(
-        "--dictionary", type=Path, metavar="DRIVE", help="wear the objects of this drive: an EDS, a DCF, or YAML"
+        "--dictionary", type=Path, metavar="DRIVE", help="object dictionary of another drive: an EDS, a DCF, or YAML"
     )
-    parser.add_argument("--eds", type=Path, metavar="PATH", help="write the drive's EDS there; do not run")
+    parser.add_argument("--eds", type=Path, metavar="PATH", help="write the drive's EDS to this file; do not run")
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
-"""Watch a daemon in the terminal: state, ticks, error, current, recorder. Ctrl-C leaves; nothing can be changed here.
+"""Watch a daemon in the terminal: state, ticks, error, current, recorder. It changes nothing; Ctrl-C ends it.
 
-It listens on the daemon's read-only socket. Without a terminal, or with --once, it prints one page and ends.
+It reads the daemon's read-only socket. Without a terminal, or with --once, it prints one page and exits.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("--axis", metavar="NAME", help="which daemon: name of its directory (vcan0, bench)")
     parser.add_argument("--sockets", metavar="DIR", help="directory of the daemon's sockets")
-    parser.add_argument("--once", action="store_true", help="print one page and end")
+    parser.add_argument("--once", action="store_true", help="print one page and exit")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -144,7 +144,7 @@ class View:
             error = [moment.error_rps for moment in self._moments]
             lines.append(("error", f"{motion['error_rps']:9.4f} rps  {sparkline(error)}"))
             current = [moment.current_a for moment in self._moments]
-            asked = f"{motion['current_command_a']:9.4f} A asked, {motion['current_a']:9.4f} A measured"
+            asked = f"{motion['current_command_a']:9.4f} A commanded, {motion['current_a']:9.4f} A measured"
             lines.append(("current", f"{asked}  {sparkline(current)}"))
             lines.append(("friction", f"{motion['friction_nm']:9.4f} Nm"))
         if loop is not None:

@@ -1,8 +1,8 @@
 """Choose gains for a fitted model: PI, observer gain, margins with the delay, and how much friction may vary.
 
-Writes DIR/controller.yaml, the `controller:` section of an axis file, and the page DIR/report.html with its
-report.json; with --axis also a whole axis file, DIR/AXIS, that runs the model with these gains; --svg draws every
-figure of the page.
+Writes DIR/controller.yaml, the `controller:` section of an axis file, and the page DIR/report.html with report.json;
+with --axis also a complete axis file, DIR/AXIS, with the model and these gains; --svg also draws every figure of the
+page.
 """
 
 from __future__ import annotations
@@ -35,25 +35,32 @@ FIGURES = "figures"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("model", metavar="MODEL", help="model file (YAML)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="directory for what is written")
-    parser.add_argument("--axis", metavar="FILE", help="axis file whose gains and model are replaced in a copy")
+    parser.add_argument("--out", required=True, metavar="DIR", help="output directory")
+    parser.add_argument("--axis", metavar="FILE", help="axis file to copy with the new gains and model")
     parser.add_argument(
         "--bandwidth-hz",
         type=float,
         help="wanted crossover (default: where integral action is largest within the margins)",
     )
     parser.add_argument(
-        "--damping-ratio", type=float, default=Wish().damping_ratio, help="of the closed-loop poles (%(default)s)"
+        "--damping-ratio",
+        type=float,
+        default=Wish().damping_ratio,
+        help="damping ratio of the closed-loop poles (%(default)s)",
     )
     parser.add_argument(
-        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, help="smallest (%(default)s)"
+        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, help="smallest phase margin (%(default)s)"
     )
-    parser.add_argument("--gain-margin", type=float, default=Wish().gain_margin, help="smallest (%(default)s)")
-    parser.add_argument("--rate-hz", type=float, default=2000.0, help="of the loop, without --axis (%(default)s)")
     parser.add_argument(
-        "--current-limit-a", type=float, help="of the controller section (default: the axis file's, or 10)"
+        "--gain-margin", type=float, default=Wish().gain_margin, help="smallest gain margin (%(default)s)"
     )
-    parser.add_argument("--svg", action="store_true", help=f"draw each figure as DIR/{FIGURES}/NAME.svg too")
+    parser.add_argument("--rate-hz", type=float, default=2000.0, help="rate of the loop, without --axis (%(default)s)")
+    parser.add_argument(
+        "--current-limit-a",
+        type=float,
+        help="current limit of the controller section (default: the axis file's, or 10)",
+    )
+    parser.add_argument("--svg", action="store_true", help=f"also draw each figure as DIR/{FIGURES}/NAME.svg")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -106,7 +113,7 @@ def _commands(axis: Path | None, model: Path) -> list[str]:
         ]
     place = shlex.quote(str(axis))
     return [
-        f"fffo-drive config check {place}   # every error at once, margins, the sum for the bus",
+        f"fffo-drive config check {place}   # all errors at once, margins, bus load",
         f"fffo-drive run {place} --toggle ff   # one profile, recorded",
         f"fffo-drive run {place} --toggle off  # the same under PI alone",
     ]

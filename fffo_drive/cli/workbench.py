@@ -1,11 +1,12 @@
 """Open the workbench: record, identify, tune, diagnose and adopt in a browser, on this machine.
 
-AXIS is an axis file; recordings of any program may be given with it or instead (with --drive, the facts of their
-drive). Every step that you click is a command, which the page shows, in a process of its own with
-progress and cancel; what comes of it is written to --out. The page asks before a drive on a bus moves.
+AXIS is an axis file. Recordings of any program can be given as well or instead (with --drive, the facts about their
+drive). Every button runs a command in its own process, with progress and cancel; the page shows the command, and the
+results are written to --out. The page asks before a drive on a bus moves.
 
-You can give others an address with fewer rights: `look` shows, `stop` also cancels a job, `move` also records, adds
-files, identifies, diagnoses and compares, `tune` also changes gains and models. workbench.log says who did what.
+You can give others an address with fewer rights: `look` shows everything, `stop` also cancels a job, `move` also
+records, adds files, identifies, diagnoses and compares, `tune` also changes gains and models. workbench.log records who
+did what.
 
 Ctrl-C ends it; a run in progress brakes to standstill first. Not a safety function: keep the emergency stop at hand.
 """
@@ -28,11 +29,13 @@ from ..workbench.server import WorkbenchServer
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("files", nargs="*", metavar="AXIS|RUN", help="axis file (YAML), recordings")
-    parser.add_argument("--drive", metavar="FILE", help="declared facts about the drive of foreign recordings (YAML)")
     parser.add_argument(
-        "--out", metavar="DIR", default="runs/workbench", help="directory of everything that is written (%(default)s)"
+        "--drive", metavar="FILE", help="declared facts about the drive of other programs' recordings (YAML)"
     )
-    parser.add_argument("--sockets", metavar="DIR", help="of the daemon that has the axis (default: looked for)")
+    parser.add_argument(
+        "--sockets", metavar="DIR", help="directory of the sockets of the axis' daemon (default: found by name)"
+    )
+    parser.add_argument("--out", metavar="DIR", default="runs/workbench", help="output directory (%(default)s)")
     parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the addresses, open no browser")
 
@@ -42,7 +45,7 @@ def execute(options: argparse.Namespace) -> int:
     axes = [Path(name) for name in options.files if Path(name).suffix in (".yaml", ".yml")]
     runs = [Path(name) for name in options.files if Path(name) not in axes]
     if len(axes) > 1:
-        raise DocumentError(f"{axes[1]}: a workbench has one axis file, {axes[0]} is the first")
+        raise DocumentError(f"{axes[1]}: a workbench has one axis file, and {axes[0]} was given first")
     for path in runs:
         if not shelf.is_recording(path):
             raise DocumentError(f"{path}: neither an axis file (.yaml) nor a recording ({', '.join(shelf.RECORDINGS)})")

@@ -75,7 +75,7 @@ def bounded_envelope(envelope: EnvelopeConfig, bounds: Bounds, start_rev: float)
     if low_rev < envelope.position_low_rev or high_rev > envelope.position_high_rev:
         window = f"[{envelope.position_low_rev:g}, {envelope.position_high_rev:g}]"
         raise BoundsError(
-            f"the axis stands at {start_rev:.3f} rev and may be moved {bounds.travel_rev:g} rev both ways, but "
+            f"the axis is at {start_rev:.3f} rev and may be moved {bounds.travel_rev:g} rev both ways, but "
             f"envelope.position_window_rev is {window}: move the axis towards its middle, or give a smaller --travel"
         )
     reactions = envelope.reactions.copy()

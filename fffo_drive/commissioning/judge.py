@@ -10,14 +10,14 @@ from .record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, Verdict
 
 # name -> what is checked; the order is that of the report
 CHECKS = {
-    "standstill": "the axis stands still without torque",
+    "standstill": "the axis is at rest without torque",
     "motion": "a bounded current moves the axis",
     "torque_sign": "positive current turns towards rising position",
     "velocity_sign": "velocity has the sign of the change of position",
     "position_sign": "position has the sign of torque and velocity",
     "counts_per_rev": "counts of 0x6064 in one revolution",
     "velocity_scale": "units of 0x606C in one rev/s: integrated velocity over position",
-    "velocity_update": "how often the velocity word really changes",
+    "velocity_update": "how often the velocity word changes",
     "velocity_age": "how much older the velocity is than the position",
     "current_scale": "current that the drive reports over current commanded",
     "torque_per_inertia": "acceleration per ampere, Kt/J, against the model",

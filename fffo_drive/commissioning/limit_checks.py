@@ -32,13 +32,15 @@ def current_limit(motion: PulseMotion, limit_a: float, asked_a: float, resolutio
     told_limited = bool((motion.limits & LIMIT_CURRENT).any())
     moved_rev = max((abs(r.net_rev) for r in responses(motion)), default=math.nan)
     numbers = {"asked_a": asked_a, "limit_a": limit_a, "highest_command_a": highest_a, "travel_rev": moved_rev}
-    text = f"{asked_a:.3g} A asked under a limit of {limit_a:.3g} A: {highest_a:.3g} A sent, {moved_rev:.2g} rev moved"
+    text = (
+        f"{asked_a:.3g} A requested with a limit of {limit_a:.3g} A: {highest_a:.3g} A sent, {moved_rev:.2g} rev moved"
+    )
     if highest_a > limit_a + resolution_a or not told_limited or not motion.enabled.any():
         return told("current_limit", FAILED, text, ENVELOPE_REMEDY, numbers)
     if moved_rev > MOVED_REV:
         remedy = (
-            "the axis moved at a current at which it had stood: friction is uneven, or the drive makes more current "
-            "than asked"
+            "the axis moved at a current that had not moved it: friction is uneven, or the drive makes more current "
+            "than requested"
         )
         return told("current_limit", WARNING, text, remedy, numbers)
     return told("current_limit", OK, text, numbers=numbers)
@@ -82,7 +84,7 @@ def stop_after_trip(
         "stopped_after_s": stop_s,
         "stopping_travel_rev": way_rev,
     }
-    text = f"tripped at {limit:.3g} {unit}, stood {stop_s * 1e3:.0f} ms and {way_rev:.3g} rev later"
+    text = f"tripped at {limit:.3g} {unit}, at rest {stop_s * 1e3:.0f} ms and {way_rev:.3g} rev later"
     trip = int(motion.trip[row])
     if trip != expected_trip:
         return told(name, FAILED, f"another trip came first: {TRIP_TEXTS[trip]}", ENVELOPE_REMEDY, numbers)

@@ -58,7 +58,7 @@ def standstill(motion: PulseMotion) -> CheckRecord:
     """Without voltage the axis must be at rest, and the feedback must show it."""
     if not motion.size:
         return told(
-            "standstill", FAILED, "no feedback answers SYNC", "see the TPDO mapping and the cut-off (loop.cutoff_share)"
+            "standstill", FAILED, "no feedback after SYNC", "see the TPDO mapping and the cut-off (loop.cutoff_share)"
         )
     wandered_rev = float(np.ptp(motion.position_rev))
     offset_rps = float(np.mean(motion.velocity_rps))
@@ -67,7 +67,7 @@ def standstill(motion: PulseMotion) -> CheckRecord:
         "velocity_offset_rps": offset_rps,
         "velocity_noise_rps": float(np.std(motion.velocity_rps)),
     }
-    text = f"position wanders {wandered_rev:.2g} rev, velocity {offset_rps:+.2g} rps on average"
+    text = f"position varies by {wandered_rev:.2g} rev, velocity {offset_rps:+.2g} rps on average"
     if wandered_rev > STILL_REV:
         remedy = "the axis moves without torque, or the sensor does not work: hold the load, check the sensor's wiring"
         return told("standstill", FAILED, text, remedy, numbers)
@@ -155,8 +155,8 @@ def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declare
         text += f"; declared {declared:g} counts, {plate.counts_object} says {object_608f:g}"
         if object_608f != declared:
             remedy = (
-                f"set drive.counts_per_rev to what {plate.counts_object} says; where they differ on purpose, a "
-                "position factor (0x6091, 0x6092) is active: set it to 1"
+                f"set drive.counts_per_rev to what {plate.counts_object} says; if they differ on purpose, a position "
+                "factor (0x6091, 0x6092) is active: set it to 1"
             )
             return told(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
     if suspected and name not in suspected:
@@ -188,8 +188,8 @@ def velocity_update(interval_s: float, period_s: float) -> CheckRecord:
     limits = Range(0.0, 1.5 * period_s, 0.0, 4.5 * period_s)
     text = f"changes every {interval_s * 1e3:.2f} ms, the loop reads it every {period_s * 1e3:.2f} ms"
     remedy = (
-        "the drive computes 0x606C less often than SYNC comes: raise its update rate or lessen its averaging, or lower "
-        "loop.rate_hz to it"
+        "the drive computes 0x606C less often than SYNC comes: raise its update rate, reduce its averaging, or lower "
+        "loop.rate_hz to match"
     )
     return graded("velocity_update", interval_s, period_s, limits, "s", text, remedy)
 
@@ -199,8 +199,8 @@ def velocity_age(fit: ScaleFit, period_s: float, believed_s: float) -> CheckReco
     limits = within(believed_s, max(period_s, 5e-4), 5e-3)
     text = f"the velocity is {fit.age_s * 1e3:.2f} ms older than the position; the model says {believed_s * 1e3:.2f} ms"
     remedy = (
-        f"set sensor_delay_s: {{value: {max(fit.age_s, 0.0):.5f}, source: commissioning}} in the model, or lessen the "
-        "filtering of 0x606C in the drive"
+        f"set sensor_delay_s: {{value: {max(fit.age_s, 0.0):.5f}, source: commissioning}} in the model, or reduce "
+        "the filtering of 0x606C in the drive"
     )
     return graded("velocity_age", fit.age_s, believed_s, limits, "s", text, remedy)
 
@@ -216,7 +216,7 @@ def current_scale(
     if count:
         text += f", in steps of {count:.3f}"
     remedy = (
-        "the drive makes another current than commanded: check rated torque and current (0x6076, 0x6075), "
+        "the drive makes a different current than commanded: check rated torque and current (0x6076, 0x6075), "
         "torque_constant_nm_per_a, the torque limits 0x6072, 0x60E0, 0x60E1 and the tuning of the current loop"
     )
     if plate.torque_constant_nm_per_a is not None:
@@ -224,7 +224,7 @@ def current_scale(
         numbers["name_plate_torque_constant_nm_per_a"] = plate.torque_constant_nm_per_a
         text += f"; rated torque over rated current is {of_plate:.3f} of the model's Kt"
         if within(1.0, PLATE_OK, PLATE_WARNING).verdict(of_plate) != OK and limits.verdict(ratio) == OK:
-            remedy = "0x6076 over 0x6075 is another torque constant than the model's: make them agree"
+            remedy = "0x6076 over 0x6075 differs from the torque constant of the model: make them agree"
             return told("current_scale", WARNING, text, remedy, numbers)
     if not samples and held is None:
         return told("current_scale", WARNING, "the drive reported no current during the pulses", remedy, numbers)
@@ -271,7 +271,7 @@ def static_friction(breakaway_a: float, beliefs: Beliefs) -> CheckRecord:
     limits = factor(beliefs.static_nm, FRICTION_OK, FRICTION_OK)._replace(least=0.0, most=math.inf)
     text = f"moves from {breakaway_a:.3g} A on, {measured_nm:.3g} Nm; the model says {beliefs.static_nm:.3g} Nm"
     remedy = (
-        "identify the axis anew (friction changes with load, wear and temperature); check Kt if its check fails too"
+        "identify the axis again (friction changes with load, wear and temperature); check Kt if its check fails too"
     )
     return graded(
         "static_friction", measured_nm, beliefs.static_nm, limits, "Nm", text, remedy, {"current_a": breakaway_a}

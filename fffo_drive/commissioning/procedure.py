@@ -114,7 +114,7 @@ def commission(
     except _SurpriseError as surprise:
         reason = str(surprise)
     except TimeBoundError:
-        reason = f"the axis has been moved for {bounds.time_s:g} s, which is the bound"
+        reason = f"the axis has moved for {bounds.time_s:g} s, which is the limit"
     identity = procedure.rig.identity
     if identity is None:
         raise DriveError("the drive was not connected")
@@ -208,7 +208,7 @@ class _Procedure:
         remedy = "see the drive's error history (0x1003, 0x603F), its supply, and what else is on the bus"
         if limit_met:
             remedy = (
-                "is the axis lighter than thought, does it coast far, or are counts and velocity units wrong by one "
+                "is the axis lighter than expected, does it coast far, or are counts and velocity units wrong by one "
                 "factor? Repeat with a smaller --current or --speed"
             )
         elif run.trip in SILENCE:
@@ -295,7 +295,7 @@ class _Procedure:
             )
         else:
             text = f"the axis moves one way with {moved_a:.3g} A, not the other way with {self.bounds.current_a:.3g} A"
-            remedy = "a load pulls it, or it stands at an end stop: balance or move it, or give a larger --current"
+            remedy = "a load pulls it, or it is at an end stop: balance or move it, or give a larger --current"
         self.add(told("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
 
     def _hold(self, runner: Runner, current_a: float) -> HeldCurrent | None:

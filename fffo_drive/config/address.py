@@ -34,7 +34,7 @@ def address_of(text: str) -> Address:
     if not port.isascii() or not port.isdecimal() or int(port) > HIGHEST_PORT:
         raise ValueError(f"'{text}': give PORT or HOST:PORT")
     if host in WILDCARDS:
-        raise ValueError(f"'{text}': give the address or name that browsers use, not all of them")
+        raise ValueError(f"'{text}': give the one address or name that browsers use")
     return Address(host, int(port))
 
 

@@ -53,15 +53,15 @@ class Adoption(StrictRecord):
     date: Annotated[str, Field(description="local time, YYYY-MM-DD HH:MM:SS")]
     model: Annotated[str, Field(description="the model file, as the axis file names it")]
     model_hash: Annotated[str, Field(description="content hash of the model")]
-    former: Annotated[str, Field(description="the model file before it; a rollback names it again")]
-    gates: Annotated[list[str], Field(description="conditions of the adoption that were met, with what was found")]
+    former: Annotated[str, Field(description="the previous model file; a rollback restores it")]
+    gates: Annotated[list[str], Field(description="gates that the model passed, with their values")]
 
 
 class History(StrictRecord):
     """What was adopted on an axis, the last one at the end."""
 
     format: Annotated[str, formats.ADOPTIONS.key] = formats.ADOPTIONS.word
-    tool: Annotated[str, Field(description="what wrote it last")] = ""
+    tool: Annotated[str, Field(description="program that wrote it last")] = ""
     adoptions: list[Adoption] = Field(
         default_factory=list, description="the oldest first; a rollback removes the last one"
     )
@@ -70,9 +70,9 @@ class History(StrictRecord):
 def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
     """The error on runs that the effects were not chosen on has fallen, and its interval lies below what it was."""
     if report is None:
-        return Gate(HELD_OUT, False, "no report.json of `fffo-drive diagnose` stands beside the model")
+        return Gate(HELD_OUT, False, "there is no report.json of `fffo-drive diagnose` next to the model")
     if report.get("verdict") == NOTHING_CARRIES_OVER:
-        return Gate(HELD_OUT, False, str(report.get("headline") or "nothing carries over to the held-out runs"))
+        return Gate(HELD_OUT, False, str(report.get("headline") or "the held-out runs confirm none of the effects"))
     before, after = (report.get(key, {}).get("held_out") for key in ("before", "after"))
     if not before or not after:
         return Gate(HELD_OUT, False, "the report has no held-out runs: diagnose again with --held-out")
@@ -125,7 +125,7 @@ def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
         return Gate(name, False, "no strength")
     unknown = [key for key, _, sd in told if sd is None]
     if len(unknown) == len(told):
-        return Gate(name, False, "no standard deviation: the strengths were not fitted, or stand at a bound")
+        return Gate(name, False, "no standard deviation: the strengths were not fitted, or are at a bound")
     known = [(value, sd) for _, value, sd in told if sd is not None]
     distance = math.sqrt(sum((value / sd) ** 2 for value, sd in known if sd > 0.0))
     needed = CONFIDENCE_SDS * math.sqrt(len(known))
@@ -147,7 +147,7 @@ def compensation_gate(axis: AxisFile, model: ModelFile) -> Gate:
     limits = effect_limits(axis, model)
     said = [f"{s.effect.name}: {s.reason or f'compensated, within +-{limits.each_nm:.3g} Nm'}" for s in found]
     if not found:
-        return Gate("compensation", True, "the model has no effects: its own parameters alone change")
+        return Gate("compensation", True, "the model has no effects: only its parameters change")
     return Gate("compensation", any(s.reason is None for s in found), "; ".join(said))
 
 
@@ -158,8 +158,9 @@ def stability_gate(axis: AxisFile, model: ModelFile) -> Gate:
     problems = law_problems(axis, model, observer_on) + effect_problems(axis, model, profile, observer_on)
     margin = slope_margin(axis, model, profile, observer_on)
     text = (
-        f"slope over the angle {margin.slope_nm_per_rev:.3g} Nm/rev; with it {margin.condition_14_nm_per_rev:.3g} "
-        f"Nm/rev left of (14), {margin.phase_deg:.1f} deg, gain margin {margin.gain:.2f}"
+        f"slope over the angle {margin.slope_nm_per_rev:.3g} Nm/rev; with it "
+        f"{margin.condition_14_nm_per_rev:.3g} Nm/rev "
+        f"of margin in (14), {margin.phase_deg:.1f} deg, gain margin {margin.gain:.2f}"
     )
     return Gate(STABILITY, not problems, "; ".join([text, *problems]))
 
@@ -269,7 +270,7 @@ def put_in_service(axis_path: Path, model_path: Path, passed: list[Gate]) -> Ado
 def require_other_model(axis_path: Path, axis: AxisFile, model_path: Path) -> None:
     """Raise DocumentError for the model that the axis file names already: there would be no way back."""
     if beside(axis_path, axis.model).resolve() == model_path.resolve():
-        raise DocumentError(f"{model_path}: is in service already: {axis_path} names it")
+        raise DocumentError(f"{model_path}: is already in service: {axis_path} names it")
 
 
 def roll_back(axis_path: Path) -> Adoption:
@@ -281,7 +282,7 @@ def roll_back(axis_path: Path) -> Adoption:
     axis = read_axis(axis_path)
     if axis.model != last.model:
         raise DocumentError(
-            f"{axis_path}: model: names {axis.model}, not the adopted {last.model}: it was edited since"
+            f"{axis_path}: model: names {axis.model}, not the adopted {last.model}: the file was edited since"
         )
     read_model(beside(axis_path, last.former))
     rename_model(axis_path, last.former)

@@ -99,9 +99,7 @@ class AxisFile(StrictRecord):
     loop: LoopSection = LoopSection()
     realtime: RealtimeSection = RealtimeSection()
     recording: RecordingSection = RecordingSection()
-    profile: Annotated[
-        ProfileSection, Field(description="motion of `run`, `ctl start` and `evaluate` where no other is named")
-    ]
+    profile: Annotated[ProfileSection, Field(description="default motion of `run`, `ctl start` and `evaluate`")]
     daemon: DaemonSection = DaemonSection()
     commissioning: Annotated[
         str | None,

@@ -71,7 +71,7 @@ def velocity_problems(axis: AxisFile, model: ModelFile) -> list[str]:
     sensor_s, delay_s = model.sensor_delay_s.value, model.delay_s.value
     if not 0.0 < sensor_s <= delay_s:
         return [
-            f"controller.velocity.source: estimated gives back the model's sensor_delay_s, which is {sensor_s:g} s of "
+            f"controller.velocity.source: estimated compensates the model's sensor_delay_s, which is {sensor_s:g} s of "
             f"delay_s {delay_s:g} s: `fffo-drive identify` measures it; without a lag `drive` is as good"
         ]
     highest_hz = FASTEST_ESTIMATE_SHARE * axis.loop.rate_hz
@@ -108,8 +108,8 @@ def fallback_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> li
     ):
         if margins.phase_deg < least_deg or margins.gain < least_gain:
             problems.append(
-                "controller.velocity.source: where the estimate is lost the error takes the drive's velocity, and "
-                f"with it the margins{place} are {margins.phase_deg:.1f} deg and {margins.gain:.2f}: below "
+                "controller.velocity.source: if the estimate is lost, the error uses the drive's velocity, and with "
+                f"it the margins{place} are {margins.phase_deg:.1f} deg and {margins.gain:.2f}: below "
                 f"{least_deg:g} deg or {least_gain:g}. Lower proportional_a_per_rps"
             )
     return problems
@@ -151,9 +151,9 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     if at_rest.phase_deg < 0.0 or at_rest.gain < 1.0:
         problems.append(
             f"controller.at_rest.gain_share: {section.at_rest.gain_share:g} leaves a phase margin of "
-            f"{at_rest.phase_deg:.1f} deg and a gain margin of {at_rest.gain:.2f} at rest, where the contact is a "
-            "spring on the inertia: the axis would shake there. Lower it, or at_rest.hold_a_per_rev_s; `fffo-drive "
-            "tune` finds both"
+            f"{at_rest.phase_deg:.1f} deg and a gain margin of {at_rest.gain:.2f} at rest, where the friction contact "
+            "acts as a spring: the axis would oscillate. Lower it, or at_rest.hold_a_per_rev_s; `fffo-drive tune` "
+            "finds both"
         )
     return problems
 
@@ -200,7 +200,7 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
     highest_hz = axis.drive.highest_rate_hz
     if highest_hz is not None and axis.loop.rate_hz > highest_hz:
         problems.append(
-            f"loop.rate_hz: {axis.loop.rate_hz} Hz; the drive takes commands at no more than {highest_hz} Hz "
+            f"loop.rate_hz: {axis.loop.rate_hz} Hz; the drive accepts commands at no more than {highest_hz} Hz "
             "(drive.highest_rate_hz, or its profile)"
         )
     if load.worst > 1.0:
@@ -210,7 +210,7 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
         )
     elif chain.typical_s > chain.period_s:
         problems.append(
-            f"loop.rate_hz: SYNC, answers and command take {chain.typical_s * 1e6:.0f} us of a period of "
+            f"loop.rate_hz: SYNC, feedback and command take {chain.typical_s * 1e6:.0f} us of a period of "
             f"{chain.period_s * 1e6:.0f} us: lower the rate; `fffo-drive config check` prints the sum"
         )
     return problems
@@ -238,14 +238,15 @@ def motion_problems(axis: AxisFile, profile: Profile, model: ModelFile) -> list[
     problems = []
     if forecast.speed_rps > limits.speed_limit_rps:
         problems.append(
-            f"profile: this current drives the axis to {forecast.speed_rps:.4g} rps by the model, beyond "
+            f"profile: according to the model this current drives the axis to {forecast.speed_rps:.4g} rps, beyond "
             f"envelope.speed_limit_rps {limits.speed_limit_rps:g}: lower its amplitude"
         )
     window = limits.position_window_rev
     if window is not None and not window[0] <= forecast.lowest_rev <= forecast.highest_rev <= window[1]:
         problems.append(
-            f"profile: this current moves the axis from {forecast.lowest_rev:.4g} to {forecast.highest_rev:.4g} rev by "
-            f"the model, beyond envelope.position_window_rev {window}: lower its amplitude, raise its lowest frequency"
+            f"profile: according to the model this current moves the axis from {forecast.lowest_rev:.4g} to "
+            f"{forecast.highest_rev:.4g} rev, "
+            f"beyond envelope.position_window_rev {window}: lower its amplitude, raise its lowest frequency"
         )
     return problems
 

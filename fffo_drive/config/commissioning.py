@@ -83,7 +83,7 @@ def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissione
     problems = []
     if not record.passed:
         open_checks = [check for check in record.checks if check.verdict in ("failed", "not_done")]
-        problems.append(f"{file} of {record.date} has not passed: {_first(open_checks)}; mend that, then {again}")
+        problems.append(f"{file} of {record.date} has not passed: {_first(open_checks)}; correct that, then {again}")
     if differences:
         problems.append(f"{file} of {record.date} is for other declared facts: {'; '.join(differences)}; {again}")
     refuse(path, [("commissioning", text) for text in problems])

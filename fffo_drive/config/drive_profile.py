@@ -97,7 +97,7 @@ def profile_path(axis_path: Path, name: str) -> Path:
     if given.stem in shipped_profiles() and given.name == str(given):
         return shipped_profiles()[given.stem]
     raise DocumentError(
-        f"{axis_path}: drive.profile: '{name}' is neither a file beside this one nor a profile that comes with the "
+        f"{axis_path}: drive.profile: '{name}' is neither a file next to this one nor a profile that comes with the "
         f"program: {', '.join(shipped_profiles())}"
     )
 

@@ -246,7 +246,7 @@ class CanopenDriveSection(StrictRecord):
     @model_validator(mode="after")
     def _one_resolution(self) -> CanopenDriveSection:
         if self.counts_per_rev is not None and self.resolver_bits is not None:
-            raise ValueError("counts_per_rev and resolver_bits say the same: give one of them")
+            raise ValueError("counts_per_rev and resolver_bits define the same: give one of them")
         if "vendor" in (self.silence_detection, self.silence_reaction) and not self.sdo:
             raise ValueError("silence_detection or silence_reaction is vendor: the objects that set it belong in sdo")
         standard = (MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE)
@@ -254,7 +254,7 @@ class CanopenDriveSection(StrictRecord):
             ("target", self.target, TARGET_TORQUE), ("torque_feedback", self.torque_feedback, TORQUE)
         ):  # fmt: skip
             if one.object != standard_object and one.units_per_a is None:
-                raise ValueError(f"{key}.units_per_a: 0x{one.object:04X} counts in units of its own, give them")
+                raise ValueError(f"{key}.units_per_a: 0x{one.object:04X} has its own units, give them")
         if self.mode not in standard and self.mode >= 0:
             raise ValueError(f"mode {self.mode}: 10, 4, or a negative one of the vendor's; others command no torque")
         return self

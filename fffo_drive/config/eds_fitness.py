@@ -22,7 +22,7 @@ from .drive_proposal import DriveProposal, config_of, propose
 # objects that we use where a drive has them, and what for
 WELCOME = {
     (0x1006, 0): "the drive knows the SYNC period",
-    (0x1400, 5): "the drive notices that commands stay away",
+    (0x1400, 5): "the drive detects missing commands",
     (0x605A, 0): "how a quick stop brakes",
     (0x605E, 0): "how the drive reacts to a fault",
     (0x6072, 0): "a torque limit in the drive",
@@ -35,8 +35,8 @@ WRITABLE = ("rw", "rww", "rwr", "wo")
 MOST_SLOTS = 64  # PDOs that are looked at
 # keys that every axis needs, and where their values are found
 TO_FILL_IN = {
-    "counts_per_rev": "increments of 0x6064 in a revolution (quadrature: four times the lines): see the manual",
-    "velocity_units_per_rps": "0x606C at one revolution a second: see the manual",
+    "counts_per_rev": "increments of 0x6064 per revolution (quadrature: four times the lines): see the drive's manual",
+    "velocity_units_per_rps": "0x606C at one revolution per second: see the drive's manual",
     "rated_torque_nm": "0x6076, from the motor's data sheet",
 }
 
@@ -75,7 +75,7 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
     if "pdo" not in section and any(list(_pdo_problems(dictionary, kind + p.number - 1, p)) for kind, p in usual):
         slots = _fitting_slots(dictionary, config)
         if slots is not None:
-            proposal = proposal.with_key("pdo", slots, "the PDOs whose mapping can be what is needed")
+            proposal = proposal.with_key("pdo", slots, "numbers of PDOs that allow the mapping")
             section["pdo"] = slots
             config = config_of(section, node_id)
     purposes = [

@@ -63,11 +63,11 @@ def reason_against(effect: EffectModel) -> str | None:
     term = effect.term()
     if effect.alternatives:
         members = " or ".join([effect.name, *effect.alternatives])
-        return f"the data do not decide: {members}; `fffo-drive run AXIS --decide {effect.name}` records what does"
+        return f"the data do not decide: {members}; record what does: `fffo-drive run AXIS --decide {effect.name}`"
     if not is_compensable(effect.name, term.values):
-        return "its torque is not known ahead"
+        return "its torque is not known in advance"
     if effect.datum == "run" and any(term.values.get(name, 0.0) != 0.0 for name in law_of(effect.name).per_run):
-        return "its phase is another one in every run: declare absolute_angle where the drive's angle is absolute"
+        return "its phase differs from run to run: declare absolute_angle where the drive's angle is absolute"
     return None
 
 
@@ -195,7 +195,7 @@ def effect_problems(axis: AxisFile, model: ModelFile, profile: Profile, observer
     if found.condition_14_nm_per_rev < 0.0 <= found.condition_14_nm_per_rev + found.slope_nm_per_rev:
         problems.append(
             f"controller.effects: the feed-forward's slope over the motor angle, {found.slope_nm_per_rev:.3g} Nm/rev, "
-            "takes more from the integral part than condition (14) allows: name the steepest effect in out_of_service, "
+            "reduces the integral action more than condition (14) allows: list the steepest effect in out_of_service, "
             "or raise observer.gain_nm_per_rev"
         )
     if found.phase_deg < section.phase_margin_deg or found.gain < section.gain_margin:

@@ -52,8 +52,9 @@ def coarse_words(axis: AxisFile, model: ModelFile) -> list[str]:
     if one.velocity_rps > COARSE_SHARE * band_rps:
         found.append(
             f"drive.velocity_units_per_rps: one unit of 0x606C is {one.velocity_rps:.3g} rps, "
-            f"{_share(one.velocity_rps, band_rps)} of controller.observer.feedback_band_rps ({band_rps:g}): its steps "
-            "reverse the friction of `fb`, and go through every gain; give 0x606C a finer unit (0x60A9, drive.sdo)"
+            f"{_share(one.velocity_rps, band_rps)} of controller.observer.feedback_band_rps ({band_rps:g}): its "
+            "steps reverse the friction of `fb` and are amplified by every gain; give 0x606C a finer unit "
+            "(0x60A9, drive.sdo)"
         )
     if one.torque_nm > COARSE_SHARE * static_nm:
         found.append(

@@ -275,7 +275,7 @@ def cutouts_of(duration_s: float) -> tuple[tuple[float, float], ...]:
 def case_of(scenario: Scenario, seed: int) -> Case:
     """One seed. Raises DocumentError for a scenario without a simulated drive."""
     if scenario.plant is None or scenario.device is None:
-        raise DocumentError(f"{scenario.path}: drive: no simulated drive: name one, or run on the bus")
+        raise DocumentError(f"{scenario.path}: drive: no simulated drive: give one, or run on the bus")
     profile = reference_of(scenario, seed)
     candidates = candidates_of(scenario, seed)
     ring_rows = simulated_ring_rows(profile, scenario.axis.loop.tail_s)

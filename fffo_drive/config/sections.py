@@ -141,7 +141,7 @@ class AdaptationSection(StrictRecord):
             "observer.learns_in: integral"
         ),
     ] = False
-    time_s: Annotated[float, Field(ge=5, le=3600, description="time constant, counted in motion only")] = 30.0
+    time_s: Annotated[float, Field(ge=5, le=3600, description="time constant, counted during motion only")] = 30.0
     bound_share: Annotated[
         float,
         Field(
@@ -157,14 +157,14 @@ def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSect
     """Raise ValueError if the P and I terms do not equal the torque that the model lacks."""
     if learns_in != "integral":
         raise ValueError(
-            "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': what the "
-            "friction estimate learns is hidden from it"
+            "adaptation.enabled: the adaptation learns from the integral, so learns_in must be 'integral': it does "
+            "not see what the friction estimate learns"
         )
     off = [f"feedforward.{part}" for part in FeedforwardSection.model_fields if not getattr(feedforward, part)]
     if off:
         raise ValueError(
-            f"adaptation.enabled: needs {', '.join(off)}: what is not fed forward is in the P and I terms, and would "
-            "be learned as friction"
+            f"adaptation.enabled: needs {', '.join(off)}: without them the P and I terms contain more than friction, "
+            "and all of it would be learned as friction"
         )
 
 
@@ -328,7 +328,7 @@ class SineProfile(StrictRecord):
     """One sine."""
 
     kind: Annotated[Literal["sine"], PROFILE_KIND]
-    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+    mode: Annotated[Literal["velocity", "current"], Field(description="kind of reference: velocity or current")] = (
         "velocity"
     )
     duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")]
@@ -340,7 +340,7 @@ class PointsProfile(StrictRecord):
     """Straight lines between points: steps, ramps, staircases, dwells."""
 
     kind: Annotated[Literal["points"], PROFILE_KIND]
-    mode: Annotated[Literal["velocity", "current"], Field(description="what the reference is: velocity or current")] = (
+    mode: Annotated[Literal["velocity", "current"], Field(description="kind of reference: velocity or current")] = (
         "velocity"
     )
     points: Annotated[list[Point], Field(min_length=2, description="[time_s, rps or A] each")]

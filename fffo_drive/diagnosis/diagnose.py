@@ -278,18 +278,18 @@ def _finding(
     friction = np.concatenate([data.rows.laws.rows(s.motion[:, 6]) for s in scenes])[used]
     before, after, unseen = _held_out(proof, number)
     reason = (
-        f"takes away {100.0 * note.share:.1f} % of the squared residual that all others leave; on rows that the fit "
-        f"did not see it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise and an effect of "
-        f"{100.0 * NEGLIGIBLE:g} % of the torque would look so in a search like this with probability {note.p:.2g}"
+        f"explains {100.0 * note.share:.1f} % of the squared residual that the other effects leave; on rows that were "
+        f"not fitted it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise and an effect of "
+        f"{100.0 * NEGLIGIBLE:g} % of the torque would look like this in such a search with probability {note.p:.2g}"
     )
     across = across_word(effect.shapes)
     if across:
         both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
         reason += f"; a table over {' and '.join(both)}"
     if unseen is not None and not unseen[0] > 0.0:
-        reason += "; on the held-out runs it does not lower the error"
+        reason += "; it does not lower the error on the held-out runs"
     elif proof is not None and before is None:
-        reason += "; the held-out runs hardly excite it: it rests on the fit runs"
+        reason += "; the held-out runs hardly excite it: only the fitted runs support it"
     return Finding(
         name=effect.name,
         alternatives=note.family[:2],

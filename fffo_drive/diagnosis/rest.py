@@ -64,8 +64,8 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     clock = f" (a period of {period_s:.3g} s)" if "clock" in strongest else ""
     where = " and ".join(word.replace("_", " ") for word in axes) or "the command, by its repeats"
     sentence = (
-        f"{100.0 * share:.0f} % of the squared residual that is left could be explained and is not: "
-        f"{rms:.3g} Nm rms are left, {floor:.3g} would be; it goes with {where}{clock}"
+        f"{100.0 * share:.0f} % of the remaining squared residual has an unknown cause: "
+        f"{rms:.3g} Nm rms remain, {floor:.3g} if it were modelled; it depends on {where}{clock}"
     )
     return Rest(rms, floor, repeats, axes, sentence)
 
@@ -77,9 +77,9 @@ def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...
     if rms <= TOLD_RATIO * floor:
         return None
     sentence = (
-        f"{100.0 * share_above(floor, rms):.0f} % of the squared residual goes with effects that hold for the fitted "
-        f"runs alone: {rms:.3g} Nm rms are left, {floor:.3g} would be; "
-        f"it goes with {' and '.join(axes).replace('_', ' ')}"
+        f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of "
+        f"the fitted runs alone: {rms:.3g} Nm rms remain, {floor:.3g} with them; "
+        f"it depends on {' and '.join(axes).replace('_', ' ')}"
     )
     return Rest(rms, floor, None, axes, sentence)
 

@@ -112,13 +112,13 @@ def shown(coverage: Coverage, linear: bool = False) -> list[str]:
     """What the data can determine, one sentence each."""
     turn, speed, acceleration = (unit_on(unit, linear) for unit in ("rev", "rps", "rps2"))
     ways = "one way only" if coverage.backward_share < LEAST_OTHER_WAY else "both ways"
-    waves = f"{coverage.highest_order:.3g} periods a {'metre' if linear else 'turn'}"
+    waves = f"{coverage.highest_order:.3g} periods per {'metre' if linear else 'revolution'}"
     return [
         f"{coverage.moving_s:.4g} s of motion in {coverage.duration_s:.4g} s at {coverage.rate_hz:.5g} Hz, {ways}",
         f"speeds up to {coverage.highest_rps:.4g} {speed}, a tenth of the motion below {coverage.slow_rps:.3g} {speed}",
         f"accelerations up to {coverage.highest_rps2:.4g} {acceleration} (below {coverage.cutoff_hz:.3g} Hz)",
         f"{coverage.reversals} reversals, {coverage.dwells} dwells (the longest {coverage.longest_dwell_s:.3g} s)",
-        f"travel {coverage.travel_rev:.4g} {turn}; waves of the position up to about {waves} can be seen",
+        f"travel {coverage.travel_rev:.4g} {turn}; ripple over the position visible up to about {waves}",
     ]
 
 
@@ -149,5 +149,7 @@ def to_record(coverage: Coverage, linear: bool = False) -> list[str]:
     if coverage.dwells < LEAST_DWELLS:
         found.append("break-away after rest: too few dwells: standstills of six lengths (`dwells`)")
     if not linear and coverage.travel_rev < LEAST_TURNS:
-        found.append("waves of the angle: less than a turn is travelled: slow creep over five turns (`creep`)")
+        found.append(
+            "ripple over the angle: less than one revolution travelled: slow creep over five revolutions (`creep`)"
+        )
     return [text_on(text, linear) for text in found]

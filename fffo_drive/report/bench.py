@@ -150,14 +150,14 @@ def _sections(result: BenchResult, cutouts: list[draw.ShownPart]) -> tuple[Secti
     data = result.data
     friction = draw.friction_figures(data, cutouts)
     sections = [
-        Section("Tracking", "Where the direction changes, PI waits for its integral to overcome the friction.",
+        Section("Tracking", "At a reversal, PI alone has to wait until its integral overcomes the friction.",
                 (draw.profile_figure(data, cutouts), *draw.cutout_figures(data, cutouts))),
-        Section("Error", "Distribution of the velocity error, and its metrics.",
+        Section("Error", "Distribution and metrics of the velocity error.",
                 (*draw.histogram_figures(data), draw.metrics_figure(result.metrics, result.intervals),
                  draw.exceedance_figure(data))),
         Section("Whole run", "These figures zoom together.", (draw.velocity_figure(data), *draw.error_figures(data))),
-        Section("Friction estimate", "What the observer adds to the command, as torque.", tuple(friction)),
-        Section("Ticks", "Whether the loop kept time.",
+        Section("Friction estimate", "Torque that the observer adds to the command.", tuple(friction)),
+        Section("Ticks", "Timing of the loop.",
                 (draw.lateness_figure(data, result.late_us), draw.turnaround_figure(data),
                  *draw.lateness_courses(data, result.late_us))),
     ]  # fmt: skip
@@ -173,7 +173,7 @@ def _verdict(result: BenchResult) -> Verdict:
         text = f"{result.data.duration_s:g} s are too short to compare with the paper: run {COMPARABLE_S:g} s."
     else:
         step, command = "try your own axis", "fffo-drive init DIR"
-        text = "Write the example files, and start an axis of your own from one of them."
+        text = "Write the example files, and make your own axis file from one of them."
     last = Line(label="Next", text=text, command=command)
     if "PI" not in names or len(names) < 2:
         best = min(names, key=lambda name: result.metrics[name].mae)
@@ -242,7 +242,7 @@ def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:
 def _timing(result: BenchResult) -> str:
     untimely = _untimely(result)
     worst = max(untimely, key=lambda name: untimely[name])
-    return f"Up to {100.0 * untimely[worst]:.2g} % of the ticks came late or were skipped ({worst})."
+    return f"Up to {100.0 * untimely[worst]:.2g} % of the ticks were late or skipped ({worst})."
 
 
 def _reasons(result: BenchResult, names: list[str]) -> list[str]:
@@ -268,12 +268,14 @@ def _cautions(result: BenchResult) -> list[str]:
     if max(untimely.values()) > SOUND_LATE_SHARE:
         cautions.append(f"Ticks late or skipped: {_shares(untimely)}.")
         if max(untimely.values()) > 2.0 * min(untimely.values()):
-            cautions.append("The runs did not meet the same timing; on a quieter machine they compare better.")
+            cautions.append(
+                "The runs did not have the same timing; repeat them on a less busy machine for a better comparison."
+            )
     if max(unanswered.values()) > SOUND_MISSING_SHARE:
-        cautions.append(f"SYNCs without an answer before the cut-off: {_shares(unanswered)}.")
+        cautions.append(f"SYNCs without feedback before the cut-off: {_shares(unanswered)}.")
     if any(result.rows_lost.values()):
         lost = ", ".join(f"{name} {rows}" for name, rows in result.rows_lost.items())
-        cautions.append(f"Rows that the recorder lost: {lost}.")
+        cautions.append(f"Rows lost by the recorder: {lost}.")
     return cautions
 
 

@@ -135,7 +135,7 @@ def profile_figure(data: BenchData, cutouts: list[ShownPart]) -> Figure:
     """Fig. 7: the reference, with the places of the cut-outs."""
     return Figure(
         "profile", "time", "Reference velocity profile",
-        "Multi-sine under a biased sigmoid envelope, as Fig. 7 of the paper. The grey bands are the cut-outs below.",
+        "Multi-sine under a biased sigmoid envelope, as in Fig. 7 of the paper. Grey bands: the details shown below.",
         TIME, VELOCITY, (Series("reference", Uniform(0.0, data.period_s), data.reference_rps, "ink", weight=1.0),),
         height_px=210, group="run", spans=tuple(_span(data, cutout) for cutout in cutouts),
     )  # fmt: skip
@@ -196,7 +196,7 @@ def error_figures(data: BenchData) -> list[Figure]:
     x = Uniform(0.0, data.period_s)
     return [
         Figure(
-            f"error-{number}", "time", f"Error, {name}", "Reference minus measured velocity; one scale for all runs.",
+            f"error-{number}", "time", f"Error, {name}", "Reference minus measured velocity; same scale for all runs.",
             TIME, PlotAxis("error", "rps"),
             (Series(name, x, data.error_rps(name), colour_of(name, names), weight=1.0, finest=40_000),),
             height_px=150, group="run", share_y=True,
@@ -250,15 +250,16 @@ def metrics_figure(
         name: [PAPER_TABLE_2[name][key] for key in ErrorMetrics._fields] for name in names if name in PAPER_TABLE_2
     }
     return Figure(
-        "metrics", "bars", "Error metrics beside the paper's",
-        "Per cent of the smallest of the three. Whiskers: 95 % interval of the ratio. Markers: Table II of the paper.",
+        "metrics", "bars", "Error metrics and those of the paper",
+        "Percentage of the smallest of the three. Whiskers: 95 % interval of the ratio. Markers: Table II of the "
+        "paper.",
         PlotAxis("metric", "-", categories=METRIC_NAMES), PlotAxis("of the smallest", "%"),
         tuple(grouped_bars(groups, paper, "paper, Table II")), width="half", height_px=280,
     )  # fmt: skip
 
 
 def exceedance_figure(data: BenchData) -> Figure:
-    """How often the error is larger than a value: the tails that a histogram hides."""
+    """How often the error exceeds a value: the tails that a histogram hides."""
     names = list(data.velocity_rps)
     series = []
     for name in names:
@@ -268,8 +269,8 @@ def exceedance_figure(data: BenchData) -> Figure:
         x, y = ordered[ordered.size - picked][::-1], (100.0 * picked / ordered.size)[::-1]
         series.append(Series(name, x, y, colour_of(name, names), dash=DASHES.get(name, "solid"), weight=1.7))
     return Figure(
-        "exceedance", "xy", "How often the error is larger",
-        "Share of the samples whose error exceeds the abscissa in magnitude, logarithmic.",
+        "exceedance", "xy", "How often the error exceeds a value",
+        "Share of samples with an error larger in magnitude than the abscissa, logarithmic.",
         PlotAxis("magnitude of the error", "rps"), PlotAxis("samples beyond", "%", log=True), tuple(series),
         width="half", height_px=280,
     )  # fmt: skip
@@ -278,8 +279,8 @@ def exceedance_figure(data: BenchData) -> Figure:
 def lateness_figure(data: BenchData, late_us: float) -> Figure:
     """How late the loop woke."""
     return Figure(
-        "lateness", "histogram", "How late the ticks woke",
-        "Share of the ticks by lateness, logarithmic. Beyond the dashed line a tick counts as late.",
+        "lateness", "histogram", "Lateness of the ticks",
+        "Share of ticks by lateness, logarithmic. A tick beyond the dashed line counts as late.",
         PlotAxis("lateness", "µs"), PlotAxis("ticks", "%", log=True), _outlines(data.lateness_us),
         width="half", height_px=280,
         levels=(LevelLine(late_us, _late_text(late_us), upright=True),),
@@ -289,9 +290,9 @@ def lateness_figure(data: BenchData, late_us: float) -> Figure:
 def turnaround_figure(data: BenchData) -> Figure:
     """How long the drive's answer took."""
     return Figure(
-        "turnaround", "histogram", "How long the answer took",
-        "Share of the answered ticks by the time from SYNC sent to feedback received, logarithmic; up to the 99.95th "
-        "percentile.",
+        "turnaround", "histogram", "Response time of the drive",
+        "Share of ticks with feedback by the time from SYNC sent to feedback received, logarithmic; up to the "
+        "99.95th percentile.",
         PlotAxis("turnaround", "µs"), PlotAxis("ticks", "%", log=True), _outlines(data.turnaround_us, 0.9995),
         width="half", height_px=280,
     )  # fmt: skip
@@ -303,7 +304,7 @@ def lateness_courses(data: BenchData, late_us: float) -> list[Figure]:
     x = Uniform(0.0, data.period_s)
     return [
         Figure(
-            f"lateness-{number}", "time", f"Lateness, {name}", "Of each bucket the earliest and the latest tick.",
+            f"lateness-{number}", "time", f"Lateness, {name}", "Earliest and latest tick of each interval.",
             TIME, PlotAxis("lateness", "µs"),
             (Series(name, x, data.lateness_us[name], colour_of(name, names), weight=1.0),),
             height_px=130, group="run", share_y=True, levels=(LevelLine(late_us, _late_text(late_us)),),

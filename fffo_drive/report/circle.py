@@ -169,7 +169,7 @@ def circle_report(source: CircleSource) -> Report:
     data = source.tracking.data
     cutouts = draw.choose_cutouts(data.reference_rps, data.period_s)
     sections = (
-        Section("Tracking", "Where the direction changes.", tuple(draw.cutout_figures(data, cutouts))),
+        Section("Tracking", "At reversals.", tuple(draw.cutout_figures(data, cutouts))),
         Section(
             "Error", "Reference minus measured velocity.",
             (*draw.error_figures(data), *draw.histogram_figures(data), draw.exceedance_figure(data)),
@@ -181,8 +181,9 @@ def circle_report(source: CircleSource) -> Report:
     return Report(
         kind=KIND,
         title=f"Circle of {source.axis}",
-        subtitle="Run, record, diagnose, adopt, run again; the diagnosis has a page of its own in diagnosis/.",
+        subtitle="Run, record, diagnose, adopt, run again. The page of the diagnosis is diagnosis/report.html.",
         verdict=_verdict(source),
+        opening="exceedance",
         tables=tuple(tables),
         sections=sections,
         provenance=source.provenance,
@@ -200,7 +201,7 @@ def _verdict(source: CircleSource) -> Verdict:
         finding, step = "nothing that carries over", "keep the model"
         headline = "Nothing was found that carries over to the run that was held out: the model stays as it is."
     elif not source.effects:
-        headline = "Nothing was found that the model lacks: it stays as it is."
+        headline = "The diagnosis found nothing that the model lacks: the model is unchanged."
     elif not source.adopted:
         finding, step = "found, not adopted", "see the gates"
         refused = ", ".join(gate["name"] for gate in source.gates if not gate["passed"])
@@ -208,7 +209,7 @@ def _verdict(source: CircleSource) -> Verdict:
     elif pair.after is None:
         confidence = "cannot tell"
         finding, step = "adopted", "run again"
-        headline = f"Found and adopted: {names}. There is no run with it."
+        headline = f"Found and adopted: {names}. No run was made with it."
     else:
         change = 100.0 * (pair.after.ise / pair.before.ise - 1.0)
         confidence = _confidence(source.tracking)
@@ -225,8 +226,7 @@ def _verdict(source: CircleSource) -> Verdict:
     if source.effects and len(errors) == len(held_out):
         old, new = ("not finite" if error is None else f"{error:.2f}" for error in errors)  # JSON has no NaN
         reasons.append(
-            f"The model's torque error on the run that was held out: {old} to {new} % of the torque that the axis "
-            "needs."
+            f"Torque error of the model on the held-out run: {old} to {new} % of the torque that the axis needs."
         )
     reasons += [f"Not compensated: {name}: {reason}." for name, reason in source.not_compensated.items()]
     cautions = _cautions(source.runs)
@@ -267,12 +267,13 @@ def _next(source: CircleSource, step: str) -> Line:
         return Line(label="Next", text="The axis is worse with it: take it out of service.", command=command)
     if step == "run with it":
         command = "fffo-drive adopt diagnosis/model.yaml --axis AXIS.yaml"
-        return Line(label="Next", text="It is in the circle's own axis file. For yours, through the same gates:",
+        return Line(label="Next", text="The new axis file in this directory uses it. To adopt it in your axis "
+                                       "file, through the same gates:",
                     command=command)  # fmt: skip
     texts = {
-        "see the gates": "Read why in the table of gates; the diagnosis has a page of its own.",
+        "see the gates": "The table of gates gives the reason; the page of the diagnosis is diagnosis/report.html.",
         "run longer": "A longer profile shows whether it helps.",
-        "run again": "Run the circle's own axis file again, on a quieter machine.",
+        "run again": "Run the new axis file in this directory again, on a less busy machine.",
         "keep the model": "The model in service stays.",
         "nothing to do": "Nothing to do: the model in service stays.",
     }
@@ -281,7 +282,7 @@ def _next(source: CircleSource, step: str) -> Line:
 
 def _cautions(runs: Sequence[CircleRun]) -> list[str]:
     lost = [f"{run.name} {100.0 * run.lost_share:.1f} %" for run in runs if run.lost_share > SOUND_SHARE]
-    return [f"Ticks skipped or without an answer: {', '.join(lost)}."] if lost else []
+    return [f"Ticks skipped or without feedback: {', '.join(lost)}."] if lost else []
 
 
 def _tracking_table(tracking: Tracking) -> Table:
@@ -316,13 +317,13 @@ def _gates_table(gates: Sequence[dict[str, Any]]) -> Table:
         Row(label=gate["name"], cells=[Cell(text="passed" if gate["passed"] else "refused"), Cell(text=gate["text"])])
         for gate in gates
     ]
-    note = "What a model has to pass before it is put in service."
+    note = "Conditions that a model must meet before it is put in service."
     return Table(name="gates", title="Gates", note=note, corner="gate", columns=columns, rows=rows)
 
 
 def _runs_table(runs: Sequence[CircleRun]) -> Table:
     columns = [
-        Heading(label="rate", unit="Hz"), Heading(label="ticks"), Heading(label="skipped or no answer", unit="%"),
+        Heading(label="rate", unit="Hz"), Heading(label="ticks"), Heading(label="skipped or no feedback", unit="%"),
         Heading(label="longest silence", unit="ms"),
     ]  # fmt: skip
     rows = [
@@ -334,5 +335,5 @@ def _runs_table(runs: Sequence[CircleRun]) -> Table:
         )
         for run in runs
     ]  # fmt: skip
-    return Table(name="runs", title="Runs", note="Each is a recording in the directory.", corner="run",
+    return Table(name="runs", title="Runs", note="The recordings are in this directory.", corner="run",
                  columns=columns, rows=rows)  # fmt: skip

@@ -35,7 +35,7 @@ def coverage_section(records: Sequence[Record], coverage: Coverage, linear: bool
     wanted = to_record(coverage, linear)
     if wanted:
         sentences = (f" {line[0].upper()}{line[1:]}." for line in wanted)
-        text += " What they do not determine, and what to record for it:" + "".join(sentences).replace("`", "")
+        text += " Not determined by these data, and what to record for it:" + "".join(sentences).replace("`", "")
     rows = coverage_figures(records, coverage, linear)
     figures = tuple(replace(one, width=WIDTHS[len(row)]) for row in rows for one in row)
     return Section("What these data can show", text, figures)
@@ -65,25 +65,25 @@ def coverage_figures(records: Sequence[Record], coverage: Coverage, linear: bool
         [
             Figure(
                 "data-velocity", "time", "Velocity",
-                f"The derivative of the position, below {coverage.cutoff_hz:.3g} Hz. Presliding is seen where it "
-                f"changes its sign, break-away where it rests.{more}",
+                f"The derivative of the position, below {coverage.cutoff_hz:.3g} Hz. Presliding shows at changes of "
+                f"sign, break-away after standstill.{more}",
                 PlotAxis("time", "s"), PlotAxis("velocity", speed), tuple(over_time),
             ),
         ],
         [
             Figure(
                 "data-input", "xy", "Input against acceleration",
-                f"{'Mass' if linear else 'Inertia'} is the slope: it takes points on both sides. What lies above and "
-                f"below is friction and all else.{more}",
+                f"{'Mass' if linear else 'Inertia'} is the slope; a fit needs points on both sides. The spread above "
+                f"and below is friction and everything else.{more}",
                 PlotAxis("acceleration", acceleration), PlotAxis("input", "-"), tuple(against),
             ),
             _shares(
-                "data-speeds", "Speeds", "How much of the time is spent at which speed. Viscous friction takes several "
-                "peaks, the Stribeck curve some of them near zero.", PlotAxis("velocity", speed), velocity,
+                "data-speeds", "Speeds", "Share of time at each speed. Viscous friction needs several peaks, the "
+                "Stribeck curve some of them near zero.", PlotAxis("velocity", speed), velocity,
             ),
             _shares(
-                "data-places", "Places", "How much of the time is spent where. What depends on the place is seen where "
-                "the axis has been.", PlotAxis("position", turn), position,
+                "data-places", "Places", "Share of time at each position. Effects of position show only where the "
+                "axis has been.", PlotAxis("position", turn), position,
             ),
         ],
         [_waves(velocity, coverage, linear), _frequencies(records, coverage)],
@@ -106,9 +106,9 @@ def _waves(velocity_rps: Floats, coverage: Coverage, linear: bool) -> Figure:
     speed_rps = np.maximum(np.percentile(np.abs(velocity_rps), share), lowest_rps)
     unit = unit_on("1/rev", linear)
     return Figure(
-        "data-waves", "xy", "Waves of the position",
-        f"Up to which order a wave of the position is seen: {coverage.cutoff_hz:.3g} Hz over the speed. Slow motion "
-        "shows fine waves.",
+        "data-waves", "xy", "Ripple over the position",
+        f"Highest order of ripple over the position that the data show: {coverage.cutoff_hz:.3g} Hz over the "
+        "speed. Slow motion shows higher orders.",
         PlotAxis("share of the motion that is slower", "%"), PlotAxis("highest order", unit, log=True),
         (Series("highest order", share, coverage.cutoff_hz / speed_rps, "blue"),),
     )  # fmt: skip
@@ -131,8 +131,8 @@ def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
         series.append(Series(record.name, hz[places], np.maximum(density[places], floor), colour, weight=1.2))
     return Figure(
         "data-frequencies", "xy", "Frequencies of the input",
-        "Which frequencies the input drives; delay, resonances and lags are seen there. Beyond the line a fit sees "
-        "nothing.",
+        "Frequencies that the input excites; delay, resonances and lags show there. A fit uses nothing beyond the "
+        "line.",
         PlotAxis("frequency", "Hz", log=True), PlotAxis("amplitude density", "1/√Hz", log=True), tuple(series),
         levels=(LevelLine(coverage.cutoff_hz, "fit", upright=True),),
     )  # fmt: skip

@@ -33,8 +33,8 @@ def cyclic_table(found: CyclicError) -> Table:
     rows.append(Row(label="left, rms", cells=[number(ARCMIN * found.left_rms_rev, 3), number(np.nan)]))
     return Table(
         name="cyclic", title="Position sensor", corner="order", rows=rows,
-        note="Position less that of the reference encoder, by periods a turn; 95 % intervals. The error at the angle x "
-             "is the sum of amplitude times cos(order x - phase). No torque is needed for it.",
+        note="Position minus that of the reference encoder, by periods per revolution; 95 % intervals. The error "
+             "at the angle x is the sum of amplitude times cos(order x - phase). No torque is needed for it.",
         columns=[Heading(label="amplitude", unit="arcmin"), Heading(label="phase", unit="deg")],
     )  # fmt: skip
 
@@ -43,8 +43,8 @@ def cyclic_section(found: CyclicError) -> Section:
     """The error over a turn, measured and by its orders."""
     fine = np.linspace(0.0, 1.0, 721)
     figure = Figure(
-        "cyclic", "xy", "Cyclic error over a turn",
-        "Mean in each degree, lag and offset taken off; the line is the sum of the orders in the table.",
+        "cyclic", "xy", "Cyclic error over a revolution",
+        "Mean in each degree, without lag and offset; the line is the sum of the orders in the table.",
         PlotAxis("angle of the sensor", "deg"), PlotAxis("error", "arcmin"),
         (
             Series("measured", 360.0 * found.angle_rev, ARCMIN * found.mean_rev, "orange", draw="points"),

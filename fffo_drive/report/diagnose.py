@@ -48,12 +48,14 @@ DASH = Cell(text="–")
 NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
 GAINS = (
-    "Takes away: share of the squared residual of the fit runs that all other effects leave, outliers counted "
-    "linearly. Gain: log-likelihood given all others, on rows that the fit did not see (blocks of the fit runs in "
-    "turn), and on the held-out runs; 95 % intervals. p is over the whole search: the chance that noise "
+    "Explains: share of the squared residual of the fit runs that the other effects leave, outliers counted "
+    "linearly. Gain: log-likelihood given the other effects, on rows that were not fitted (blocks of the fit runs in "
+    "turn), and on the held-out runs; 95 % intervals. p, over the entire search: the probability that noise "
     f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
 )
-FORM = "How the friction differs from that of a single 2SEP surface. It is part of the model, and no effect beside it."
+FORM = (
+    "How the friction differs from that of a single 2SEP surface. This is part of the model, not an additional effect."
+)
 
 
 class DiagnosisSource(NamedTuple):
@@ -87,7 +89,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     rejected = [finding for finding in diagnosis.findings if not finding.accepted]
     effects, forms = ([f for f in accepted if f.is_form is form] for form in (False, True))
     tables = [_found("found", "What the model lacks", words.text(GAINS), effects, words)] if effects else []
-    tables += [_found("form", "The friction's own form", FORM, forms, words)] if forms else []
+    tables += [_found("form", "Form of the friction", FORM, forms, words)] if forms else []
     tables += [_before_after(diagnosis, accepted, words)]
     parameters = _parameters(accepted, words)
     tables += [parameters] if parameters.rows else []
@@ -100,7 +102,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     sections: tuple[Section, ...] = (
         Section(
             "What convinces",
-            "Each effect over the axis on which it lives.",
+            "Each effect over the quantity that it depends on.",
             effect_figures(sorted(accepted, key=unproven), words),
         ),
         Section(
@@ -108,12 +110,16 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
             f"Residual {words.torque} of each run: of the base model, and with everything that was added.",
             run_figures(diagnosis.runs, words),
         ),
-        Section("Where the residual lives", "Before and after, axis by axis.", (channels,) if channels else ()),
+        Section(
+            "What the residual depends on",
+            "Before and after, by the quantity that the residual depends on.",
+            (channels,) if channels else (),
+        ),
     )
     if source.data is not None:
         sections = (*sections, source.data)
     runs = f"fitted on {names_of(diagnosis.fit_names)}" + (
-        f", held out {names_of(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", nothing held out"
+        f", held out {names_of(diagnosis.held_out_names)}" if diagnosis.held_out_names else ", no run held out"
     )
     return Report(
         kind=KIND,
@@ -129,7 +135,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
 
 def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     columns = [
-        Heading(label="takes away", unit="%"),
+        Heading(label="explains", unit="%"),
         Heading(label="fitted runs", unit="nats", group="gain"),
         Heading(label="held out", unit="nats", group="gain"),
         Heading(label="size", unit="% of friction"),
@@ -199,7 +205,7 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
     rows = [
         Row(
             label=label,
-            unit=f"{before.seconds:.3g} s" if before else "hardly acts there",
+            unit=f"{before.seconds:.3g} s" if before else "hardly acts in it",
             cells=_errors(before, words) + _errors(after, words),
         )
         for label, before, after in pairs
@@ -212,10 +218,10 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
         floor = f" What does not repeat: {rms} {words.small_torque} rms."
     note = (
         f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
-        f"of 0.25 and 0.5 s: the {words.torque} that is left, integrated with the model's {words.text('inertia')} "
-        f"along the measured motion, each window's mean {words.torque} taken out. 95 % intervals from whole blocks "
-        "that are drawn again. "
-        f"Below the held-out runs: where each effect acts in them. {ceiling.note.capitalize()}.{floor}"
+        f"of 0.25 and 0.5 s: the {words.torque} residual, integrated with the model's {words.text('inertia')} "
+        f"along the measured motion, without the mean {words.torque} of each window. 95 % intervals from resampled "
+        "blocks. "
+        f"Below the held-out runs: the parts of them in which each effect acts. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
 
@@ -256,11 +262,11 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
         for rival in finding.rivals[:SHOWN_RIVALS]
     ]
     note = (
-        "Each was refitted in the place of the finding, all parameters free, and judged on rows that the fit did not "
-        "see. One family: their gains do not differ by more than two standard deviations."
+        "Each was fitted instead of the finding, all parameters free, and compared on rows that were not "
+        "fitted. One family: the gains differ by less than two standard deviations."
     )
     return Table(
-        name="rivals", title="What it was confused with", note=note, corner="Rival", columns=columns, rows=rows
+        name="rivals", title="Effects that were compared with it", note=note, corner="Rival", columns=columns, rows=rows
     )
 
 
@@ -290,9 +296,11 @@ def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
     ]
     note = "What a free curve over one axis, or the mean after an event, explains of the squared residual."
     if pairs:
-        note += f" Of {len(pairs)} pairs of axes, beyond their curves, the strongest; report.json has all."
+        note += (
+            f" Of {len(pairs)} pairs of axes, the strongest, in addition to their single curves; report.json has all."
+        )
     return Table(
-        name="channels", title="Where the residual lives", note=note, corner="Axis", columns=columns, rows=rows
+        name="channels", title="What the residual depends on", note=note, corner="Axis", columns=columns, rows=rows
     )
 
 
@@ -315,9 +323,10 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     ]
     return Table(
         name="rejected",
-        title="Looked at and not accepted",
-        note="Explained enough to be tried, and refused: by what a machine can be, by the measured current, or because "
-        "it did not carry over.",
+        title="Tried and not accepted",
+        note="Explained enough to be tried, and rejected: physically impossible, contradicted by the measured "
+        "current, or "
+        "not confirmed by other runs.",
         corner="Effect",
         columns=columns,
         rows=rows,
@@ -344,10 +353,11 @@ def _runs(look: RunsLook, words: DiagnosisWords) -> Table:
     ]
     remarks = "".join(f" {remark.text[:1].upper()}{remark.text[1:]}." for remark in look.remarks)
     note = (
-        "A rigid regression of each fitted run by itself: what runs of one axis agree in. 95 % intervals from whole "
-        f"blocks; not determined: the run by itself does not say.{remarks}"
+        "A rigid-body regression of each fitted run alone; runs of one axis should agree. 95 % intervals from "
+        "resampled "
+        f"blocks; not determined: this run alone does not determine it.{remarks}"
     )
-    return Table(name="runs", title="Runs by themselves", note=note, corner="Run", columns=columns, rows=rows)
+    return Table(name="runs", title="Each run alone", note=note, corner="Run", columns=columns, rows=rows)
 
 
 def _estimate(one: Estimate | None, scale: float) -> Cell:
@@ -397,7 +407,7 @@ def _reasons(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not accepted:
         return ()
     text = "\n".join(_wrapped(f"{finding.name}: {finding.reason}") for finding in accepted)
-    note = "Chosen on the fitted runs alone; the held-out runs only refuse."
+    note = "Effects are chosen on the fitted runs only; the held-out runs can only reject them."
     return (Listing(name="reasons", title="Why each was accepted", note=note, text=text),)
 
 
@@ -406,7 +416,7 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not open_:
         return ()
     text = "\n".join(_wrapped(f"{names_of([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
-    note = "What distinguishes the members of a family; `fffo-drive run AXIS --decide EFFECT` does its motions."
+    note = "The experiment that separates the members of a family; `fffo-drive run AXIS --decide EFFECT` records it."
     return (Listing(name="experiments", title="What would decide", note=note, text=text),)
 
 

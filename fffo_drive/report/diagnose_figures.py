@@ -112,14 +112,14 @@ def _distinct(series: Sequence[Series]) -> list[Series]:
 
 def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figure, ...]:
     """The residual of each run over time: its envelope before and after."""
-    roles = {"fit": "chosen and fitted on it", "held_out": "held out: never seen by the fit"}
+    roles = {"fit": "used to choose and fit", "held_out": "held out: not used for the fit"}
     ordered = sorted(runs, key=lambda run: run.role != "held_out")
     return tuple(
         Figure(
             name=f"run-{number}",
             kind="time",
             title=f"{run.name} ({roles[run.role]})",
-            caption="Smallest and largest residual in each piece of time.",
+            caption="Smallest and largest residual in each interval.",
             x=PlotAxis("time", "s"),
             y=PlotAxis(f"{words.torque} that is left", words.torque_unit),
             series=(
@@ -154,8 +154,8 @@ def channel_figure(channels: Sequence[ResidualChannel], words: DiagnosisWords) -
     return Figure(
         name="channels",
         kind="bars",
-        title="Where the residual lives",
-        caption="Share of the squared residual that a free curve over this axis alone explains.",
+        title="What the residual depends on",
+        caption="Share of the squared residual that a free curve over this quantity alone explains.",
         x=PlotAxis(
             "axis",
             "-",

@@ -21,13 +21,13 @@ def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
     words = words_of(diagnosis)
     cautions = [*doubts(diagnosis), *diagnosis.cautions]
     if diagnosis.before is None:
-        cautions.append("Nothing was held out: the errors are those of the runs that were fitted.")
+        cautions.append("No run was held out: the errors are those of the fitted runs.")
     reasons = [_reason(finding, words) for finding in accepted]
     rate = 100.0 * diagnosis.false_alarm_rate
-    reasons.append(f"A search like this one finds something in a drive without effects in {rate:g} % of all cases.")
+    reasons.append(f"In a drive without effects, a search like this finds something in {rate:g} % of all cases.")
     reasons += _repeated(diagnosis) if accepted else []
     if not model_path and diagnosis.model_after is None:
-        reasons.append("No model was written: the one in service stays.")
+        reasons.append("No model was written: the model in service is unchanged.")
     if diagnosis.verdict == "nothing_carries_over" or _not_finite(diagnosis):
         opening = _nothing_carries_over(diagnosis)
     elif diagnosis.verdict == "effects_found" and effects:
@@ -42,7 +42,8 @@ def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
         headline=diagnosis.headline, finding="nothing that carries over", confidence="certain",
         next_step="keep the model in service", alarm=True,
         lines=[
-            Line(label="How sure", text="What was found on the fitted runs does not make the held-out runs better."),
+            Line(label="How sure", text="What was found on the fitted runs does not lower the error of the "
+                                        "held-out runs."),
             Line(label="Next", text="Keep the model in service. Record runs that are alike in load, temperature and "
                                     "drive settings, and diagnose them again."),
         ],
@@ -99,7 +100,7 @@ def _size(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
     where = "held-out runs" if len(errors) == 2 else "fitted runs"
     old, new = errors if len(errors) == 2 else (diagnosis.fit_before, diagnosis.fit_after)
     shares = [significant(figures.torque_relative_percent.value, 2) for figures in (old, new)]
-    text += f" With all that was found the model's error on the {where} goes from {shares[0]} to {shares[1]} % of the "
+    text += f" With all findings the model's error on the {where} falls from {shares[0]} to {shares[1]} % of the "
     text += f"{words.torque} that the axis needs."
     return text + _short_rest(diagnosis.unexplained_rest, words)
 
@@ -109,19 +110,19 @@ def _short_rest(rest: Rest | None, words: DiagnosisWords) -> str:
     if rest is None:
         return ""
     left, floor = (significant(words.torque_scale * value, 2) for value in (rest.rms_nm, rest.floor_nm))
-    return f" Still unexplained: {left} {words.small_torque} rms remain; the floor is {floor} {words.small_torque} rms."
+    return f" Unexplained: {left} {words.small_torque} rms; at best {floor} {words.small_torque} rms would be left."
 
 
 def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
-    chance = f"the chance that noise looks like this is {significant(lead.false_alarm_probability, 2)}"
+    chance = f"the probability that noise looks like this is {significant(lead.false_alarm_probability, 2)}"
     if lead.alternatives:
         members = " and ".join(dict.fromkeys(words.text(law_of(n).plain_name) for n in (lead.name, *lead.alternatives)))
-        return f"Something is there ({chance}), but these runs cannot tell {members} apart."
+        return f"There is an effect ({chance}), but these runs do not separate {members}."
     if lead.held_out_gain is None:
-        return f"Probable: {chance}, but no held-out run shows it."
+        return f"Probable: {chance}, but no run was held out to confirm it."
     if _confidence(diagnosis, lead) == "certain":
-        return f"Certain: {chance}, and runs that were held out show it too."
-    return f"Probable: {chance}; the held-out runs do not show it clearly."
+        return f"Certain: {chance}, and held-out runs confirm it."
+    return f"Probable: {chance}; the held-out runs do not confirm it clearly."
 
 
 def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
@@ -148,11 +149,11 @@ def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
     size = f"The model's error on the {where} runs is {share} % of the {words.torque} that the axis needs."
     if diagnosis.verdict == "unexplained":
         axes = names_of([words.axis(axis) for axis in rest.axes]) if rest is not None else ""
-        lines = [Line(label="Where", text=f"It goes with {axes}.")] if axes else []
+        lines = [Line(label="Where", text=f"It depends on {axes}.")] if axes else []
         lines += [Line(label="How big", text=size + _short_rest(rest, words))]
         lines += [
-            Line(label="How sure", text="Something is left, and nothing that is searched for explains it."),
-            Line(label="Next", text="Look at what the residual goes with, below; a recording with slow, fast and "
+            Line(label="How sure", text="There is a residual that none of the searched effects explains."),
+            Line(label="Next", text="See below what the residual depends on; a recording with slow, fast and "
                                     "reversing motion separates more."),
         ]  # fmt: skip
         return Verdict(
@@ -183,7 +184,7 @@ def _repeated(diagnosis: Diagnosis) -> list[str]:
         found.append(f"{share:.0f} % of what any model could explain is explained ({ceiling.note}).")
     if ceiling.left_repeatable_fraction is not None:
         share = 100.0 * ceiling.left_repeatable_fraction
-        found.append(f"{share:.0f} % of the squared residual that is left repeats with the reference.")
+        found.append(f"{share:.0f} % of the remaining squared residual repeats with the reference.")
     return found
 
 
@@ -221,13 +222,13 @@ def _not_finite(diagnosis: Diagnosis) -> bool:
 def _rest(rest: Rest, words: DiagnosisWords) -> str:
     left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
     text = (
-        f"Not explained: {left} {words.small_torque} rms are left on the fitted runs, {floor} are what a black box on "
-        "the same rows leaves, or what does not repeat"
+        f"Not explained: {left} {words.small_torque} rms remain on the fitted runs; a black-box model of the same rows "
+        f"would leave {floor}, or that much does not repeat"
     )
     if rest.repeats_share is not None:
-        text += f"; {100.0 * rest.repeats_share:.0f} % of the square of what is left repeats"
+        text += f"; {100.0 * rest.repeats_share:.0f} % of the squared residual repeats"
     if rest.axes:
-        text += f"; it goes with {names_of([words.axis(axis) for axis in rest.axes])}"
+        text += f"; it depends on {names_of([words.axis(axis) for axis in rest.axes])}"
     return text + "."
 
 
@@ -238,10 +239,11 @@ def _reason(finding: Finding, words: DiagnosisWords) -> str:
     law = law_of(finding.name)
     meaning = "" if law.name == "lookup" else words.text(f" It is: {law.meaning}.")
     return (
-        f"{finding.name}{family}.{meaning} It takes away {share:.0f} % of the squared residual that all others leave; "
+        f"{finding.name}{family}.{meaning} It explains {share:.0f} % of the squared residual that the other "
+        "effects leave; "
         f"noise and an effect too small to matter would do so with p = {chance}. "
         f"Acts in: {finding.regime}."
-        + (" On the held-out runs it does not lower the error." if unproven(finding) else "")
+        + (" It does not lower the error on the held-out runs." if unproven(finding) else "")
         + (f" Its name is in doubt: {words.text(finding.doubt)}." if finding.doubt else "")
     )
 

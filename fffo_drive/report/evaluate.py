@@ -89,14 +89,14 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     ranking = sorted(summary.controllers, key=lambda name: comparison.absolute[name].value)
     cautions = [*source.cautions, *summary.failures]
     cautions += [
-        f"{run.candidate}, seed {run.seed}: the loop came too late for {100.0 * run.skipped_share:.2g} % of the ticks."
+        f"{run.candidate}, seed {run.seed}: the loop was too late for {100.0 * run.skipped_share:.2g} % of the ticks."
         for run in evaluations
         if run.skipped_share > LARGEST_SKIPPED_SHARE
     ]
     if len(summary.seeds) < 2:
-        cautions.append("One seed only: there are no intervals.")
+        cautions.append("Only one seed: there are no intervals.")
     if len(ranking) < 2:
-        headline = f"{ranking[0]} alone was evaluated."
+        headline = f"{ranking[0]} is the only controller."
     else:
         share = comparison.absolute[ranking[0]].value / comparison.absolute[ranking[-1]].value
         headline = (
@@ -109,7 +109,7 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     if len(ranking) > 1:
         lines.append(_surety(summary, kind, best, ranking[1]))
     one_seed = len(summary.seeds) < 2
-    text = "Run several seeds, or record several runs of each: one says nothing about chance." if one_seed else (
+    text = "Run several seeds, or record several runs of each: one does not show the scatter." if one_seed else (
         f"Put `toggle` and gains of {best} into the axis file, and try it there with `fffo-drive run`."
     )  # fmt: skip
     return Verdict(
@@ -128,7 +128,7 @@ def _size(summary: Summary, kind: str, best: str) -> Line:
 def _surety(summary: Summary, kind: str, best: str, second: str) -> Line:
     ratio = _ratio_of(summary, kind, second, best)
     if not math.isfinite(ratio.low):
-        return Line(label="How sure", text="One seed only: there is no interval.")
+        return Line(label="How sure", text="Only one seed: there is no interval.")
     text = f"The squared error of {second}, the next best, is {significant(100.0 * ratio.low)} to "
     return Line(label="How sure", text=f"{text}{significant(100.0 * ratio.high)} % of it, over seeds (95 %).")
 
@@ -169,7 +169,7 @@ def _table_2(summary: Summary) -> Table:
             cells.append(number(published[key]) if published else Cell(text="–"))
         rows.append(Row(label=controller, cells=cells))
     note = (
-        f"Per cent of {base}, over {len(summary.seeds)} seeds; below each the 95 % interval of the ratio, from "
+        f"Percentage of {base}, over {len(summary.seeds)} seeds; below each the 95 % interval of the ratio, from "
         "resampled seeds. MAX is one sample of a run: its order may change from seed to seed."
     )
     return Table(name="table-2", title="Table II", note=note, corner="Control", columns=columns, rows=rows)
@@ -221,8 +221,8 @@ def _lag_table(summary: Summary, kinds: Sequence[str]) -> Table:
     total = summary.figures.get("measured.lag.reversals")
     count = f"{next(iter(total.absolute.values())).value:.0f} reversals a run. " if total else ""
     note = (
-        f"{count}How much later than the reference the axis changes direction; missed ones come later than 0.1 s or "
-        "half way to the next, or not at all."
+        f"{count}Delay of the axis's reversal after that of the reference; missed: later than 0.1 s or half way to "
+        "the next reversal, or never."
     )
     return Table(
         name="lag", title="Lag at reversals", note=note, corner="Control", columns=columns, rows=_rows(summary, names)
@@ -235,7 +235,7 @@ def _effort_table(summary: Summary) -> Table:
         "variation_a_per_s": ("mean variation", "A/s"),
     }  # fmt: skip
     return Table(
-        name="effort", title="Control effort", corner="Control", note="Of the command on the wire.",
+        name="effort", title="Control effort", corner="Control", note="Command on the bus.",
         columns=[Heading(label=a, unit=b) for a, b in parts.values()],
         rows=_rows(summary, [f"effort.{part}" for part in parts]),
     )  # fmt: skip
@@ -279,7 +279,7 @@ def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
                 name=f"cutout-{len(figures) + 1}",
                 kind="time",
                 title=f"From {start_s:g} s",
-                caption="Reference and velocity; the shaft's own where it is known.",
+                caption="Reference and velocity; of the shaft, if it is known.",
                 x=PlotAxis("time", "s"),
                 y=VELOCITY,
                 series=tuple(series),
@@ -304,7 +304,7 @@ def _histograms(summary: Summary, yardstick: Yardstick, kinds: Sequence[str]) ->
                 name=f"histogram-{kind}",
                 kind="histogram",
                 title=f"Error against {KINDS[kind]}",
-                caption="Share of all samples in each bin; the outermost bins hold what is beyond.",
+                caption="Share of all samples in each bin; the outermost bins include everything beyond.",
                 x=PlotAxis("velocity error", "rps"),
                 y=PlotAxis("share of samples", "%"),
                 series=tuple(series),

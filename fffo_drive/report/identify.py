@@ -104,7 +104,7 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
     worst = max(percent.values())
     if worst > LARGE_RESIDUAL_PERCENT:
         left = significant(worst, 2)
-        headline = f"The model leaves up to {left} % of the {words.torque}: something that matters is missing."
+        headline = f"The model leaves up to {left} % of the {words.torque}: an important effect is missing."
     elif doubted:
         headline = f"The data determine {', '.join(told)}. They do not determine {', '.join(doubted)}."
     else:
@@ -123,13 +123,13 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
     lines = [Line(label="What", text=_known(results, doubted)), Line(label="How good", text=good)]
     lines += [Line(label="How sure", text=_first_doubt(results))] if doubted else []
     if useless:
-        text = "Do not tune with this model: record what determines it, and identify again."
+        text = "Do not tune with this model: record the motion that determines the rest, and identify again."
         lines.append(Line(label="Next", text=text))
     else:
-        lines.append(Line(label="Next", text="Choose gains for this model.", command=_tune_command(source)))
+        lines.append(Line(label="Next", text="Choose gains for this model:", command=_tune_command(source)))
     return Verdict(
         headline=headline,
-        finding="a model that leaves too much" if worst > LARGE_RESIDUAL_PERCENT else "a model of the axis",
+        finding="a model with a large residual" if worst > LARGE_RESIDUAL_PERCENT else "a model of the axis",
         confidence="cannot tell" if useless else "probable" if doubtful else "certain",
         next_step="record more" if useless else "tune",
         alarm=useless,
@@ -175,7 +175,7 @@ def _quality(results: dict[str, Any], words: IdentifyWords) -> list[str]:
     share = _span([run["torque_relative_percent"] for run in runs])
     friction = _span([run["friction_relative_percent"] for run in runs])
     lines = [
-        f"Quality: {words.torque} residual {share} % of the motor's ({friction} % of friction); "
+        f"Quality: {words.torque} residual {share} % of the motor torque ({friction} % of the friction); "
         f"free simulation over {window_s:g} s is off by {median} {words.velocity_unit} in the median window."
     ]
     loss = results["fit"]["literal_stribeck_loss_ratio"]
@@ -232,10 +232,11 @@ def _parameters(results: dict[str, Any]) -> Table:
     unit = "N per command" if results["units"] == "linear" else "Nm/A"
     rows.append(Row(label="Kt", unit=unit, cells=[number(constant, 6), *[dash] * 5, Cell(text="declared")]))
     note = (
-        f"Below each value its {100 * CONFIDENCE:g} % interval. Standard deviation: from noise (whole windows count "
-        "once, neighbours may be correlated); from what fits with observers of three bandwidths, whose mean is taken, "
-        "disagree about beyond that, and the bias that the sensor's noise makes. Windows: how many quarter seconds, in "
-        "effect, bear on it. Velocity lag: of the drive's velocity behind its position."
+        f"Below each value: its {100 * CONFIDENCE:g} % interval. Standard deviation: noise (each window counts once, "
+        "because neighbouring rows may be correlated), and specification (disagreement beyond the noise between fits "
+        "with observers of three bandwidths, whose mean is the value, and the bias from sensor noise). Windows: "
+        "effective number of quarter-second windows that determine it. Velocity lag: of the drive's velocity behind "
+        "its position."
     )
     columns = [
         Heading(label="value"), Heading(label="sd"), Heading(label="sd", unit="%"),
@@ -291,9 +292,10 @@ def _effects(results: dict[str, Any], words: IdentifyWords) -> Table:
             )
     return Table(
         name="effects", title="Beside friction", corner="effect", rows=rows,
-        note="Looked for before anything else, and in the model file: "
-             + words.text("constant torque, direction, gravity, waves of the angle.")
-             + " Share: of the squared residual that all others leave. p: of chance, over all that was tried.",
+        note="Searched for first, and part of the model file: "
+             + words.text("constant torque, friction by direction, gravity, ripple over the angle.")
+             + " Share: of the squared residual that the others leave. p: probability of a chance finding, over "
+               "everything that was tried.",
         columns=[
             Heading(label="value"), Heading(label="sd"), Heading(label="share", unit="%"), Heading(label="p"),
             Heading(label="what it is", words=True),
@@ -316,7 +318,7 @@ def _doubts(results: dict[str, Any]) -> Table:
     ]
     return Table(
         name="doubts", title="What the data do not determine", corner="parameter",
-        note="Values of these are in the model file all the same: do not rely on them.",
+        note="The model file contains values for these; do not rely on them.",
         columns=[
             Heading(label="why", words=True), Heading(label="goes with", words=True),
             Heading(label="excitation that would determine it", words=True),
@@ -355,8 +357,8 @@ def _runs(results: dict[str, Any], words: IdentifyWords) -> Table:
         )  # fmt: skip
     return Table(
         name="runs", title="Residuals", corner="log", columns=columns, rows=rows,
-        note="Where the Stribeck curve falls a free simulation is unstable and a few windows run away: the median "
-             "window says what is typical. Means: while sliding, by direction.",
+        note="Where the Stribeck curve falls, a free simulation is unstable and a few windows diverge; the median "
+             "window is typical. Means: while sliding, by direction.",
     )  # fmt: skip
 
 
@@ -392,8 +394,8 @@ def _dependence(results: dict[str, Any], words: IdentifyWords) -> Table:
     return Table(
         name="dependence", title="Is anything left in the residual?", corner="function of the motion",
         note=f"Correlation of the {words.torque} residual with functions of velocity v, acceleration a and the motor's "
-             f"{words.torque} u, with the p-value of no connection (two-sided, from the effective number of samples). "
-             "The residual is filtered at 40 Hz, so it is never white; dependence on the motion is the sign of a "
+             f"{words.torque} u, with the p-value of no correlation (two-sided, from the effective number of samples). "
+             "The residual is filtered at 40 Hz, so it is never white; correlation with the motion is the sign of a "
              "missing effect.",
         columns=columns, rows=rows,
     )  # fmt: skip
@@ -426,11 +428,11 @@ def _sections(
     answers = [f for chirp in chirps for f in response_figures.response_figures(chirp, damping, inertia, words)]
     answers += [response_figures.damping_figure(damping, fit.physical, words)] if damping else []
     sections = [
-        Section("Measured and simulated", "Fig. 3: the model's own motion beside the measured one.", tuple(measured)),
-        Section("Friction", "What the fit makes of it, and how well it is known.",
+        Section("Measured and simulated", "Fig. 3: simulated and measured motion.", tuple(measured)),
+        Section("Friction", "Fitted values and their uncertainty.",
                 (draw.friction_figure(fit, runs, words),)),
-        Section("Residual", "Fig. 4: what the model leaves over.", tuple(spread)),
-        Section("Where the residual is", "By memory, frequency, amplitude and regime.", tuple(whole)),
+        Section("Residual", "Fig. 4: measured torque minus that of the model.", tuple(spread)),
+        Section("Where the residual is", "By correlation time, frequency, amplitude and regime.", tuple(whole)),
         Section("Frequency response", "Fig. 5: from open-loop chirps.", tuple(answers)),
         Section("Whole logs", "The figures of one log zoom together.",
                 tuple(figure for run in runs for figure in draw.course_figures(run, words))),
@@ -441,7 +443,7 @@ def _sections(
 def _next_steps(source: IdentifySource) -> Listing:
     model = source.model_file
     return Listing(
-        name="next", title="What to do with it", note="The model file is what a controller runs.",
+        name="next", title="What to do with it", note="A controller uses the model file.",
         text=f"{_tune_command(source)}   # gains and margins for this model\n"
              f"fffo-drive config check AXIS.yaml   # after `model: {model.name}` in the axis file",
     )  # fmt: skip

@@ -92,14 +92,14 @@ def course_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
     group = figure_name("time", record.name)
     clock = PlotAxis("time", "s")
     parts: list[tuple[str, str, PlotAxis, tuple[Series, ...], int]] = [
-        ("command", f"What was commanded in {record.name}.", PlotAxis(words.command, words.command_unit),
+        ("command", f"Command in {record.name}.", PlotAxis(words.command, words.command_unit),
          (Series("command", time, record.current_a, "ink", weight=1.0, finest=LONGEST),), 170),
-        ("velocity", "Measured (derivative of the position over 5 ms) and simulated without looking at the measurement "
-         "for 0.2 s at a time; a window in which nothing moves is left out.", words.velocity(),
+        ("velocity", "Measured (derivative of the position over 5 ms) and simulated freely for 0.2 s at a time; "
+         "windows at standstill are left out.", words.velocity(),
          (Series("measured", grid, measured, "orange", weight=2.4, finest=LONGEST),
           Series("simulated", grid, simulated, "blue", dash="dashed", weight=1.2, finest=LONGEST)), 240),
-        ("residual", f"Fig. 4: Kt i(t − Td) − {words.inertia} a − F, all through one filter of 40 Hz; standstill is "
-         f"left out. {record.name}.", words.residual(),
+        ("residual", f"Fig. 4: Kt i(t − Td) − {words.inertia} a − F, all through the same 40 Hz filter; standstill "
+         f"is left out. {record.name}.", words.residual(),
          (Series("residual", time, residual, "blue", weight=1.0, finest=LONGEST),), 200),
     ]  # fmt: skip
     return [
@@ -136,7 +136,7 @@ def cutout_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
             Figure(
                 name=figure_name(f"cutout-{number + 1}", run.record.name), kind="time",
                 title=f"{run.record.name}: {kind}",
-                caption=f"{CUTOUT_S:g} s from {shown.start:.4g} s; the simulation starts anew every 0.2 s.",
+                caption=f"{CUTOUT_S:g} s from {shown.start:.4g} s; the simulation restarts every 0.2 s.",
                 x=PlotAxis("time", "s"), y=words.velocity(), width="half", height_px=220,
                 series=(
                     Series("measured", shown, measured[part], "orange", weight=2.4),
@@ -176,8 +176,8 @@ def autocorrelation_figure(runs: Sequence[RunResidual], words: IdentifyWords) ->
     bound = 1.96 / np.sqrt(smallest)
     return Figure(
         name="autocorrelation", kind="time", title=f"Autocorrelation of the {words.torque} residual",
-        caption="The filter of 40 Hz alone makes neighbours alike within 0.01 s; what remembers longer is a rough "
-                "surface, or something that the model lacks. Dashed: 95 % of white noise.",
+        caption="The 40 Hz filter alone correlates neighbours within 0.01 s. Longer correlation comes from a rough "
+                "surface, or from an effect that the model lacks. Dashed: 95 % of white noise.",
         x=PlotAxis("lag", "s"), y=PlotAxis("correlation", "-"), series=tuple(series), height_px=220,
         levels=(LevelLine(bound, "white"), LevelLine(-bound, "")),
     )  # fmt: skip
@@ -198,7 +198,7 @@ def over_speed_figure(run: RunResidual, words: IdentifyWords) -> Figure:
     return Figure(
         name=figure_name("speed", run.record.name), kind="xy",
         title=f"{run.record.name}: residual over velocity",
-        caption="A mean that leaves zero is friction that the model has not; presliding: the first "
+        caption="A mean different from zero is friction that the model lacks; presliding: the first "
                 f"{significant(run.presliding_rev)} {words.position_unit} after a reversal.",
         x=words.velocity(), y=words.residual(), series=tuple(series), width="half", height_px=240,
     )  # fmt: skip
@@ -289,8 +289,8 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: IdentifyWords)
     return Figure(
         name="friction", kind="xy", title="Friction over speed",
         caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus "
-                f"{words.inertia} a in the records while sliding, mean of each bin, whiskers its middle 90 %. "
-                "Frictional lag stands in the points and not in the curve.",
+                f"{words.inertia} a in the records while sliding, mean of each bin; whiskers: its middle 90 %. The "
+                "points contain frictional lag, the curve does not.",
         x=PlotAxis("speed", words.velocity_unit, log=True), y=PlotAxis(f"friction {words.torque}", words.torque_unit),
         series=tuple(series), height_px=300,
     )  # fmt: skip

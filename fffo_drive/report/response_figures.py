@@ -114,10 +114,10 @@ def response_figures(
         Figure(figure_name("gain", record.name), "xy", f"{record.name}: gain", caption, hz,
                PlotAxis("gain", unit, log=True), tuple(gain), height_px=300, group=group),
         Figure(figure_name("phase", record.name), "xy", f"{record.name}: phase",
-               "Not used for the fit: frictional lag and delay bend it.", hz, PlotAxis("phase", "deg"), tuple(phase),
+               "Not used for the fit: frictional lag and delay distort it.", hz, PlotAxis("phase", "deg"), tuple(phase),
                width="half", height_px=190, group=group),
         Figure(figure_name("coherence", record.name), "xy", f"{record.name}: coherence",
-               "Below 0.6 a point is not used; friction that changes with amplitude lowers it too.", hz,
+               "Points below 0.6 are not used; friction that changes with amplitude also lowers the coherence.", hz,
                PlotAxis("coherence", "-", limits=(0.0, 1.05)), (coherence,), width="half", height_px=190, group=group),
     ]  # fmt: skip
 
@@ -139,9 +139,9 @@ def damping_figure(damping: list[dict[str, float]], physical: Floats, words: Ide
     steady = np.array([harmonic_damping(friction, float(a)) for a in grid])
     return Figure(
         name="damping", kind="xy", title="Damping over amplitude",
-        caption="Power that friction takes over the mean square of the velocity, in windows of 0.5 s; line: steady "
-                "friction of the model by harmonic balance; dotted: viscous part alone. Presliding and lag are in "
-                "the points only.",
+        caption="Power dissipated by friction divided by the mean square of the velocity, in windows of 0.5 s; "
+                "line: steady friction of the model by harmonic balance; dotted: viscous part "
+                "alone. Only the points contain presliding and lag.",
         x=PlotAxis("amplitude of the velocity", words.velocity_unit, log=True),
         y=PlotAxis("damping", words.damping_unit, log=True), width="half",
         series=(

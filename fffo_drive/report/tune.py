@@ -56,16 +56,16 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
     report = Report(
         kind="tune",
         title=f"Gains for {source.model.name}",
-        subtitle="PI and observer for the fitted axis with its whole delay, judged at friction's smallest damping.",
+        subtitle="PI and observer for the fitted axis with its full delay, at the smallest friction damping.",
         verdict=_verdict(source, tuning),
         tables=(_gains(tuning), _margins(source, tuning), _checks(tuning, source.model), _axis(source, tuning)),
         sections=(
-            Section("Poles", "Where the closed loop's poles go as the gain rises.",
+            Section("Poles", "Poles of the closed loop as the gain rises.",
                     (*draw.locus_figures(tuning), draw.poles_figure(tuning))),
-            Section("Step", "What a step of the reference does.", (draw.step_figure(tuning),)),
+            Section("Step", "Response to a step of the reference.", (draw.step_figure(tuning),)),
             Section("Open loop", "With the delay, without and with the observer's L.",
                     tuple(draw.bode_figures(tuning))),
-            Section("Friction's damping", "Over how wide a range friction may damp the loop.",
+            Section("Friction damping", "Range of friction damping that the loop tolerates.",
                     tuple(draw.damping_figures(tuning))),
         ),
         provenance=provenance(files, {name: text for name, text in facts.items() if text}),
@@ -87,10 +87,10 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
     bound = design.real_poles_from_a_per_rps
     share = f", {significant(gains.proportional_a_per_rps / bound, 2)} times the bound" if bound > 0.0 else ""
     reasons = [
-        "The loop with these gains must not be run."
+        "Do not run the loop with these gains."
         if unstable
         else f"Poles are real from Kp {significant(bound)} A/rps{share}. {_condition_14(design)}",
-        f"Friction's damping may vary {_ratio(design.without_overshoot)} with real poles, "
+        f"The friction damping may vary {_ratio(design.without_overshoot)} with real poles, "
         f"{_ratio(design.within_margins)} within the margins.",
     ]
     cautions = [f"{text[0].upper()}{text[1:]}." for text in design.warnings]
@@ -98,16 +98,17 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         Line(label="Margins", text=f"Phase {significant(margins.phase_deg, 2)}°, gain {significant(margins.gain, 2)} "
                                    f"with delay and observer; required: {tuning.wish.phase_margin_deg:g}° and "
                                    f"{tuning.wish.gain_margin:g}."),
-        Line(label="Step", text=f"Goes {significant(design.overshoot_percent, 2)} % over, at worst "
+        Line(label="Step", text=f"Overshoots by {significant(design.overshoot_percent, 2)} %, at worst "
                                 f"{significant(tuning.worst_overshoot_percent, 2)} % with the observer, and is within "
                                 f"2 % after {significant(1e3 * design.settled_s, 2)} ms."),
-        Line(label="At rest", text=f"{significant(100.0 * gains.rest_share, 3)} % of Kp and Ki keep a phase margin of "
-                                   f"{significant(design.margins_rest.phase_deg, 2)}° on the contact's spring."),
+        Line(label="At rest", text=f"{significant(100.0 * gains.rest_share, 3)} % of Kp and Ki give a phase margin of "
+                                   f"{significant(design.margins_rest.phase_deg, 2)}° at standstill, where the "
+                                   "friction contact acts as a spring."),
     ]  # fmt: skip
     if unstable:
         lines.append(Line(label="Next", text="Do not run these gains: let `fffo-drive tune` choose them."))
     else:
-        text = "Try them on the simulated drive before they meet an axis."
+        text = "Try them on the simulated drive before you use them on an axis."
         lines.append(Line(label="Next", text=text, command=_first_command(source)))
     return Verdict(
         headline=headline,
@@ -131,8 +132,8 @@ def _condition_14(design: Design) -> str:
     if excess >= -1e-9:
         return f"Condition (14) holds with {significant(excess)} Nm/rev to spare."
     return (
-        f"L is {significant(-excess)} Nm/rev below what condition (14) asks for, because the margins come first. It "
-        "goes to the integral, where (14) does not apply."
+        f"L is {significant(-excess)} Nm/rev below what condition (14) requires, because the margins have priority. L "
+        "acts in the integral, where (14) does not apply."
     )
 
 
@@ -159,7 +160,7 @@ def _gains(tuning: Tuning) -> Table:
     return Table(
         name="gains", title="Gains", corner="gain", rows=rows,
         columns=[Heading(label="value"), Heading(label="what it is", words=True)],
-        note="As written into the controller section, there to four digits.",
+        note="As in the controller section, which has four digits.",
     )  # fmt: skip
 
 
@@ -179,7 +180,7 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
     rows = [
         _margin_row("PI", design.margins_pi),
         _margin_row("PI and observer", design.margins_observer),
-        _margin_row("at rest, on the contact's spring", design.margins_rest),
+        _margin_row("at rest, friction contact as a spring", design.margins_rest),
     ]
     corners = _corners(source, axis)
     if corners:
@@ -232,11 +233,12 @@ def _checks(tuning: Tuning, model: ModelFile) -> Table:
     rows = [
         Row(label="Ki Kt + L", unit="Nm/rev",
             cells=[number(stiffness + gains.observer_nm_per_rev), _text("left side of condition (14)")]),
-        Row(label="2 B", unit="Nm/rev", cells=[number(2.0 * attraction), _text("its right side")]),
+        Row(label="2 B", unit="Nm/rev", cells=[number(2.0 * attraction), _text("right side of condition (14)")]),
         Row(label="to spare", unit="Nm/rev",
             cells=[number(design.condition_14_nm_per_rev), _text("not negative where (14) holds")]),
         Row(label="real poles from Kp", unit="A/rps",
-            cells=[number(design.real_poles_from_a_per_rps), _text("at the smallest damping, for good")]),
+            cells=[number(design.real_poles_from_a_per_rps), _text("at the smallest damping, and for every "
+                                                                   "larger Kp")]),
         Row(label="overshoot", unit="%",
             cells=[number(design.overshoot_percent), _text("of a step, with the PI's zero and the delay")]),
         Row(label="settled", unit="s", cells=[number(design.settled_s), _text("within 2 % of a step")]),
@@ -274,7 +276,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
         Row(label="hold of the command", unit="s",
             cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),
         *_lag_given_back(model, axis),
-        Row(label="whole delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
+        Row(label="total delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
         Row(label="Kt", unit="Nm/A",
             cells=[number(model.torque_constant_nm_per_a, 4), Cell(text="–"), _text("declared")]),
     ]  # fmt: skip
@@ -324,6 +326,6 @@ def _listings(source: TuneSource) -> tuple[Listing, ...]:
         Listing(name="controller", title="Controller section", note=note, text=source.section),
         Listing(
             name="commands", title="What to do with it",
-            note="Try gains on the simulated drive before they meet an axis.", text="\n".join(source.commands),
+            note="Try gains on the simulated drive before you use them on an axis.", text="\n".join(source.commands),
         ),
     )  # fmt: skip

@@ -104,8 +104,8 @@ def poles_figure(tuning: Tuning) -> Figure:
         levels.append(LevelLine(bound, "real", upright=True))
     return Figure(
         name="poles", kind="xy", title="Poles over the gain",
-        caption="Distance of the poles from the imaginary axis, and their frequency where they are a pair. Both are "
-                f"real for good from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
+        caption="Distance of the poles from the imaginary axis, and the frequency of a complex pair. Both stay real "
+                "from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
         x=PlotAxis("Kp", "A/rps", log=True), y=PlotAxis("pole", "1/s", log=True), width="half",
         series=(
             Series("−Re", gains, -first.real, "blue", weight=2.0),
@@ -135,9 +135,9 @@ def step_figure(tuning: Tuning) -> Figure:
     return Figure(
         name="step", kind="time", title="Step of the reference",
         caption="Unit step at the smallest damping, current not limited: "
-                f"{significant(design.overshoot_percent, 2)} % over, within 2 % after "
-                f"{significant(1e3 * design.settled_s, 2)} ms. At worst the observer is one more integral action of L; "
-                "friction that is compensated is not in this figure.",
+                f"{significant(design.overshoot_percent, 2)} % overshoot, within 2 % after "
+                f"{significant(1e3 * design.settled_s, 2)} ms. In the worst case the observer is an additional "
+                "integral action L; this figure does not include friction that is compensated.",
         x=PlotAxis("time", "s"), y=PlotAxis("velocity", "rps"), series=tuple(series), levels=(LevelLine(1.0, ""),),
     )  # fmt: skip
 
@@ -189,7 +189,7 @@ def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Fl
 
 
 def damping_figures(tuning: Tuning) -> list[Figure]:
-    """Phase margin over friction's damping with the allowed range, and at which amplitudes friction has it."""
+    """Phase margin over friction damping with the allowed range, and at which amplitudes friction has it."""
     own = tuning.axis.damping_nm_per_rps
     damping = own * np.geomspace(0.01, 1e4, DAMPINGS)
     phase: dict[str, list[float]] = {"PI": [], "PI and L": []}
@@ -206,10 +206,10 @@ def damping_figures(tuning: Tuning) -> list[Figure]:
     friction = np.array([harmonic_damping(tuning.friction, float(a)) for a in amplitude])
     return [
         Figure(
-            name="margin-over-damping", kind="xy", title="Phase margin over friction's damping", width="half",
+            name="margin-over-damping", kind="xy", title="Phase margin over friction damping", width="half",
             caption=f"Margins hold from {significant(held.lowest)} to {significant(held.highest)} Nm/rps; poles are "
                     f"real and not ten times slower from {significant(real.lowest)} to {significant(real.highest)}. "
-                    "A line ends where the gain no longer crosses 1.",
+                    "A line ends where the gain does not cross 1.",
             x=x, y=PlotAxis("phase margin", "deg"),
             series=(
                 Series("PI", damping, np.array(phase["PI"]), "blue", weight=1.8),
@@ -219,7 +219,7 @@ def damping_figures(tuning: Tuning) -> list[Figure]:
             levels=(LevelLine(tuning.wish.phase_margin_deg, "required"), LevelLine(own, "smallest", upright=True)),
         ),
         Figure(
-            name="damping-over-amplitude", kind="xy", title="Friction's damping over amplitude", width="half",
+            name="damping-over-amplitude", kind="xy", title="Friction damping over amplitude", width="half",
             caption="Steady friction of the model by harmonic balance (17). Between the lines both poles are real and "
                     "neither is ten times slower than 1/Ti; above, the loop follows only with friction compensated.",
             x=PlotAxis("amplitude of the velocity", "rps", log=True), y=PlotAxis("damping", "Nm/rps", log=True),

@@ -83,13 +83,13 @@ def drive_section(place: Place, facts: SourcedFacts) -> list[tuple[str, Fact]]:
     if HIGHEST_MASTER_ID in (*place.other_nodes, place.node_id):
         taken = {*place.other_nodes, place.node_id}
         free = next(node for node in range(HIGHEST_MASTER_ID, 0, -1) if node not in taken)
-        lines.append(("master_id", Fact(free, "of our heartbeat: the highest id that no node has")))
+        lines.append(("master_id", Fact(free, "id of our heartbeat: the highest that no node has")))
     if facts.profile is not None:
         lines.append(("profile", Fact(facts.profile, f"by vendor and product (0x1018): {facts.family}")))
     lines += list(facts.section.items())
     named = {**facts.profile_keys, **facts.section}
     if place.patience_ticks:
-        lines.append(("heartbeat_timeout_ms", Fact(1000, "loopback bus: a rehearsal on a shared machine")))
+        lines.append(("heartbeat_timeout_ms", Fact(1000, "loopback bus on a shared machine")))
         if "command_timeout_ms" not in named:
             lines.append(("command_timeout_ms", Fact(200, "as above; a drive on a real bus takes 20")))
     if place.turnaround_us is not None:
@@ -148,7 +148,7 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: ToldObjects) -> str:
         ("position_window_rev", Fact("null", "TO FILL IN where the axis has ends: [low, high]")),
     ]
     if place.patience_ticks:
-        source = "loopback bus: a rehearsal; leave these out on a real one"
+        source = "loopback bus: delete these three keys on a real bus"
         envelope.append(("feedback_missing_ticks", Fact(place.patience_ticks, source)))
         envelope.append(("status_missing_ticks", Fact(max(100, 2 * place.patience_ticks), "as above")))
         envelope.append(("heartbeat_timeout_s", Fact(2, "as above")))
@@ -156,7 +156,13 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: ToldObjects) -> str:
     lines += ["loop:", *_lines("  ", [("rate_hz", place.rate_hz)])]
     if place.realtime_refused:
         lines += _lines(
-            "", [("realtime", Fact("{required: false}", "measured: this machine refuses SCHED_FIFO; see `doctor`"))]
+            "",
+            [
+                (
+                    "realtime",
+                    Fact("{required: false}", "measured: this machine refuses SCHED_FIFO; see `fffo-drive doctor`"),
+                )
+            ],
         )
     amplitude = _rounded(PROFILE_SHARE * speed_rps)
     lines += _lines("", [
@@ -164,7 +170,7 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: ToldObjects) -> str:
     ])  # fmt: skip
     head = [
         f"# {place.drive}: written by `fffo-drive bring-up`.",
-        "# read: from the drive; given: by you; measured: here; assumed: nobody has said it, check it.",
+        "# read: from the drive; given: by you; measured: here; assumed: unknown, check it.",
         f"# next: fffo-drive commission {place.name}.yaml (it moves the axis a little, and asks before)",
     ]
     return "\n".join([*head, *lines]) + "\n"
@@ -195,7 +201,7 @@ def _model_text(place: Place, facts: SourcedFacts) -> str:
         ("attraction_nm_per_rev", ATTRACTION_PER_STATIC * static_nm, "assumed: typical"),
     ]
     lines = [
-        "# The first model of an axis that nobody has measured yet. `fffo-drive commission` measures delay and Kt/J,",
+        "# A first model, before any measurement. `fffo-drive commission` measures delay and Kt/J,",
         "# `fffo-drive identify` inertia and friction; then this file is replaced.",
         f"format: {formats.MODEL.word}",
         f"name: {place.name}",

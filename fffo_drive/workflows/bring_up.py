@@ -158,15 +158,15 @@ def refuse_overwriting(wishes: Wishes) -> None:
     """Raise DocumentError where a file is there already, before anything is asked of a bus."""
     there = [str(path) for path in (wishes.out, model_file_of(wishes.out)) if path.exists()]
     if there and not wishes.force:
-        raise DocumentError(f"{' and '.join(there)}: there already; name another with --out, or overwrite with --force")
+        raise DocumentError(f"{' and '.join(there)}: exists already; give another --out, or overwrite with --force")
     if not wishes.out.parent.is_dir():
-        raise DocumentError(f"{wishes.out}: there is no directory {wishes.out.parent}")
+        raise DocumentError(f"{wishes.out}: no such directory: {wishes.out.parent}")
 
 
 @contextmanager
 def _alone_on(bus: str, talk: Talk) -> Iterator[Heard]:
     """The lease of the bus, once it was heard that nobody else commands there. Raises BusOccupiedError."""
-    talk.tell(f"listening to {bus}: who else is there? Nothing is sent yet")
+    talk.tell(f"listening on {bus} for other masters; nothing is sent yet")
     try:
         lease = BusLease(bus)
     except BusHeldError as error:
@@ -250,7 +250,7 @@ def _assign(wishes: Wishes, without_id: Sequence[LssAddress], signs: list[Sign],
         return None
     if node_id is None:
         free = next(node for node in can.NODE_IDS if node not in taken)
-        answer = talk.ask(f"give the node without an id which one (1 to 127, no: leave it)? A free one is {free}", "no")
+        answer = talk.ask(f"which id for the node without one (1 to 127; no: none)? {free} is free", "no")
         if answer is None or not answer.isdecimal():
             return None
         node_id = int(answer)
@@ -260,7 +260,7 @@ def _assign(wishes: Wishes, without_id: Sequence[LssAddress], signs: list[Sign],
     with _lss(wishes.bus, talk) as master, open_link(wishes.bus, filters=boot_up) as link:
         stored = master.assign(without_id[0], node_id)
         link.receive(BOOT_S)  # a scan follows
-    kept = "it keeps it" if stored else "it forgets it when it is switched off: store it with the vendor's tool"
+    kept = "it is stored" if stored else "it is lost when the drive is switched off: store it with the vendor's tool"
     talk.tell(f"  node id {node_id} given to the node with {without_id[0].text}; {kept}")
     return node_id
 
@@ -276,14 +276,14 @@ def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName |
         usable = [node for node in nodes if node.is_drive and not node.remark] or [n for n in nodes if not n.remark]
         if not usable:
             said = "; ".join(node.text for node in nodes)
-            return said or f"nobody answers on {wishes.bus}: {_where_to_look(wishes.bus)}"
+            return said or f"no node answers on {wishes.bus}: {_where_to_look(wishes.bus)}"
         chosen = usable[0]
         if len(usable) > 1:
             ids = ", ".join(str(node.node_id) for node in usable)
-            answer = talk.ask(f"which node is the axis ({ids})?", str(chosen.node_id))
+            answer = talk.ask(f"which node is the drive of the axis ({ids})?", str(chosen.node_id))
             named = next((node for node in usable if str(node.node_id) == answer), None)
             if named is None:
-                return f"{len(usable)} nodes answer ({ids}): name one with --node"
+                return f"{len(usable)} nodes answer ({ids}): choose one with --node"
             chosen = named
     return f"node {chosen.node_id}: {chosen.remark}" if chosen.remark else chosen
 
@@ -292,8 +292,8 @@ def _where_to_look(bus: str) -> str:
     if bus.startswith(LOOPBACK):
         return f"start a drive there, `fffo-drive sim configs/simulated_drive.yaml --bus {bus}`"
     return (
-        "look at power, wiring, termination (60 ohm between CAN_H and CAN_L) and bit rate; nodes that are stopped and "
-        "send no heartbeat are not seen: switch the drive off and on"
+        "check power, wiring, termination (60 ohm between CAN_H and CAN_L) and bit rate; a stopped node without "
+        "heartbeat is not found: switch the drive off and on"
     )
 
 
@@ -326,7 +326,7 @@ def _propose(
     if facts.missing:
         findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
         asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
-        findings.insert(0, failure("not known", f"the drive does not report: {asked}", "give these options"))
+        findings.insert(0, failure("unknown", f"the drive does not report: {asked}", "give them with these options"))
         options = tuple(OPTIONS[name][0] for name in facts.missing)
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings), missing=options)
@@ -335,7 +335,7 @@ def _propose(
         draft = make_draft(place, facts, objects)
     except DocumentError as error:
         findings = [
-            failure("values", text, "the drive reports an impossible value: give the right one by an option")
+            failure("values", text, "the drive reports an impossible value: give the right one with an option")
             for text in str(error).splitlines()
         ]
         findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
@@ -381,7 +381,7 @@ def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
 def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
     """What the drive lacks, what stands in for it, and what of its units must be known."""
     found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
-    found += [warning("stands in", text, "written to the axis file") for text in facts.stand_ins]
+    found += [warning("replacement", text, "written to the axis file") for text in facts.stand_ins]
     found += [warning("units", text, "") for text in facts.remarks if not text.startswith("0x6076")]
     found += [ok("silence", f"when the PC is silent: {facts.silence}")] * (not facts.problems)
     return found
@@ -447,7 +447,7 @@ def _try_rates(
         emergencies.extend(drive.emergencies)
 
     talk.tell("measuring without torque: SYNC and feedback, the drive stays disabled")
-    talk.tell("  (the first time the loop is compiled, which takes a while)")
+    talk.tell("  (the first time, the loop is compiled, which takes a minute or two)")
     trials: list[RateTrial] = []
     for rate_hz in RATES_HZ:
         trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, look)
@@ -456,7 +456,8 @@ def _try_rates(
             talk.tell(f"  {rate_hz} Hz: not possible: {trial.refused}")
             break
         talk.tell(
-            f"  {rate_hz} Hz: answer after {trial.turnaround_us.median:.0f} us (99 % {trial.turnaround_us.most:.0f}), "
+            f"  {rate_hz} Hz: feedback after {trial.turnaround_us.median:.0f} us (99 % "
+            f"{trial.turnaround_us.most:.0f}), "
             f"{trial.missing} of {trial.ticks} missing, {trial.late + trial.skipped} late"
         )
     return trials, emergencies
@@ -468,17 +469,17 @@ def _of_trials(
     """What the trials say against the axis. `axis`: with the rate that is written."""
     if not trials or choice is None:
         return []
-    found = [warning("real time", refusal, "fffo-drive doctor says what to type") for refusal in trials[0].refusals]
+    found = [warning("real time", refusal, "`fffo-drive doctor` gives the commands") for refusal in trials[0].refusals]
     if trials[0].refused:
-        return [*found, failure("bring-up", trials[0].refused, "mend it, then bring up again")]
+        return [*found, failure("bring-up", trials[0].refused, "remove the cause, then bring up again")]
     if choice.rate_hz is None:
-        remedy = "the axis file has the lowest rate; expect late ticks, and look at `fffo-drive doctor`"
+        remedy = "the axis file has the lowest rate; expect late ticks, and see `fffo-drive doctor`"
         return [*found, warning("rate", choice.reason, remedy)]
     disturbed = [trial for trial in trials if trial.rate_hz < choice.rate_hz and objections(trial, axis.loop)]
     found += [
         warning(
             "machine", f"at {trial.rate_hz} Hz: {'; '.join(objections(trial, axis.loop))}",
-            "something disturbed it for a moment: measure for longer (--seconds 60), and see `fffo-drive doctor`",
+            "a brief disturbance: measure for longer (--seconds 60), and see `fffo-drive doctor`",
         )
         for trial in disturbed
     ]  # fmt: skip
@@ -486,9 +487,9 @@ def _of_trials(
     if not chain.fits:
         text = (
             f"at {choice.rate_hz} Hz the worst case on the bus is {-chain.slack_s * 1e6:.0f} us beyond the period: a "
-            "command that then comes after the next SYNC acts one period later"
+            "command that arrives after the next SYNC acts one period later"
         )
-        found.append(warning("bus", text, "`fffo-drive config check` prints the sum; a lower loop.rate_hz has room"))
+        found.append(warning("bus", text, "`fffo-drive config check` prints the sum; lower loop.rate_hz"))
     return found
 
 
@@ -522,6 +523,6 @@ def _verdict(node: NodeName, findings: Sequence[HostFinding], choice: Choice | N
     who = _who(node)
     rate = f" at {choice.rate_hz} Hz" if choice is not None and choice.rate_hz is not None else ""
     if in_the_way:
-        things = "1 thing stands" if in_the_way == 1 else f"{in_the_way} things stand"
-        return f"NOT YET: {things} in the way of {who}; {files}"
+        problems = "1 problem" if in_the_way == 1 else f"{in_the_way} problems"
+        return f"NOT READY: {problems} at {who}; {files}"
     return f"READY to be commissioned{rate}: {who}; {files}"

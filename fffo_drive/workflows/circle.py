@@ -101,7 +101,7 @@ def close_the_loop(
 def keeps_no_rate(trouble: str) -> DriveFaultError:
     """The error of a circle whose runs the machine spoiled."""
     return DriveFaultError(
-        f"{trouble}: this machine does not keep the loop's rate; make it quieter (`fffo-drive doctor`), or lower the "
+        f"{trouble}: this machine does not keep the loop's rate; reduce its load (`fffo-drive doctor`), or lower the "
         "rate (--rate)"
     )
 
@@ -136,7 +136,7 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: 
         try:
             after = circle.run("after")
         except SpoiledRunError as error:
-            trouble = f"{error}; the model is in service in {circle.path}, the error with it is not known"
+            trouble = f"{error}; the model is in service in {circle.path}, but its tracking error was not measured"
     source = _source(circle, plan, model, report, found, (before, *fit), after)
     return Closed(source, tuple(found), adopted, write_circle_report(source, out).page, trouble)
 
@@ -163,7 +163,7 @@ def _require_empty(out: Path) -> None:
     """Nothing of an earlier circle is overwritten."""
     old = [out / name for name in ("axis.yaml", "before.mcap", "report.html") if (out / name).exists()]
     if old:
-        raise DocumentError(f"{old[0]}: is there already: give another --out")
+        raise DocumentError(f"{old[0]}: exists already: give another --out")
 
 
 def _shorten(path: Path) -> None:
@@ -197,8 +197,9 @@ def identification_profile(plan: Plan, quick: bool) -> dict[str, Any]:
             return profile
         ratio *= SHORTER
     raise DocumentError(
-        f"{plan.path}: envelope: no current that breaks the axis away stays inside it by the model: record by hand "
-        "and use `fffo-drive diagnose` and `fffo-drive adopt`"
+        f"{plan.path}: envelope: according to the model, a current that breaks the axis away exceeds it: record "
+        "the runs "
+        "yourself and use `fffo-drive diagnose` and `fffo-drive adopt`"
     )
 
 

@@ -81,7 +81,7 @@ class Health(NamedTuple):
     def text(self) -> str:
         """For people."""
         return (
-            f"{100.0 * self.lost_share:.1f} % of the ticks skipped or without an answer, the longest silence "
+            f"{100.0 * self.lost_share:.1f} % of the ticks skipped or without feedback, the longest silence "
             f"{1e3 * self.longest_s:.0f} ms"
         )
 
@@ -195,7 +195,7 @@ class Circle:
             at_fault = not outcome.started or not health.sound or health.longest_s > STALL_S
             if self.forgiving and at_fault:
                 raise SpoiledRunError(f"{name}: {outcome.fault_text} ({health.text})")
-            raise DriveFaultError(f"{name}: {outcome.fault_text}; the record is in {outcome.files[-1]}")
+            raise DriveFaultError(f"{name}: {outcome.fault_text}; the recording is in {outcome.files[-1]}")
         if outcome.gap_text is not None:
             if self.forgiving and not outcome.recorder.write_errors:
                 raise SpoiledRunError(f"{name}: {outcome.gap_text}")

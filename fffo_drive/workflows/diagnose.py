@@ -87,7 +87,9 @@ def require_place(out: Path) -> None:
     refuse_other_report(out, KIND)
     model_path = out / MODEL_NAME
     if model_path.exists() and not (out / JSON_NAME).exists():
-        raise DocumentError(f"{model_path}: no diagnosis wrote it (no {JSON_NAME} beside it): give another --out")
+        raise DocumentError(
+            f"{model_path}: not from a diagnosis (no {JSON_NAME} next to it), not overwritten: give another --out"
+        )
 
 
 def write_diagnosis(

@@ -40,12 +40,12 @@ class Answers(NamedTuple):
 
 
 OPTIONS = {  # field of `Answers` -> (option, what is asked)
-    "counts_per_rev": ("--counts", "counts of 0x6064 in a revolution (encoder: four times its lines)"),
-    "velocity_units_per_rps": ("--velocity-units", "0x606C at one revolution a second"),
+    "counts_per_rev": ("--counts", "counts of 0x6064 per revolution (encoder: four times its lines)"),
+    "velocity_units_per_rps": ("--velocity-units", "0x606C at one revolution per second"),
     "rated_torque_nm": ("--rated-torque", "rated torque of the motor in Nm"),
     "torque_constant_nm_per_a": ("--torque-constant", "torque constant of the motor in Nm/A"),
-    "target_units_per_a": ("--target-units", "units of the vendor's own object of the torque command for one ampere"),
-    "feedback_units_per_a": ("--feedback-units", "units of the vendor's own object of the torque that comes back"),
+    "target_units_per_a": ("--target-units", "units per ampere of the vendor's torque command object"),
+    "feedback_units_per_a": ("--feedback-units", "units per ampere of the vendor's torque feedback object"),
     "rated_current_a": ("--rated-current", "rated current of the motor in A"),
 }
 OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, the standard's object)
@@ -127,7 +127,7 @@ def drive_facts(
     raw = objects.value(0x6076)
     unit = _torque_unit(raw, answers.rated_torque_nm, base.get("rated_torque_unit", "mNm"))
     if unit != base.get("rated_torque_unit", "mNm"):
-        section["rated_torque_unit"] = Fact(unit, "0x6076 then says what was given")
+        section["rated_torque_unit"] = Fact(unit, "0x6076 then has the value given")
     if raw:
         section.setdefault("rated_torque_nm", Fact(raw * RATED_TORQUE_UNITS[unit], f"read: 0x6076 in {unit}"))
     told = units_told(objects)

@@ -57,7 +57,7 @@ def evaluate_recordings(
     shapes = {(run.profile_samples, run.metadata.get("period_s")) for run in runs}
     cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
     if len(shapes) > 1:
-        cautions.append("The recordings do not share one profile: their metrics are of different references.")
+        cautions.append("The recordings have different profiles: their metrics are not comparable.")
     rows = [_profile_of(run) for run in runs]
     for run, (own, samples) in zip(runs, rows, strict=True):
         reached = (int(own["profile_sample"][-1]) + 1) / samples
@@ -108,10 +108,10 @@ def _profile_of(run: Run) -> tuple[Rows, int]:
     """The rows inside the profile of a run, and its samples. Raises DocumentError."""
     samples, sample = run.profile_samples or 0, run.rows["profile_sample"]
     if samples == 0 and (sample >= 0).any():
-        raise DocumentError(f"{run.path}: holds more than one profile: give runs of one each")
+        raise DocumentError(f"{run.path}: contains more than one profile: give recordings of one profile each")
     inside = run.rows[(sample >= 0) & (sample < samples)]
     if inside.size == 0 or "period_s" not in run.metadata:
-        raise DocumentError(f"{run.path}: holds no profile in which the velocity loop was closed")
+        raise DocumentError(f"{run.path}: contains no profile with the velocity loop closed")
     return inside, samples
 
 
@@ -151,7 +151,7 @@ def evaluate_on_bus(
                         recorder_hooks(), progress,
                     )  # fmt: skip
                 if outcome.fault_text is not None:
-                    raise DriveFaultError(f"{candidate.name}: {outcome.fault_text}; the record is in {path}")
+                    raise DriveFaultError(f"{candidate.name}: {outcome.fault_text}; the recording is in {path}")
                 if outcome.gap_text is not None:
                     raise RecordingGapError(f"{candidate.name}: {outcome.gap_text}")
                 trace = trace_of(recorded_rows(outcome.files), profile.period_s, profile.values.size)

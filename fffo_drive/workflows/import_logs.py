@@ -68,7 +68,7 @@ def read_map(path: Path) -> dict[str, Any]:
     """The map of columns that an earlier import wrote. Raises DocumentError."""
     told = yaml.safe_load(read_text(path)) or {}
     if not isinstance(told, dict) or set(told) - MAP_KEYS:
-        raise DocumentError(f"{path}: not a map of columns: {MAP_NAME} of an import is wanted")
+        raise DocumentError(f"{path}: not a map of columns: give the {MAP_NAME} of an import")
     return told
 
 
@@ -91,14 +91,16 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
     """
     found = logs[0].found
     if any(one.found.linear != found.linear or one.found.torque_unit != found.torque_unit for one in logs):
-        raise RecordingError("the logs are not of one axis: their inputs have different units; import them one by one")
+        raise RecordingError(
+            "the logs are from different axes: their inputs have different units; import them one by one"
+        )
     facts = facts_of(found, declared)
     out.mkdir(parents=True, exist_ok=True)
     names = distinct_names([_plain_name(one.source.path) for one in logs])
     paths = [out / f"{name.replace('/', '_')}.mcap" for name in names]
     taken = next((path for path in paths if path.exists()), None)
     if taken is not None:
-        raise RecordingError(f"{taken}: is there already, and is not overwritten: choose another --out")
+        raise RecordingError(f"{taken}: exists already and is not overwritten: give another --out")
     for one, path in zip(logs, paths, strict=True):
         write_recording(path, one.source.path, one.log, facts)
     write_facts(out / FACTS_NAME, facts)

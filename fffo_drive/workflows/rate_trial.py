@@ -102,7 +102,7 @@ def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...
     apart = np.diff(rows["tick"].astype(np.int64))
     return RateTrial(
         rate_hz,
-        "" if turnaround_us.size else "no feedback answers SYNC: see the PDO mapping and loop.cutoff_share",
+        "" if turnaround_us.size else "no feedback after SYNC: see the PDO mapping and loop.cutoff_share",
         int(rows.size),
         int(np.count_nonzero(~answered)),
         int(rows["late"].sum()),
@@ -137,12 +137,12 @@ def objections(trial: RateTrial, loop: LoopSection) -> list[str]:
     found = []
     if trial.missing > MOST_MISSING * trial.ticks:
         found.append(
-            f"{trial.missing} of {trial.ticks} SYNCs had no answer before the cut-off at "
+            f"{trial.missing} of {trial.ticks} SYNCs had no feedback before the cut-off at "
             f"{loop.cutoff_share * period_us:.0f} us"
         )
     elif trial.turnaround_us.most > allowed_us:
         found.append(
-            f"the answer to SYNC takes {trial.turnaround_us.most:.0f} us (99 %), more than {allowed_us:.0f} us: "
+            f"the feedback takes {trial.turnaround_us.most:.0f} us (99 %), more than {allowed_us:.0f} us: "
             f"{TURNAROUND_SHARE:g} of the cut-off"
         )
     late = trial.late + trial.skipped
@@ -172,7 +172,7 @@ def choose_rate(
     best = max((k for k, reasons in enumerate(against) if not reasons), default=-1)
     rate_hz = ordered[best].rate_hz if best >= 0 else None
     if best + 1 == len(ordered):
-        return Choice(rate_hz, "It is the highest that is tried.")
+        return Choice(rate_hz, "It is the highest rate that the program tries.")
     return Choice(rate_hz, f"{ordered[best + 1].rate_hz} Hz does not fit: {'; '.join(against[best + 1])}")
 
 

@@ -69,7 +69,7 @@ def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> li
         return [ok("velocity", text)]
     return [
         warning(
-            "velocity", f"{text}: coarse against the observer's band of {feedback_band_rps:g} rps",
+            "velocity", f"{text}: coarse compared with the observer's band of {feedback_band_rps:g} rps",
             "choose a finer unit in the drive (0x60A9, for example 0xFDB44700: thousandths of rpm)",
         )
     ]  # fmt: skip
@@ -84,12 +84,16 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
         pass  # told with the fault
     elif state == STATE_OPERATION_ENABLED:
         yield failure(
-            "state", f"{text}: somebody has enabled it", "let its other master disable it; end the vendor's tool"
+            "state",
+            f"{text}: another master has enabled it",
+            "disable it with its other master; close the vendor's tool",
         )
     elif state == STATE_QUICK_STOP_ACTIVE:
-        yield warning("state", text, "it is left when the drive is disabled, which the bring-up does")
+        yield warning("state", text, "the bring-up disables the drive, which ends it")
     elif state == STATE_NOT_READY:
-        yield failure("state", text, "the drive starts, tests itself or has no supply: wait, then look at the supply")
+        yield failure(
+            "state", text, "the drive is starting, testing itself or without supply: wait, then check the supply"
+        )
     elif state == STATE_UNKNOWN:
         yield failure("state", f"{text} (no state of CiA 402)", "is this the drive's statusword (0x6041)?")
     else:
@@ -112,13 +116,13 @@ def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | N
     if word is not None and state_of(word) in FAULT_STATES:
         yield failure(
             "fault", "; ".join([f"statusword 0x{word:04X}: {state_name(word)}", *said, *past]),
-            "look the code up in the vendor's manual and mend the cause; then switch the drive off and on, or reset "
+            "look up the code in the vendor's manual and remove the cause; then switch the drive off and on, or reset "
             "the fault with the vendor's tool",
         )  # fmt: skip
     elif said:
-        yield warning("fault", "; ".join([*said, *past]), "look the code up in the vendor's manual")
+        yield warning("fault", "; ".join([*said, *past]), "look up the code in the vendor's manual")
     elif history:
-        yield ok("history", f"of earlier errors, in 0x1003: {history}")
+        yield ok("history", f"earlier errors in 0x1003: {history}")
 
 
 def _history_text(entry: int) -> str:
@@ -135,9 +139,9 @@ def _supply(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
     if link_v is not None and link_v < LOWEST_DC_LINK_V:
         text = f"DC link (0x6079): {link_v:.1f} V: the power stage is not supplied"
         if powered:
-            yield warning("supply", f"{text}, though bit 4 of the statusword says that it is", "measure it")
+            yield warning("supply", f"{text}, although bit 4 of the statusword is 1", "measure it")
         else:
-            yield failure("supply", text, "switch the power supply on; look at fuse, contactor and emergency stop")
+            yield failure("supply", text, "switch the power supply on; check fuse, contactor and emergency stop")
         return
     if powered:
         yield ok("supply", "voltage at the power stage" + (f", DC link {link_v:.1f} V" if link_v is not None else ""))
@@ -156,7 +160,7 @@ def _control(word: int | None, operational: bool) -> Iterator[HostFinding]:
     if word is None or word & STATUS_REMOTE:
         return
     text = "bit 9 of the statusword is 0: the drive ignores our controlword (local control)"
-    remedy = "end the vendor's tool, and choose CANopen as the source of commands in the drive"
+    remedy = "close the vendor's tool, and choose CANopen as the source of commands in the drive"
     if operational:
         yield failure("control", text, remedy)
     else:
@@ -177,19 +181,19 @@ def _inputs(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
         if word is not None and not word & STATUS_VOLTAGE_ENABLED:
             yield failure("STO", text, "release STO: both channels need their voltage, and the safety relay its reset")
         else:
-            yield warning("STO", f"{text}, though there is voltage at the power stage", "see the manual for this bit")
+            yield warning("STO", f"{text}, although there is voltage at the power stage", "see the manual for this bit")
     switches = [
         name for bit, name in ((INPUT_NEGATIVE_LIMIT, "negative"), (INPUT_POSITIVE_LIMIT, "positive")) if inputs & bit
     ]
     if len(switches) == 2:
         yield failure(
             "limit switches", f"0x60FD is 0x{inputs:08X}: both limit switches are active",
-            "they are not wired, or their polarity is wrong in the drive: a drive then moves neither way",
+            "they are not wired, or their polarity is wrong in the drive: it then moves in neither direction",
         )  # fmt: skip
     elif switches:
         yield warning(
             "limit switches", f"0x60FD is 0x{inputs:08X}: the {switches[0]} limit switch is active",
-            "the axis stands at its end: move it off by hand, with the brake released and the power off",
+            "the axis is at its end: move it away by hand, with the brake released and the power off",
         )  # fmt: skip
     if not switches and not _interlock(objects):
         yield ok("inputs", f"0x60FD is 0x{inputs:08X}: no limit switch, no interlock")
@@ -210,7 +214,7 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding
         if objects.value(index) == 0:
             text = f"0x{index:04X} ({what}) is 0: the motor has not been configured in the drive"
             if f"0x{index:04X}:00" in written:
-                yield warning("motor", f"{text}; the axis file writes it", "see that the drive's motor data are right")
+                yield warning("motor", f"{text}; the axis file writes it", "check the motor data in the drive")
             else:
                 yield failure("motor", text, "enter the motor's data with the vendor's tool and tune its current loop")
     limit = objects.value(0x6072)
@@ -220,7 +224,7 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding
         yield failure("torque limit", "0x6072 is 0: the drive makes no torque", "set drive.max_torque_permille")
     elif limit is not None and limit < LOWEST_TORQUE_LIMIT:
         text = f"0x6072 limits the torque to {limit / TORQUE_LIMIT_PERMILLE:.0%} of the rated torque"
-        yield warning("torque limit", text, "set drive.max_torque_permille if that is too little")
+        yield warning("torque limit", text, "set drive.max_torque_permille if this is too low")
 
 
 def _unreadable(objects: ToldObjects) -> Iterator[HostFinding]:

@@ -31,12 +31,12 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     for log in logs:
         if not str(log).endswith(RECORDINGS):
             raise DocumentError(
-                f"{log}: a table carries no facts about its drive: give them with --drive FILE, or take the log in "
-                "with `fffo-drive import`"
+                f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
+                "`fffo-drive import`"
             )
         own = facts_in(read_run(log))
         if found is not None and own.model_copy(update={"name": found.name}) != found:
-            raise DocumentError(f"{log}: its facts are not those of {logs[0]}: logs of one axis belong together")
+            raise DocumentError(f"{log}: its facts are not those of {logs[0]}: give logs of one axis")
         found = own
     assert found is not None
     return found
@@ -52,7 +52,7 @@ def facts_in(run: Run) -> DriveFacts:
     try:
         axis, model = recorded_files(run)
     except DocumentError as error:
-        raise DocumentError(f"{run.path}: carries no facts about its drive: give them with --drive FILE") from error
+        raise DocumentError(f"{run.path}: has no facts about its drive: give them with --drive FILE") from error
     return DriveFacts.model_validate(facts_of_axis(axis, model))
 
 

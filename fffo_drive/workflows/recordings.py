@@ -23,7 +23,7 @@ def claim(out: Path) -> None:
     except OSError as error:
         raise OSError(error.errno, f"no directory for recordings: {error.strerror}", str(out.parent)) from error
     if is_taken(out):
-        raise FileExistsError(errno.EEXIST, "a recording of this name is there; it is not overwritten", str(out))
+        raise FileExistsError(errno.EEXIST, "a recording of this name exists and is not overwritten", str(out))
 
 
 def recorder_hooks() -> RecorderHooks:

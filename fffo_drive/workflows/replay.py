@@ -89,4 +89,4 @@ def recorded_files(run: Run) -> tuple[AxisFile, ModelFile]:
                 axis = read_axis(path)
                 flat = axis.model_copy(update={"model": Path(axis.model).name})
                 return axis, model_of(path, flat)
-    raise DocumentError(f"{run.path}: holds no axis file; name one with --with")
+    raise DocumentError(f"{run.path}: contains no axis file; give one with --with")

@@ -122,7 +122,7 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
         return
     text = (
         f"the loop would have a phase margin of {margins.phase_deg:.1f} deg and a gain margin of {margins.gain:.2f}; "
-        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are asked for. "
+        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are required. "
     )
     free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
@@ -130,4 +130,4 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
         raise DocumentError(
             f"with the wanted crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
-    raise DocumentError(f"{model.name}: {text}No crossover has them: ask for smaller margins")
+    raise DocumentError(f"{model.name}: {text}No crossover gives them: require smaller margins")

@@ -447,11 +447,11 @@ CASES = (
     Case("a recording that is not there", ("log", "info", "none.mcap"), 78, ("none.mcap: No such file",)),
     Case(
         "an output that is there already", ("log", "recover", AXIS, MODEL), 74,
-        (f"{MODEL}: a file of this name is there; it is not overwritten",),
+        (f"{MODEL}: a file of this name exists and is not overwritten",),
     ),
     Case(
         "an output that is there already, of a run", (*RUN, "--out", DRIVE), 74,
-        (f"{DRIVE}: a recording of this name is there; it is not overwritten",),
+        (f"{DRIVE}: a recording of this name exists and is not overwritten",),
     ),
     Case(
         "an output where none can be", (*RUN, "--out", f"{MODEL}/run.mcap"), 74,

@@ -71,7 +71,7 @@ def test_any_drive_ends_in_a_verdict_and_a_whole_file_or_none(tmp_path_factory, 
     event(report.verdict.partition(":")[0] + (", with a file" if report.axis_file else ", without"))
     failures = [one for one in report.findings if one.level is Severity.FAILURE]
     assert report.ready is (report.axis_file is not None and not failures)
-    assert report.verdict.startswith("READY" if report.ready else ("NOT YET", "CANNOT BE USED"))
+    assert report.verdict.startswith("READY" if report.ready else ("NOT READY", "CANNOT BE USED"))
     assert exit_code(report) == (0 if report.ready else 78 if report.missing else 70)
     assert max(len(line) for line in report_lines(report) if str(out.parent) not in line) <= 80
     assert all(one.remedy for one in failures)

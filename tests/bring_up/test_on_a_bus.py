@@ -187,7 +187,7 @@ def test_a_drive_that_does_not_answer_sync_cannot_be_measured(bus, tmp_path):
     with Drive(bus, answers_sync=False) as node:
         report = bring_up_axis(wishes(bus, measure=True), Person())
     assert not report.ready
-    assert said(report, "failure") == ["bring-up: no feedback answers SYNC: see the PDO mapping and loop.cutoff_share"]
+    assert said(report, "failure") == ["bring-up: no feedback after SYNC: see the PDO mapping and loop.cutoff_share"]
     assert node.controlwords == {0}
     assert command.exit_code(report) == 70
 
@@ -216,8 +216,8 @@ def test_what_stands_in_the_way_is_told_and_the_file_is_written_all_the_same(bus
     with Drive(bus, objects=drive_objects(changes=changes)):
         report = bring_up_axis(wishes(bus), Person())
     assert said(report, "failure") == told
-    things = "1 thing stands" if len(told) == 1 else f"{len(told)} things stand"
-    assert report.verdict.startswith(f"NOT YET: {things} in the way of node 5")
+    problems = "1 problem" if len(told) == 1 else f"{len(told)} problems"
+    assert report.verdict.startswith(f"NOT READY: {problems} at node 5")
     assert command.exit_code(report) == 70
     assert make_plan(report.axis_file).axis.drive.node_id == NODE
     check_page(report)
@@ -233,7 +233,7 @@ def test_an_object_that_cannot_be_read_is_named(bus, tmp_path):
 
 def test_nobody_on_the_bus(bus, tmp_path):
     report = bring_up_axis(wishes(bus), Person())
-    assert report.verdict.startswith(f"nobody answers on {bus}: start a drive there")
+    assert report.verdict.startswith(f"no node answers on {bus}: start a drive there")
     assert "termination (60 ohm" in workflow._where_to_look("socketcan:can0")
     assert command.exit_code(report) == 69
     assert list(tmp_path.iterdir()) == []
@@ -243,7 +243,7 @@ def test_nobody_on_the_bus(bus, tmp_path):
 def test_of_two_drives_one_is_named_or_asked_for(bus, tmp_path):
     with Drive(bus, 5), Drive(bus, 9):
         alone = bring_up_axis(wishes(bus), Person())
-        assert alone.verdict == "2 nodes answer (5, 9): name one with --node"
+        assert alone.verdict == "2 nodes answer (5, 9): choose one with --node"
         assert (command.exit_code(alone), alone.axis_file) == (78, None)
         person = Person("9")
         assert bring_up_axis(wishes(bus), person).node_id == 9
@@ -369,7 +369,7 @@ def test_a_node_that_only_beats_is_told(bus):
 
 
 def test_a_directory_that_is_not_there_is_named_before_the_bus_is_used(bus):
-    with BusLog(bus) as log, pytest.raises(DocumentError, match="there is no directory nowhere"):
+    with BusLog(bus) as log, pytest.raises(DocumentError, match="no such directory: nowhere"):
         bring_up_axis(wishes(bus, out=Path("nowhere/axis.yaml")), Person())
     assert log.frames == []
 
@@ -396,7 +396,7 @@ def test_a_drive_without_an_id_is_found_and_given_one_only_when_asked(bus, tmp_p
         found = bring_up_axis(wishes(bus), Person())
         assert [address.serial_number for address in found.without_id] == [0xCAFE]
         assert (found.nodes, found.axis_file) == ((), None)
-        assert found.verdict.startswith("1 without a node id: give one with --assign ID; nobody answers")
+        assert found.verdict.startswith("1 without a node id: give one with --assign ID; no node answers")
         assert bring_up_axis(wishes(bus), Person("no")).nodes == ()
         taken = bring_up_axis(wishes(bus, assign_id=42), Person())
         assert (taken.node_id, taken.ready, taken.without_id) == (42, True, ())

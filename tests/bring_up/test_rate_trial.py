@@ -73,13 +73,13 @@ def test_jitter_is_the_standard_deviation_of_the_turnaround():
     ("rows", "said"),
     [
         (rows_of(2000, turnaround_us=230.0), []),  # 0.8 of 0.6 of 500 us is 240
-        (rows_of(2000, turnaround_us=250.0), ["the answer to SYNC takes 250 us (99 %), more than 240 us"]),
+        (rows_of(2000, turnaround_us=250.0), ["the feedback takes 250 us (99 %), more than 240 us"]),
         (rows_of(2000, missing=(1,)), []),
-        (rows_of(2000, missing=(1, 2)), ["2 of 1000 SYNCs had no answer before the cut-off at 300 us"]),
+        (rows_of(2000, missing=(1, 2)), ["2 of 1000 SYNCs had no feedback before the cut-off at 300 us"]),
         (rows_of(2000, late=range(10)), []),
         (rows_of(2000, late=range(11)), ["this machine woke the loop late 11 times in 1000 periods"]),
         (rows_of(2000, skipped=range(100, 111)), ["this machine woke the loop late 11 times in 989 periods"]),
-        (rows_of(2000, missing=range(1000)), ["no feedback answers SYNC"]),
+        (rows_of(2000, missing=range(1000)), ["no feedback after SYNC"]),
         (rows_of(2000)[:0], ["the loop did not run"]),
     ],
 )
@@ -97,10 +97,10 @@ def test_a_tick_that_takes_longer_than_its_period_does_not_fit():
 
 def test_the_highest_rate_that_fits_and_why_the_next_one_does_not():
     good = [trial_of(rows_of(rate), rate, 0.1) for rate in (500, 1000, 2000)]
-    assert choose_rate(good, LOOP) == Choice(2000, "It is the highest that is tried.")
+    assert choose_rate(good, LOOP) == Choice(2000, "It is the highest rate that the program tries.")
     slow = trial_of(rows_of(2000, turnaround_us=260.0), 2000, 0.6)
     assert choose_rate([*good[:2], slow], LOOP).rate_hz == 1000
-    assert choose_rate([*good[:2], slow], LOOP).reason.startswith("2000 Hz does not fit: the answer to SYNC takes 260")
+    assert choose_rate([*good[:2], slow], LOOP).reason.startswith("2000 Hz does not fit: the feedback takes 260")
     refused = RateTrial(1000, "refuses 0x60C2:02 = -4")
     assert choose_rate([good[0], refused], LOOP) == Choice(500, "1000 Hz does not fit: refuses 0x60C2:02 = -4")
     assert choose_rate([refused], LOOP) == Choice(None, "1000 Hz does not fit: refuses 0x60C2:02 = -4")
@@ -120,7 +120,7 @@ def draft_on(bus):
 def test_the_sum_for_the_bus_has_a_word_in_it():
     draft = draft_on("socketcan:can0")
     assert problems_at(draft.axis, draft.model, 2000, 20.0) == []
-    assert problems_at(draft.axis, draft.model, 2000, 300.0)[0].startswith("SYNC, answers and command take")
+    assert problems_at(draft.axis, draft.model, 2000, 300.0)[0].startswith("SYNC, feedback and command take")
     assert problems_at(draft.axis, draft.model, 1000, 300.0) == []
 
 

@@ -41,7 +41,7 @@ def test_nothing_stands_in_the_way_of_a_drive_that_can_be_enabled(ready):
         (word(0x0218), "fault: statusword 0x0218: fault"),
         (word(0x021F), "fault: statusword 0x021F: fault reaction active"),
         (word(0x0210), "state: statusword 0x0210: not ready to switch on"),
-        (word(0x0237), "state: statusword 0x0237: operation enabled: somebody has enabled it"),
+        (word(0x0237), "state: statusword 0x0237: operation enabled: another master has enabled it"),
         (word(0x0220), "state: statusword 0x0220: not ready to switch on"),
         ({(0x6079, 0): u32(0), **word(0x0240)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied"),
         ({(0x6079, 0): u32(4200), **word(0x0240)}, "supply: DC link (0x6079): 4.2 V: the power stage is not supplied"),
@@ -70,7 +70,7 @@ def test_one_obstacle_is_one_sentence(changes, said):
         ({(0x60FD, 0): u32(8)}, "STO: 0x60FD is 0x00000008: the interlock input"),
         ({(0x6072, 0): struct.pack("<H", 100)}, "torque limit: 0x6072 limits the torque to 10% of the rated torque"),
         ({(0x60FE, 1): u32(1)}, "brake: the brake is set (0x60FE:01, bit 0)"),
-        ({(0x6079, 0): u32(0)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied, though bit 4"),
+        ({(0x6079, 0): u32(0)}, "supply: DC link (0x6079): 0.0 V: the power stage is not supplied, although bit 4"),
         ({(0x60FD, 0): 0x08000020}, "not read: objects that could not be read: 0x60FD:00 (abort 0x08000020)"),
     ],
 )  # fmt: skip

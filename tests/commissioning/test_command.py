@@ -84,13 +84,13 @@ NOT = {name: not_done(name, "not done: torque_sign failed") for name in list(CHE
     ("found", "verdict", "what_next"),
     [
         (checks(), "passed: all 17 checks are ok", "commissioning: record.yaml"),
-        (checks(delay=OFF), "passed, with 1 of 17 checks to look at: delay", "commissioning: record.yaml"),
+        (checks(delay=OFF), "passed, with a warning from 1 of 17 checks: delay", "commissioning: record.yaml"),
         (
             checks(torque_sign=WRONG, **NOT), "not passed: torque_sign: the shaft turns backwards", "swap two phases",
         ),
         (
-            checks(**NOT), "not passed: 12 of 17 checks were not made: not done: torque_sign failed",
-            "see what ended it, and commission again",
+            checks(**NOT), "not passed: 12 of 17 checks were not done: not done: torque_sign failed",
+            "remove the cause, and commission again",
         ),
     ],
 )  # fmt: skip

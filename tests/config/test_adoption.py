@@ -144,7 +144,7 @@ def test_what_cannot_be_given_ahead_is_left_out_with_its_reason():
     found = {s.effect.name: s.reason for s in services(AXIS, model)}
     assert found["cogging"] is None
     assert found["quadratic_drag"] is None
-    assert "not known ahead" in found["elasticity"]
+    assert "not known in advance" in found["elasticity"]
     assert "absolute_angle" in found["unbalance"]
     assert [term.name for term in compensated_terms(AXIS, model)] == ["cogging", "quadratic_drag"]
     assert compensation_table(AXIS, model)[COUNT] == 2.0
@@ -276,7 +276,7 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
 
     fails(found / "nowhere.yaml", 78, "nowhere.yaml: cannot be read")
     fails(model_path, 78, "nowhere.yaml: cannot be read", axis=["--axis", "nowhere.yaml"])
-    fails(axis_path.parent / "table1.yaml", 78, "is in service already")
+    fails(axis_path.parent / "table1.yaml", 78, "is already in service")
 
     other = MODEL.model_copy(update={"torque_constant_nm_per_a": 0.3, "effects": [effect()]})
     fails(model_in(found / "kt.yaml", other), 78, "not adopted: same axis", "0.3 Nm/A, in service 0.148")
@@ -285,7 +285,7 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
     fails(model_in(found / "heavy.yaml", other), 78, "not adopted: same axis", "factor 2 allowed")
 
     elastic = effect("elasticity", share=0.2, frequency_hz=40.0, damping=0.03)
-    text = "not adopted: compensation: elasticity: its torque is not known ahead"
+    text = "not adopted: compensation: elasticity: its torque is not known in advance"
     fails(model_in(found / "elastic.yaml", with_effects(elastic)), 1, text)
     steep = effect(cos_nm=0.02, order=40.0)
     fails(model_in(found / "steep.yaml", with_effects(steep)), 1, "not adopted: stability", "condition (14)")

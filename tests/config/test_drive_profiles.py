@@ -113,7 +113,7 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C counts in units of its own"),
+        ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C has its own units"),
         ({"torque_feedback": {"object": 0x207E}}, "torque_feedback.units_per_a: 0x207E"),
         ({"silence_detection": "vendor"}, "the objects that set it belong in sdo"),
         ({"mode": 8}, "mode 8: 10, 4, or a negative one"),
@@ -129,7 +129,7 @@ def test_what_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, object
 def test_a_rate_beyond_the_drives_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = axis_file(tmp_path, profile="nanotec_cl4e")
     assert main(["config", "check", str(path)]) == 78
-    assert "loop.rate_hz: 2000 Hz; the drive takes commands at no more than 1000 Hz" in capsys.readouterr().err
+    assert "loop.rate_hz: 2000 Hz; the drive accepts commands at no more than 1000 Hz" in capsys.readouterr().err
 
 
 def test_a_drive_is_known_by_its_identity() -> None:

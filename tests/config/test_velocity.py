@@ -116,7 +116,7 @@ def test_gains_that_shake_on_the_drives_velocity_are_refused_for_the_estimate_ma
     axis, model = read(path)
     assert law_margins(axis, model, True).phase_deg > 30.0
     text = " ".join(law_problems(axis, model, True))
-    assert "where the estimate is lost" in text
+    assert "if the estimate is lost" in text
 
 
 @pytest.mark.parametrize(

@@ -56,5 +56,5 @@ def test_it_is_refused_where_the_p_and_i_terms_are_not_what_the_model_lacks(tmp_
     axis["controller"]["feedforward"] = {"inertia": True, "delay_aware": True}
     (tmp_path / AXIS).write_text(yaml.safe_dump(axis))
     plan = make_plan(tmp_path / AXIS)
-    with pytest.raises(DocumentError, match=r"needs feedforward\.preview: what is not fed forward"):
+    with pytest.raises(DocumentError, match=r"needs feedforward\.preview: without them"):
         settings.with_value(plan, plan.toggle, KEY, True)

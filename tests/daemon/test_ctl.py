@@ -48,7 +48,7 @@ def test_without_a_daemon_it_says_what_to_do(capsys, tmp_path, monkeypatch):
         (tmp_path / name / "watch.sock").touch()
     code, _, error = run(capsys, "status")
     assert code == 69
-    assert "give --axis: can0, can1" in error
+    assert "choose one with --axis: can0, can1" in error
     code, _, error = run(capsys, "--axis", "can7", "status")
     assert "no daemon of 'can7'" in error
 

@@ -90,11 +90,11 @@ def test_an_effect_is_adopted_at_rest_shown_and_taken_out_when_it_does_harm(tmp_
         status = client.call("status")
         assert status["effects"]["monitor"] == "on trial"
         assert [item["in_service"] for item in status["effects"]["list"]] == [True, False]
-        assert "not known ahead" in status["effects"]["list"][1]["reason"]
+        assert "not known in advance" in status["effects"]["list"][1]["reason"]
         assert main(["ctl", "--sockets", str(rig.sockets), "status"]) == 0
         shown = capsys.readouterr().out
         assert "effects in service: cogging (on trial)" in shown
-        assert "effect not in service: elasticity: its torque is not known ahead" in shown
+        assert "effect not in service: elasticity: its torque is not known in advance" in shown
 
         client.call("enable")
         wrong = rig.model_with(cogging(AMPLITUDE_NM))

@@ -108,5 +108,5 @@ def test_what_effects_explain_that_do_not_carry_over_is_left():
     assert (found.rms_nm, found.floor_nm) == pytest.approx(tuple(rms))
     assert found.share == pytest.approx(1.0 - (rms[1] / rms[0]) ** 2)
     assert "the fitted runs alone" in found.sentence
-    assert found.sentence.endswith("it goes with motor angle")
+    assert found.sentence.endswith("it depends on motor angle")
     assert refused_rest(data, base, base, ("motor_angle",)) is None

@@ -86,7 +86,7 @@ def test_the_run_command_records_what_it_reports(tmp_path, capsys):
     assert (facts.torque_constant_nm_per_a, facts.resolver_bits, facts.absolute_angle) == (0.148, 15, True)
     log = tmp_path / "log.csv"
     log.write_text("time_s\n0\n1\n")
-    with pytest.raises(DocumentError, match=r"log\.csv: a table carries no facts"):
+    with pytest.raises(DocumentError, match=r"log\.csv: a table has no facts"):
         facts_for(None, [out, log])
 
 

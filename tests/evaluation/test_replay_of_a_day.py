@@ -112,7 +112,7 @@ def test_a_file_that_was_continued_brings_the_others_along(cut, capsys):
     said = capsys.readouterr().out
     assert f"and {len(cut) - 1} more" in said
     assert "reproduced bit for bit" in said
-    assert "rows by live set points: " in said
+    assert "rows with live set points: " in said
     assert main(["replay", *map(str, cut)]) == 0
     assert capsys.readouterr().out == said
 

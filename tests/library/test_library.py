@@ -138,7 +138,7 @@ def test_runs_of_two_torque_constants_are_not_one_axis_unless_the_facts_say_so(s
 
 
 def test_a_run_is_no_proof_of_what_was_chosen_on_it(simulated):
-    with pytest.raises(DocumentError, match="b: a run cannot be fitted and held out"):
+    with pytest.raises(DocumentError, match="b: the same run cannot be both fitted and held out"):
         fd.diagnose(arrays_of(simulated, "a"), arrays_of(simulated, "b"))
 
 

@@ -12,7 +12,7 @@ from fffo_drive.report.page import render_page
 
 PROFILE = reference(20.0)
 HEADLINE = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
-REST = "75 % of the squared residual that is left could be explained and is not"
+REST = "75 % of the remaining squared residual has an unknown cause"
 
 
 def circle(**changes):
@@ -75,5 +75,7 @@ def test_the_headline_is_of_what_a_real_axis_measures():
 
 
 def test_what_was_found_and_is_not_in_service_is_no_headline():
-    report = circle_report(circle(effects=("cogging", "backlash"), not_compensated={"backlash": "not known ahead"}))
+    report = circle_report(
+        circle(effects=("cogging", "backlash"), not_compensated={"backlash": "not known in advance"})
+    )
     assert report.verdict.headline.startswith("Found and adopted: cogging. ")

@@ -16,7 +16,7 @@ from fffo_drive.diagnosis.curves import axes_of
 from fffo_drive.identification.runs import Remark, RunsLook
 
 FACTS = "torque_constant_nm_per_a: 0.148\nresolver_bits: 15\nsample_rate_hz: 1000\n"
-SHARE = "62 % of the squared residual that all others leave, p 0.002"
+SHARE = "62 % of the squared residual that the other effects leave, p 0.002"
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_where_nothing_carries_over_no_model_is_left_and_the_exit_code_says_so(c
     assert command(NOTHING)[0] == 65
     said = capsys.readouterr()
     assert not (out / "model.yaml").exists()
-    assert f"{out / 'model.yaml'}: of an earlier diagnosis, removed" in said.err
+    assert f"{out / 'model.yaml'}: from an earlier diagnosis, removed" in said.err
     assert "Nothing that carries over was found" in said.out
     assert json.loads((out / "report.json").read_text())["verdict"] == "nothing_carries_over"
     assert command(NOTHING)[0] == 65  # there is none to remove
@@ -91,7 +91,7 @@ def test_a_model_that_no_diagnosis_wrote_is_neither_overwritten_nor_removed(comm
     out.mkdir()
     (out / "model.yaml").write_text("mine")
     assert command(NOTHING)[0] == 78
-    assert "no diagnosis wrote it" in capsys.readouterr().err
+    assert "not from a diagnosis" in capsys.readouterr().err
     assert (out / "model.yaml").read_text() == "mine"
     (out / "report.json").write_text("{}")
     assert command(diagnosis(), "--model", str(out / "model.yaml"))[0] == 78
@@ -119,8 +119,8 @@ def test_the_settings_of_the_search_are_given_on(command):
         (("--without", "friction(tim)"), "did you mean 'friction(time)'?"),
         (("--without", "unknown:velocty"), "did you mean 'unknown:velocity'?"),
         (("--without", "motor_angle x sped"), "did you mean 'motor_angle x speed'?"),
-        (("--alpha", "0"), "--alpha: 0 is no probability"),
-        (("--alpha", "nan"), "--alpha: nan is no probability"),
+        (("--alpha", "0"), "--alpha: 0 is not a probability"),
+        (("--alpha", "nan"), "--alpha: nan is not a probability"),
     ],
 )
 def test_what_is_not_searched_or_no_probability_is_refused(command, capsys, words, said):
@@ -139,4 +139,4 @@ def test_every_axis_of_the_search_can_be_left_out():
 def test_the_help_names_the_exit_codes(capsys):
     with pytest.raises(SystemExit):
         main(["diagnose", "--help"])
-    assert "65 nothing that was found carries over" in " ".join(capsys.readouterr().out.split())
+    assert "65 the held-out runs confirm none of the effects" in " ".join(capsys.readouterr().out.split())

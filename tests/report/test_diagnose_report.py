@@ -111,11 +111,11 @@ def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     assert list(lines) == ["Where", "How big", "How sure", "Next"]
     assert lines["Where"].text == "12 waves in a motor turn."
     assert lines["How big"].text.startswith("8.0 mNm rms, 17 % of the friction.")
-    assert "cannot tell cogging and torque ripple apart" in lines["How sure"].text
+    assert "do not separate cogging and torque ripple" in lines["How sure"].text
     assert lines["Next"].command == "fffo-drive run AXIS.yaml --decide cogging"
     first = report.verdict.reasons[0]
     assert "cogging, or torque_ripple" in first
-    assert "62 % of the squared residual that all others leave" in first
+    assert "62 % of the squared residual that the other effects leave" in first
     assert "p = 0.0020" in first
     page = render_page(report)
     marks = [page.index(mark) for mark in ('class="verdict', "<figure", 'id="table-found"', 'id="table-errors"')]
@@ -240,8 +240,8 @@ def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
     open_ = diagnosis(verdict="unexplained", before=None, after=None, held_out_names=(), findings=())
     report = diagnosis_report(SOURCE, open_)
     assert (report.verdict.finding, report.verdict.confidence) == ("not explained", "cannot tell")
-    assert any("Nothing was held out" in text for text in report.verdict.cautions)
-    assert "nothing held out" in report.subtitle
+    assert any("No run was held out" in text for text in report.verdict.cautions)
+    assert "no run held out" in report.subtitle
 
 
 def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
@@ -252,7 +252,7 @@ def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
     springs = {"kind": 4.0, "count": 2.0, "x00": 0.1, "x01": 2.5, "y00": -0.001, "y01": 0.004}
     memory = finding(name="unknown:memory", parameters=tuple(Number(k, v, None, "") for k, v in springs.items()))
     words = "springs along the travel that slip and then pull with -0.001 to 0.004 Nm, after 0.1 to 2.5 rev"
-    assert curve_words(memory) == f"{words}; the strongest after 2.5 rev"
+    assert curve_words(memory) == f"{words}; strongest after 2.5 rev"
     more = {"across": 11.0, "across_scale": 0.0, "levels": 2.0, "z00": 0.1, "z01": 4.0, "y02": 0.0, "y03": 0.002}
     numbers = tuple(Number(k, v, None, "") for k, v in {**knots, **more, "kind": 1.0}.items())
     table = finding(name="unknown:motor_angle", parameters=numbers)
@@ -276,12 +276,12 @@ def test_a_rest_is_never_silent():
         assert report.verdict.alarm == (verdict == "nothing_carries_over")
         if verdict != "nothing_carries_over":
             assert any(
-                "Still unexplained: 4.0 mNm rms remain; the floor is 2.0 mNm rms." in line.text
+                "Unexplained: 4.0 mNm rms; at best 2.0 mNm rms would be left." in line.text
                 for line in report.verdict.lines
             )
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
-        assert "2 are what a black box" in said
-        assert "40 % of the square" in said
+        assert "a black-box model of the same rows would leave 2" in said
+        assert "40 % of the squared residual repeats" in said
         assert "travel since reversal and time" in said
     assert report_object(found)["unexplained_rest"]["floor_nm"] == 0.002
 
@@ -363,7 +363,7 @@ def test_a_parameter_that_the_data_do_not_determine_has_no_interval_that_looks_l
 
 def test_what_is_left_and_repeats_is_said():
     reasons = diagnosis_report(SOURCE, diagnosis(ceiling=Ceiling(0.9, 0.25, 0.001, 0.95, "2 repeats"))).verdict.reasons
-    assert "25 % of the squared residual that is left repeats with the reference." in reasons
+    assert "25 % of the remaining squared residual repeats with the reference." in reasons
 
 
 def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
@@ -422,7 +422,7 @@ def test_a_linear_axis_is_told_in_its_own_units():
 def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
     shown, hidden = finding(), finding(name="unbalance", held_out_gain=(-3.0, 5.0))
     reasons = diagnosis_report(SOURCE, diagnosis(findings=(shown, hidden))).verdict.reasons
-    said = "On the held-out runs it does not lower the error."
+    said = "It does not lower the error on the held-out runs."
     assert [said in reason for reason in reasons[:2]] == [False, True]
 
 

@@ -157,7 +157,7 @@ class NodeName(NamedTuple):
     @property
     def vendor(self) -> str:
         """By name where the number is known."""
-        return VENDORS.get(self.vendor_id, f"vendor 0x{self.vendor_id:08X}" if self.vendor_id else "no vendor told")
+        return VENDORS.get(self.vendor_id, f"vendor 0x{self.vendor_id:08X}" if self.vendor_id else "no vendor id")
 
     @property
     def text(self) -> str:
