@@ -3,7 +3,8 @@
 The axis moves: small current pulses of both signs grow until it turns a little. The program asks first, unless you give
 --yes. Current, speed, travel and time are limited, and it stops at the first unexpected result. `fffo-drive run`
 enables a drive on a bus only with a record that has passed, for this drive and these declared facts, and that the axis
-file names under `commissioning:`. The program asks before it writes that line; --accept writes it later, without motion.
+file names under `commissioning:`. The program asks before it writes that line;
+--accept writes it later, without motion.
 """
 
 from __future__ import annotations

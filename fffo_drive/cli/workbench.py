@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drive", metavar="FILE", help="declared facts about the drive of other programs' recordings (YAML)"
     )
     parser.add_argument(
-        "--sockets", metavar="DIR", help="directory of the sockets of the axis' daemon (default: found by name)"
+        "--sockets", metavar="DIR", help="socket directory of the axis' daemon (default: found by name)"
     )
     parser.add_argument("--out", metavar="DIR", default="runs/workbench", help="output directory (%(default)s)")
     parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
