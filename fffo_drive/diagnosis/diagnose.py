@@ -206,10 +206,9 @@ def verdict_of(
         return "unexplained", f"{text}{beside}{form}"
     if doubted:
         return "unexplained", f"Something is there that no effect of the library describes.{beside}{form}"
-    return (
-        "no_effect_found",
-        f"No effect found{f'.{form}' if form else ': nothing is left that these data could show.'}",
-    )
+    if form:
+        return "no_effect_found", f"No effect found.{form}"
+    return "no_effect_found", "No effect found: nothing is left that these data could show."
 
 
 def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None) -> str:
