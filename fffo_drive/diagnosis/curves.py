@@ -111,8 +111,7 @@ def axes_of(turns: float) -> list[CurveAxis]:
             found += [CurveAxis("motor_angle", kind, period_rev) for kind in (PLAIN, FRICTION, BRAKE)]
     found += [CurveAxis("output_angle", kind, 0.0) for kind in (PLAIN, FRICTION, BRAKE)]
     found += [CurveAxis(word, VISCOUS, 0.0) for word in ("time", "current", "output_angle")]
-    found += [CurveAxis("memory", VISCOUS, 3.0), CurveAxis("memory", VISCOUS, 12.0)]
-    return found
+    return [*found, CurveAxis("memory", VISCOUS, 3.0), CurveAxis("memory", VISCOUS, 12.0)]
 
 
 def curves(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:

@@ -105,7 +105,8 @@ def diagnose(
         selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
         selected = selector.run(data)
         tell(0.75, "what is left")
-        repeats, rest = left_of(selected)
+        repeats = ceiling(selected.data, selected.base, selected.fitted)
+        rest = rest_of(selected.data, selected.fitted, repeats)
         tell(0.85, "proof")
         found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
     tell(1.0, "done")
@@ -118,12 +119,6 @@ def runs_look(records: Sequence[Record]) -> RunsLook | None:
         return look_at_runs(records)
     except DataError:
         return None
-
-
-def left_of(selected: Selection) -> tuple[Ceiling, Rest | None]:
-    """What a selection leaves: by what repeats, and by a black box."""
-    repeats = ceiling(selected.data, selected.base, selected.fitted)
-    return repeats, rest_of(selected.data, selected.fitted, repeats)
 
 
 def assemble(
@@ -144,8 +139,10 @@ def assemble(
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     # what the first rungs of the ladder found stands first, then what takes away most, then the friction's own form
     findings = ranked(
-        findings, key=lambda f: (float(f.is_form) if f.accepted else 4.0) - f.explained_fraction - 2.0 * _first(f.name)
-    )
+        findings,
+        key=lambda f: (float(f.is_form) if f.accepted else 4.0) - f.explained_fraction
+        - 2.0 * (law_of(f.name).rung < WAVE_RUNG),
+    )  # fmt: skip
     tell(0.95, "where it lives")
     lives = channels(data, (base, base_matrix), (fitted, selected.matrix), settings.false_alarm_rate)
     accepted = [f for f in findings if f.accepted]
@@ -185,11 +182,6 @@ def assemble(
     )  # fmt: skip
 
 
-def _first(name: str) -> bool:
-    """Whether a law is of the first rungs: a constant torque, direction, weight."""
-    return law_of(name).rung < WAVE_RUNG
-
-
 def verdict_of(
     accepted: Sequence[Finding], worse: str, rest: Rest | None, remarks: Sequence[str]
 ) -> tuple[VerdictWord, str]:
@@ -202,8 +194,8 @@ def verdict_of(
     if remarks:
         return "unexplained", f"{remarks[0]}{left}"
     effects = [f for f in accepted if not (f.is_form or f.doubt)]
-    doubtful = ", ".join(dict.fromkeys(f.name for f in accepted if f.doubt))
-    beside = f" In the model, but in doubt as a cause: {doubtful}." if doubtful else ""
+    doubted = [f"{f.name} ({f.place})" if law_of(f.name).wave else f.name for f in accepted if f.doubt]
+    beside = f" In the model, but in doubt as a cause: {', '.join(dict.fromkeys(doubted))}." if doubted else ""
     if effects:
         shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
@@ -213,7 +205,7 @@ def verdict_of(
     if rest is not None:
         text = f"Something is left that no effect of the library explains: {rest.sentence}."
         return "unexplained", f"{text}{beside}{form}"
-    if doubtful:
+    if doubted:
         return "unexplained", f"Something is there that no effect of the library describes.{beside}{form}"
     if form:
         return "no_effect_found", f"No effect found.{form}"

@@ -114,14 +114,8 @@ def share_gone(before: Fitted, after: Fitted) -> float:
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
-    """Torque of effects along each stretch at full rate."""
-    found = []
-    for scene in scenes:
-        total = np.zeros(scene.stretch.samples)
-        for effect in effects:
-            total += load_along(scene, effect.name, effect.values(scene.stretch.run))
-        found.append(total)
-    return found
+    """Torque of effects, at least one, along each stretch at full rate."""
+    return [np.sum([load_along(s, one.name, one.values(s.stretch.run)) for one in effects], axis=0) for s in scenes]
 
 
 def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:

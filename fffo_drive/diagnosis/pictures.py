@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..identification.criterion import clipped
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
-from .curves import CurveAxis, abscissa
+from .curves import ANGLES, CurveAxis, abscissa
 from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, FoundCurve, Picture, RunFigure
 from .rows import DiagnosisRows, DiagnosisStretch
@@ -126,18 +126,14 @@ def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, flo
 def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floats:
     """Rows on an axis word. (m,)"""
     rows = data.rows
-    if word == "velocity":
-        return rows.velocity_rps
-    if word == "acceleration":
-        return rows.acceleration_rps2
-    if word == "time":
-        return rows.time_s
-    if word == "motor_angle":
-        return np.asarray(np.mod(rows.position_rev, scale if scale > 0.0 else 1.0))
-    if word == "output_angle":
-        return np.asarray(np.mod(rows.position_rev, scale)) if scale > 0.0 else rows.position_rev
+    plain = {"velocity": rows.velocity_rps, "acceleration": rows.acceleration_rps2, "time": rows.time_s}
+    if word in plain:
+        return plain[word]
     if word == "direction":
         return np.sign(rows.velocity_rps)
+    if word in ANGLES:
+        period_rev = scale or (1.0 if word == "motor_angle" else 0.0)
+        return np.asarray(np.mod(rows.position_rev, period_rev)) if period_rev > 0.0 else rows.position_rev
     step = rows.laws.step
     if word == "frequency":
         torque = [

@@ -229,7 +229,7 @@ def warming(motion):
 
 
 def test_a_finding_whose_strength_is_not_the_same_everywhere_is_in_doubt():
-    page = found(warming, warming, unseen=warming)
+    page = found(warming, warming)
     (offset,) = [f for f in page.findings if f.accepted and f.name == "torque_offset"]
     assert "from the first to the second half of the runs" in offset.doubt
     assert "in doubt as a cause: torque_offset" in page.headline
