@@ -29,15 +29,6 @@ PATIENCE_S = 180.0  # a first start compiles
 AT_WORK = "fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
 
 
-def do(page: Page, button: str) -> None:
-    """Press a button, and wait for the end of its job."""
-    page.click(button)
-    time.sleep(1.5)
-    while page.evaluate(AT_WORK):
-        time.sleep(0.3)
-    time.sleep(1.0)
-
-
 def until(page: Page, expression: str) -> None:
     """Wait until it is so."""
     deadline_s = time.monotonic() + PATIENCE_S
@@ -45,6 +36,15 @@ def until(page: Page, expression: str) -> None:
         if time.monotonic() > deadline_s:
             raise RuntimeError(f"never: {expression}; the page says: {page.text_content('#axis-said')}")
         time.sleep(0.1)
+
+
+def do(page: Page, button: str) -> None:
+    """Press a button, and wait for the end of its job."""
+    before = page.evaluate("fffoWorkbench.state.jobs.length")
+    until(page, f"!document.querySelector('{button}').disabled")
+    page.click(button)
+    until(page, f"fffoWorkbench.state.jobs.length > {before} && !{AT_WORK}")
+    time.sleep(1.0)  # the result is laid out
 
 
 def try_a_gain(browser: Browser, place: Path) -> None:
@@ -89,7 +89,7 @@ def main() -> None:
         server.start()
         page = browser.new_page(viewport=SCREEN)
         page.goto(server.url("tune"))
-        time.sleep(1.0)
+        until(page, "fffoWorkbench.state")
         for motion in ("profile", "identify", "recipe"):
             page.select_option("#motion", motion)
             do(page, "#record")
