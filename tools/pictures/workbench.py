@@ -24,7 +24,7 @@ from fffo_drive.workflows.simulated_process import SimulatedProcess  # noqa: E40
 PICTURE = Path(__file__).with_suffix(".png")
 REPORT = PICTURE.with_name("report.png")
 AXIS = PICTURE.with_name("workbench_axis.png")
-SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1060}
+SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1180}
 PATIENCE_S = 180.0  # a first start compiles
 AT_WORK = "fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
 
@@ -64,12 +64,13 @@ def try_a_gain(browser: Browser, place: Path) -> None:
             page.click("#enable")
             page.click("#ask-yes")
             until(page, "fffoAxis.status.state === 'enabled'")
-            page.locator("#gains input").first.fill("0.4")
+            page.locator("#gains input").first.fill("1.3")
             page.locator("#gains button").nth(1).click()
             page.click("#ask-yes")
             until(page, "fffoWorkbench.state.trials.some((trial) => trial.state !== 'running')")
             page.locator("#trial .uplot canvas").wait_for()
             time.sleep(1.0)
+            page.evaluate("scrollTo(0, 0)")
             page.screenshot(path=AXIS, animations="disabled")
         finally:
             server.close()
