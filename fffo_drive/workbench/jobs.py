@@ -27,7 +27,7 @@ from ..workflows.progress import CHECK_MARK, LINE_MARK, LINES_ENVIRONMENT
 State = Literal["running", "done", "failed", "cancelled"]
 KEPT_LINES = 200
 COLUMNS = 110  # of the output, as the page shows it
-NICE = 19  # the lowest: a loop without real-time priority still has 68 times the weight (1024 to 15)
+NICE = 10  # as `nice` has it: a loop without real-time priority has nine times the weight (1024 to 110)
 GRACE_S = 20.0  # from the interrupt, on which a run brakes to standstill, to the end of the process
 
 
@@ -161,7 +161,7 @@ class Jobs:
 
 
 def give_way(pid: int) -> None:
-    """Least share of the processors, no preemption of others; the disk's scheduler follows the nice value.
+    """A small share of the processors, no preemption of others; the disk's scheduler follows the nice value.
 
     For a process that has just begun: the threads that it starts from now on have it from it.
     """

@@ -11,6 +11,7 @@ import pytest
 from live.scope_page import INKED, LAPTOP, Page
 from live.served import Served
 
+from fffo_drive.live.keys import Keys
 from fffo_drive.signals import SIGNALS
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.browser, pytest.mark.timeout(400)]
@@ -292,5 +293,24 @@ def test_it_fits_and_stop_is_at_hand(served, chromium, size):
     if size != (390, 844):
         header = page.js("document.querySelector('header').offsetHeight")
         assert header < 0.3 * size[1]
+    page.context.close()
+    assert page.troubles == []
+
+
+@pytest.mark.parametrize(("role", "commands", "toggle"), [("stop", False, False), ("move", True, False)])
+def test_a_key_of_a_lesser_role_allows_less_and_the_log_says_who(served, chromium, role, commands, toggle):
+    served.run()
+    page = Page(chromium, served)
+    page.address = f"{served.url}#anna:{Keys(served.key).of(role)}"
+    page.tab.goto(page.address)
+    page.until("document.querySelector('#rights').textContent.startsWith('(role ')")
+    page.until_state("running")
+    assert page.tab.text_content("#rights") == f"(role {role})"
+    assert page.tab.is_enabled("#disable") is commands
+    assert page.tab.is_enabled("input[name=toggle][value=off]") is toggle
+    page.tab.keyboard.press("Escape")
+    served.until(lambda: served.state == "ready")
+    page.until("document.querySelector('#events').textContent.includes('disable by anna')")
+    assert f"disable by anna ({role}) through pid" in page.tab.text_content("#events")
     page.context.close()
     assert page.troubles == []

@@ -24,18 +24,9 @@ from fffo_drive.workflows.simulated_process import SimulatedProcess  # noqa: E40
 PICTURE = Path(__file__).with_suffix(".png")
 REPORT = PICTURE.with_name("report.png")
 AXIS = PICTURE.with_name("workbench_axis.png")
-SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1060}
+SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1180}
 PATIENCE_S = 180.0  # a first start compiles
 AT_WORK = "fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
-
-
-def do(page: Page, button: str) -> None:
-    """Press a button, and wait for the end of its job."""
-    page.click(button)
-    time.sleep(1.5)
-    while page.evaluate(AT_WORK):
-        time.sleep(0.3)
-    time.sleep(1.0)
 
 
 def until(page: Page, expression: str) -> None:
@@ -45,6 +36,15 @@ def until(page: Page, expression: str) -> None:
         if time.monotonic() > deadline_s:
             raise RuntimeError(f"never: {expression}; the page says: {page.text_content('#axis-said')}")
         time.sleep(0.1)
+
+
+def do(page: Page, button: str) -> None:
+    """Press a button, and wait for the end of its job."""
+    before = page.evaluate("fffoWorkbench.state.jobs.length")
+    until(page, f"!document.querySelector('{button}').disabled")
+    page.click(button)
+    until(page, f"fffoWorkbench.state.jobs.length > {before} && !{AT_WORK}")
+    time.sleep(1.0)  # the result is laid out
 
 
 def try_a_gain(browser: Browser, place: Path) -> None:
@@ -64,12 +64,13 @@ def try_a_gain(browser: Browser, place: Path) -> None:
             page.click("#enable")
             page.click("#ask-yes")
             until(page, "fffoAxis.status.state === 'enabled'")
-            page.locator("#gains input").first.fill("0.4")
+            page.locator("#gains input").first.fill("1.3")
             page.locator("#gains button").nth(1).click()
             page.click("#ask-yes")
             until(page, "fffoWorkbench.state.trials.some((trial) => trial.state !== 'running')")
             page.locator("#trial .uplot canvas").wait_for()
             time.sleep(1.0)
+            page.evaluate("scrollTo(0, 0)")
             page.screenshot(path=AXIS, animations="disabled")
         finally:
             server.close()
@@ -89,7 +90,7 @@ def main() -> None:
         server.start()
         page = browser.new_page(viewport=SCREEN)
         page.goto(server.url("tune"))
-        time.sleep(1.0)
+        until(page, "fffoWorkbench.state")
         for motion in ("profile", "identify", "recipe"):
             page.select_option("#motion", motion)
             do(page, "#record")
