@@ -10,7 +10,7 @@ function signed(text) { return text.replace("-", "−"); }
 function shown(value, digits = 3) { return value == null || !Number.isFinite(value) ? "–" : signed(Math.abs(value) >= 1000 ? value.toFixed(0) : value.toPrecision(digits)); }
 
 // three rows of pictures fit a laptop's screen
-function sizeIn(place) { return { width: Math.max(240, place.clientWidth || 600), height: Math.round(Math.min(230, Math.max(130, 0.19 * innerHeight))) }; }
+function sizeIn(place) { return { width: Math.max(240, place.clientWidth || 600), height: Math.round(Math.min(230, Math.max(120, 0.165 * innerHeight))) }; }
 function axisOf(size, values) { return { stroke: cssColour("--quiet"), grid: { stroke: cssColour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", size, values: (u, ticks) => ticks.map((t) => (t == null ? "" : signed(values(t)))) }; }
 function element(tag, parent, text, attributes = {}) {
   const made = document.createElement(tag);

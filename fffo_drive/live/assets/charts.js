@@ -73,7 +73,7 @@ const NEAR_SHARE = 0.01; // of the velocities shown: a cursor on the map tells t
 class FrictionMap extends OwnAxisChart {
   constructor(parent, view) {
     super({ title: "Friction over velocity", unit: "Nm", x: { unit: "rps" }, series: [
-      { label: "motor torque minus the inertia feed-forward", colour: "grey", width: 1, mark: "transparent" },
+      { label: "motor torque less inertia", colour: "grey", width: 1, mark: "transparent" },
       { label: "estimate", colour: "green", width: 1, mark: "var(--series-green)" }] }, parent, view);
     this.figure.id = "friction-map";
   }
