@@ -261,7 +261,6 @@ def prior_figures(teaching: Sequence[RealLife], measured: Sequence[RealLife]) ->
     fleet = learn(stack)
     scale = np.abs(population.mean)
     scale[[population.names.index(n) for n in ("offset_nm",)]] = scale[population.names.index("coulomb_nm")]
-    place = [PARAMETERS.index(name) for name in population.names]
     judged = [k for k, name in enumerate(population.names) if "inertia" not in name]  # it has the payload of the run
     errors: dict[str, list[Floats]] = {"prior": [], "full": [], "alone": []}
     covered, wrongly = [], 0
@@ -270,10 +269,9 @@ def prior_figures(teaching: Sequence[RealLife], measured: Sequence[RealLife]) ->
         quiet = np.flatnonzero(one.wear == 0.0)
         if quiet.size < FULL_RUNS + 4:
             continue
-        theta, information = one.history.theta[:, place], one.history.information[:, place][:, :, place]
-        inverse = inverse_total(stack.information[runs], fleet.covariance) / np.multiply.outer(
-            stack.scales[number], stack.scales[number]
-        )
+        both = np.multiply.outer(stack.scales[number], stack.scales[number])
+        theta, information = stack.theta[runs] * stack.scales[number], stack.information[runs] / both
+        inverse = inverse_total(stack.information[runs], fleet.covariance) / both
         steps = (one.history.temperature_degc - MEAN_DEGC) / STEP_K
         test = int(quiet[np.argmin(np.abs(one.history.time_s[quiet] - np.median(one.history.time_s[quiet])))])
         near = sorted((k for k in quiet if k != test), key=lambda k: abs(steps[k] - steps[test]))
