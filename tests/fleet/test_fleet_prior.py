@@ -82,9 +82,7 @@ def test_a_population_of_histories_goes_to_json_and_back() -> None:
 
 def runs_of(history: RunHistory, first: int, last: int) -> RunHistory:
     """Some runs of a history."""
-    cut = {
-        name: getattr(history, name)[first:last] for name in RunHistory._fields if name not in ("names", "orders")
-    }
+    cut = {name: getattr(history, name)[first:last] for name in RunHistory._fields if name not in ("names", "orders")}
     return history._replace(**cut)
 
 

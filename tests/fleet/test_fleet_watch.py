@@ -30,8 +30,12 @@ def drawn(
 ) -> RunHistory:  # fmt: skip
     """A drive's records: weather with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
     rng = np.random.default_rng([11, number])
-    warmer_k = season_k * np.sin(2.0 * np.pi * (np.arange(runs) / 52.0 + rng.random())) + 2.0 * rng.standard_normal(runs)
-    theta = LEVEL * np.exp(0.05 * rng.standard_normal(LEVEL.size)) + SCALE * SCATTER * rng.standard_t(4, (runs, 8)) / 1.4
+    warmer_k = season_k * np.sin(2.0 * np.pi * (np.arange(runs) / 52.0 + rng.random())) + 2.0 * rng.standard_normal(
+        runs
+    )
+    theta = (
+        LEVEL * np.exp(0.05 * rng.standard_normal(LEVEL.size)) + SCALE * SCATTER * rng.standard_t(4, (runs, 8)) / 1.4
+    )
     theta[:, VISCOUS] += LEVEL[VISCOUS] * VISCOUS_PER_K * warmer_k
     theta[:, [COULOMB, STRIBECK]] += LEVEL[COULOMB] * COULOMB_PER_K * warmer_k[:, None]
     for column, share in (change or {}).items():
