@@ -1,7 +1,7 @@
 """Records to channels: one number a run for each law, without what weather and the run's own motion do to it.
 
 The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and
-Coulomb friction low. Between runs they move together as well, along a line with temperature and along others with the profile.
+Coulomb friction low. Between runs they move together as well: along a line with temperature, along others with profiles.
 So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
 information and S the covariance between runs, both as a fleet shows it,
 
@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .detector import BURN_IN, CLIP, NORMAL_MAD, ChannelPrior, detect
+from .detector import BURN_IN, CLIP, NORMAL_MAD, SCALE_CLIP_SQUARED, SCALE_MEAN, ChannelPrior, detect
 from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
@@ -65,11 +65,12 @@ LEAST_TEACHING = BURN_IN + 6  # runs of a drive
 LEARNING_ROUNDS = 12
 LEAST_SHAPE, LARGEST_SHAPE = 2.0, 15.0
 LARGEST_MEMORY = 0.8
-MEDIAN_WASTE = 2.7  # variance of a squared median over that of a mean square
+SCALE_WASTE = 1.5  # variance of that scale, squared, over that of a mean square
 MEAN_FITTED = 1.0  # a fitted level makes neighbours look this much over the number of runs less alike
 MOST_ORDERS = 6
 LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
 ORDER_SHARE = 0.5  # of the runs that have to resolve an order
+DRIVES_AT_ONCE = 500  # for memory
 LARGEST_NOISE = 25.0  # of a channel's usual variance: beyond it a run says nothing
 
 
@@ -169,6 +170,8 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
 def marginal(information: Floats, kept: Sequence[int]) -> Floats:
     """Information of some columns, whatever the others are."""
     rest = [k for k in range(information.shape[1]) if k not in kept]
+    if not information[:, rest].any():
+        return np.asarray(information[:, kept][:, :, kept])
     inner = np.linalg.pinv(information[:, rest][:, :, rest], hermitian=True)
     cross = information[:, kept][:, :, rest]
     return np.asarray(information[:, kept][:, :, kept] - cross @ inner @ cross.transpose(0, 2, 1))
@@ -176,8 +179,10 @@ def marginal(information: Floats, kept: Sequence[int]) -> Floats:
 
 def _of_known(information: Floats, theta: Floats) -> Floats:
     """Information of the finite columns alone: none about the others, whatever these are."""
-    information = information.copy()
     missing = ~np.isfinite(theta)
+    if not missing.any():
+        return information
+    information = information.copy()
     patterns, which = np.unique(missing, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
         if not pattern.any():
@@ -373,15 +378,18 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     variance = np.ones_like(y)
     steps = np.nan_to_num(stack.temperature)
     for logged, covariance in ((True, prior.covariance), (False, prior.weather_covariance)):
-        drives = np.flatnonzero(stack.logged == logged)
-        if not drives.size:
+        every = np.flatnonzero(stack.logged == logged)
+        if not every.size:
             continue
-        runs = np.flatnonzero(by_run == logged)
-        y[runs], variance[runs], along_line = _projected(stack, prior, drives, runs, covariance)
+        usual = _usual_weights(stack, prior, every, covariance)
+        for drives in np.array_split(every, -(-every.size // DRIVES_AT_ONCE)):
+            runs = np.concatenate([np.arange(stack.bounds[d], stack.bounds[d + 1]) for d in drives])
+            y[runs], variance[runs], along_line = _projected(stack, prior, drives, runs, covariance, usual)
+            if not logged:
+                steps[runs] = np.clip(along_line, -LARGEST_STEPS, LARGEST_STEPS)
         if not logged:
-            steps[runs] = np.clip(along_line, -LARGEST_STEPS, LARGEST_STEPS)
             unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
-            y[np.ix_(runs, unwatched)] = np.nan
+            y[np.ix_(np.flatnonzero(~by_run), unwatched)] = np.nan
     y[~np.isfinite(stack.temperature)] = np.nan
     with np.errstate(invalid="ignore"):
         usual = np.array([np.median(v[np.isfinite(v)]) if np.isfinite(v).any() else 1.0 for v in variance.T])
@@ -395,8 +403,30 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     )  # fmt: skip
 
 
+def _weights(information: Floats, prior: FleetPrior, covariance: Floats) -> tuple[Floats, Floats, Floats]:
+    """What each law's estimate takes of each column (n, law, column), its variance (n, law), and P (n, p, p)."""
+    inverse = inverse_total(information, covariance)
+    along = prior.directions @ inverse
+    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
+        variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
+    return weights, variance, inverse
+
+
+def _usual_weights(stack: Stack, prior: FleetPrior, drives: Integers, covariance: Floats) -> Floats:
+    """Their median over some runs of these drives. (law, column)"""
+    some = drives[np.unique(np.linspace(0, drives.size - 1, LEARNED_DRIVES).astype(np.int64))]
+    runs = np.concatenate(
+        [np.arange(stack.bounds[d], min(stack.bounds[d + 1], stack.bounds[d] + LEARNED_RUNS)) for d in some]
+    )
+    weights, _, _ = _weights(stack.information[runs], prior, covariance)
+    usual = np.nanmedian(weights, axis=0)
+    return np.where(np.isfinite(usual), usual, 0.0)
+
+
 def _projected(
-    stack: Stack, prior: FleetPrior, drives: Integers, runs: Integers, covariance: Floats
+    stack: Stack, prior: FleetPrior, drives: Integers, runs: Integers, covariance: Floats, usual: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of weather.
 
@@ -404,14 +434,7 @@ def _projected(
     """
     size = len(stack.columns)
     theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
-    inverse = inverse_total(stack.information[runs], covariance)
-    along = prior.directions @ inverse  # (n, law, column)
-    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
-        variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
-    usual = np.nanmedian(weights[:: max(1, weights.shape[0] // 20_000)], axis=0)
-    usual = np.where(np.isfinite(usual), usual, 0.0)
+    weights, variance, inverse = _weights(stack.information[runs], prior, covariance)
     lengths = np.diff(stack.bounds)[drives]
     own = np.repeat(np.arange(drives.size), lengths)
     begins = np.concatenate([[0], np.cumsum(lengths)])[:-1]
@@ -498,7 +521,7 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
             logs = np.log([one.variance for one in fits])
             dof = float(np.median([one.dof for one in fits]))
             variance[c] = np.exp(share * np.median(logs))
-            beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - MEDIAN_WASTE * 2.0 / dof
+            beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - SCALE_WASTE * 2.0 / dof
             wide = 1.0 / max(float(beyond), 1e-3)  # the variance of the logarithm is about 1 / shape
             shape[c] = np.clip(share * wide, LEAST_SHAPE, LARGEST_SHAPE)
         covariance[c] = np.diag([LEVEL_RUNS * usual, *(between / variance[c])])
@@ -530,12 +553,24 @@ def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _Dr
         normal = own.T @ design / scale**2 + np.diag(np.concatenate([[0.0], slope_sd**-2.0]))
         solution = np.linalg.solve(normal, own.T @ target / scale**2)
         residual = target - design @ solution
-        scale = max(NORMAL_MAD * float(np.median(np.abs(residual))), 1e-9)
+        scale = max(_scale(residual), 1e-9)
         weight = np.minimum(1.0, CLIP * scale / np.maximum(np.abs(residual), 1e-300))
     spread: Floats = np.diag(np.linalg.inv(normal))[1:]
     clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
     lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
     return _DriveFit(np.asarray(solution[1:], dtype=np.float64), spread, scale**2, known.size - 3.0, lag, energy)
+
+
+def _scale(residual: Floats) -> float:
+    """Standard deviation of what is left beside a level and two slopes, by the middle of it (Huber's proposal 2)."""
+    scale = NORMAL_MAD * float(np.median(np.abs(residual)))
+    few = residual.size / (residual.size - 3.0)
+    for _ in range(8):
+        if scale <= 0.0:
+            break
+        pulled = np.minimum((residual / scale) ** 2, SCALE_CLIP_SQUARED)
+        scale *= math.sqrt(few * float(np.mean(pulled)) / SCALE_MEAN)
+    return scale
 
 
 def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:

@@ -212,5 +212,3 @@ def fleet_of_lives(drives: int, runs: int, seed: int, wears: Sequence[str], worn
         found.append(Life(number, runs, wears[turn % len(wears)] if worn else NONE, first, ramp))
         turn += worn
     return found
-
-
