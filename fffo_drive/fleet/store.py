@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 
 from .. import formats
 from ..documents import DocumentError
-from .place import Place
+from .place import StorePlace
 from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, table_of
 
 STORE_FILE = "store.json"
@@ -87,7 +87,7 @@ class FleetStore:
 
     def __init__(self, address: str, create: bool = False) -> None:
         """`create`: make it where there is none. Raises DocumentError for what is no store of this version."""
-        self.place = Place(address)
+        self.place = StorePlace(address)
         if create and not self.place.exists(STORE_FILE):
             if self.place.files("", ""):
                 raise DocumentError(f"{address}: no store ({STORE_FILE} is missing), and not empty: give another place")
