@@ -104,6 +104,33 @@ def test_a_worker_that_is_killed_loses_one_unit_which_is_made_again(six_runs, me
     assert merged(store) == merged_bytes
 
 
+DYING = """
+import os, signal, sys
+from fffo_drive.fleet.store import FleetStore
+from fffo_drive.fleet.work import work
+def die(share):
+    if share > 0.3:
+        os.kill(os.getpid(), signal.SIGKILL)
+if __name__ == "__main__":
+    work(sys.argv[1], FleetStore(sys.argv[1]).waiting(), 2, die)
+"""
+
+
+@pytest.mark.slow
+def test_who_hands_out_the_units_may_be_killed(six_runs, merged_bytes, tmp_path):
+    store = filled_store(tmp_path / "store", six_runs)
+    script = tmp_path / "dying.py"
+    script.write_text(DYING)
+    done = subprocess.run([sys.executable, str(script), store.place.address], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert store.status().recorded >= 2
+    work(store.place.address, store.waiting(), workers=1)
+    # a unit that was under way may have ended since, or left its try behind, which is no failure
+    assert store.status().failed == 0
+    made = {name: data for name, data in merged(store).items() if not name.startswith("failed/tries")}
+    assert made == merged_bytes
+
+
 def test_what_kills_its_workers_is_given_up_after_three(six_runs, tmp_path):
     store = filled_store(tmp_path / "store", six_runs[:1])
     (entry,) = store.waiting()
