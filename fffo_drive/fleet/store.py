@@ -166,9 +166,7 @@ class FleetStore:
     def recorded(self) -> set[str]:
         """Runs that have a record of this version."""
         ending = f"-{SCHEMA_VERSION}{PARQUET}"
-        new = [
-            name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending)
-        ]  # before the merged, for the same reason
+        new = [name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending)]  # first, as in parts
         merged = partial(self.place.files, MERGED, PARQUET)
         table = self._read(merged, RECORD_SCHEMA, ["run"], pc.field("schema_version") >= SCHEMA_VERSION)
         return {name.removesuffix(ending) for name in new} | set(table.column("run").to_pylist())
