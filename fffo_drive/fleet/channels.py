@@ -1,7 +1,7 @@
 """Records to channels: one number a run for each law, without what weather and the run's own motion do to it.
 
 The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and
-Coulomb friction low. Between runs they move together as well: along a line with temperature, along others with profiles.
+Coulomb friction low. Between runs they move together as well: along a line with temperature, and with the profile.
 So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
 information and S the covariance between runs, both as a fleet shows it,
 

@@ -110,7 +110,7 @@ def random_effects(information: Floats, moment: Floats) -> tuple[Floats, Floats]
 
     Outliers weigh less. What no drive determines keeps the smallest spread.
     """
-    drives, size = moment.shape
+    size = moment.shape[1]
     limit = float(stats.chi2.ppf(1.0 - OUTLIER_P, size))
     known = information + 1e-9 * np.einsum("dii->di", information).max() * np.eye(size)
     own = np.linalg.solve(known, moment[:, :, None])[:, :, 0]
@@ -130,7 +130,7 @@ def random_effects(information: Floats, moment: Floats) -> tuple[Floats, Floats]
         left = covariance - covariance @ inverse @ covariance
         # REML: the mean is estimated too
         left = left + covariance @ inverse @ of_mean @ inverse @ covariance
-        covariance = (np.einsum("d,di,dj->ij", weight, inner, inner) + left.sum(axis=0)) / drives
+        covariance = np.einsum("d,dij->ij", weight, inner[:, :, None] * inner[:, None, :] + left) / weight.sum()
         covariance = 0.5 * (covariance + covariance.T) + 1e-12 * np.eye(size)
     return mean, covariance + floor
 

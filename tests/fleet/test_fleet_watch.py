@@ -1,0 +1,220 @@
+"""Watching drives: the rate of false alarms, planted changes, weather that is no wear, and what cannot be told."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fffo_drive.fleet.channels import inverse_total, marginal
+from fffo_drive.fleet.detector import CLIP, SECOND_MOMENT, SLOPES, ChannelPrior, Detections, detect, log_norms
+from fffo_drive.fleet.history import RunHistory
+from fffo_drive.fleet.regress import COULOMB, OFFSET, PARAMETERS, STRIBECK, VISCOUS
+from fffo_drive.fleet.watch import FleetWatch, watch, watch_lines
+
+Floats = npt.NDArray[np.float64]
+
+WEEK_S = 7.0 * 86400.0
+LEVEL = np.array([1e-3, 5e-3, 0.02, 0.02, 0.001, 0.0, 0.0, 0.0])
+SCATTER = np.array([0.04, 0.06, 0.02, 0.06, 0.03, 0.05, 0.05, 0.05])  # between runs, over the scales
+SCALE = np.array([1e-3, 5e-3, 0.02, 0.02, 0.02, 5e-3, 0.02, 0.02])
+VISCOUS_PER_K, COULOMB_PER_K = -0.02, -0.004
+
+
+def drawn(
+    number: int, change: dict[int, float] | None = None, at: int = 25, runs: int = 50, season_k: float = 10.0,
+    logged: bool = True, ripple: float = 1.0,
+) -> RunHistory:  # fmt: skip
+    """A drive's records: weather with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
+    rng = np.random.default_rng([11, number])
+    warmer_k = season_k * np.sin(2.0 * np.pi * (np.arange(runs) / 52.0 + rng.random())) + 2.0 * rng.standard_normal(
+        runs
+    )
+    theta = (
+        LEVEL * np.exp(0.05 * rng.standard_normal(LEVEL.size)) + SCALE * SCATTER * rng.standard_t(4, (runs, 8)) / 1.4
+    )
+    theta[:, VISCOUS] += LEVEL[VISCOUS] * VISCOUS_PER_K * warmer_k
+    theta[:, [COULOMB, STRIBECK]] += LEVEL[COULOMB] * COULOMB_PER_K * warmer_k[:, None]
+    for column, share in (change or {}).items():
+        theta[at:, column] += share * SCALE[column]
+    information = np.tile(np.diag((0.01 * SCALE) ** -2.0), (runs, 1, 1))
+    amplitude = np.full((runs, 20), np.nan)
+    amplitude[:, 11] = 1e-3 * np.exp(0.1 * rng.standard_normal(runs))
+    amplitude[at:, 11] *= ripple
+    return RunHistory(
+        np.arange(runs) * WEEK_S, theta, information, PARAMETERS, 2e-3 * np.exp(0.1 * rng.standard_normal(runs)),
+        amplitude, np.arange(1.0, 21.0), np.full(runs, 3.0),
+        25.0 + warmer_k if logged else np.full(runs, math.nan), np.array([f"{number}_{k}" for k in range(runs)]),
+    )  # fmt: skip
+
+
+def fleet(count: int = 24, **one: object) -> dict[str, RunHistory]:
+    """Drives without a change; `one`: of drive 0."""
+    drives = {str(number): drawn(number, logged=bool(one.get("logged", True))) for number in range(1, count)}
+    return {"0": drawn(0, **one), **drives}  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def worn() -> FleetWatch:
+    return watch(fleet(change={COULOMB: 0.10, STRIBECK: 0.10}), 1e-3)
+
+
+# -- the bound
+
+
+@pytest.mark.parametrize("slope", range(SLOPES.size))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_bound_holds_for_every_symmetric_score_of_that_moment(slope: int, sign: float) -> None:
+    share = SECOND_MOMENT / CLIP**2  # the worst: all of it at the clip
+    worst = (1.0 - share) + share * math.cosh(SLOPES[slope] * CLIP)
+    assert worst == pytest.approx(math.exp(log_norms()[slope]))
+    rng = np.random.default_rng(1)
+    for values in (rng.standard_normal(100_000), rng.uniform(-1.7, 1.7, 100_000)):
+        clipped = np.clip(values, -CLIP, CLIP)
+        assert float(np.mean(np.exp(sign * SLOPES[slope] * clipped - log_norms()[slope]))) < 1.0
+
+
+def watched(noise: Floats, rate: float, change: float = 0.0, at: int = 25) -> Detections:
+    """Drives (d, n, c) of scale 0.03 about levels of their own, with a thermometer, and a step in channel 0."""
+    drives, runs, channels = noise.shape
+    rng = np.random.default_rng(2)
+    weather = rng.standard_normal((drives, runs, 1))
+    slopes = 0.05 * rng.standard_normal((drives, 1, channels))
+    y = 0.03 * noise + 0.3 * rng.standard_normal((drives, 1, channels)) + slopes * weather
+    y[:, at:, 0] += change
+    prior = ChannelPrior(
+        np.zeros((channels, 3)), np.tile(np.diag([100.0, 3.0, 3.0]), (channels, 1, 1)), np.full(channels, 9e-4),
+        np.full(channels, 4.0), np.zeros(channels),
+    )  # fmt: skip
+    count = drives * runs
+    covariates = np.column_stack([weather.ravel(), np.zeros(count)])
+    return detect(
+        np.arange(0, count + 1, runs), np.tile(np.arange(runs) * WEEK_S, drives), y.reshape(count, channels),
+        np.ones((count, channels)), covariates, prior, rate,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("tails", ["normal", "t3", "t2", "one-sided"])
+def test_the_rate_of_false_alarms_is_kept(tails: str) -> None:
+    rng = np.random.default_rng(3)
+    shape = (600, 50, 4)
+    scale = {"t3": 1.212, "t2": 1.343}.get(tails, 1.0)  # what Huber's proposal 2 makes of them
+    noise = {
+        "normal": lambda: rng.standard_normal(shape), "t3": lambda: rng.standard_t(3, shape),
+        "t2": lambda: rng.standard_t(2, shape), "one-sided": lambda: rng.exponential(1.0, shape) - 1.0,
+    }[tails]() / scale  # fmt: skip
+    rate, years = 0.1, 600 * 49 * WEEK_S / (365.25 * 86400.0)
+    assert watched(noise, rate).drive.size <= rate * years
+
+
+def test_a_step_of_five_standard_deviations_is_found_within_ten_runs_and_its_first_run_too() -> None:
+    found = watched(np.random.default_rng(4).standard_normal((200, 50, 4)), 1e-3, change=0.15)
+    own = (found.channel == 0) & (found.run % 50 >= 25) & (found.run % 50 < 35)
+    assert np.unique(found.drive[own]).size >= 195
+    assert np.mean(np.abs(found.first[own] % 50 - 25) <= 1) > 0.9
+    assert np.all(found.sign[own] == 1)
+
+
+def test_one_outlier_raises_no_alarm() -> None:
+    noise = np.random.default_rng(5).standard_normal((50, 50, 2))
+    noise[:, 30] = 60.0
+    assert watched(noise, 1e-3).drive.size == 0
+
+
+def test_a_schedule_of_many_runs_a_day_has_no_more_alarms_a_year() -> None:
+    noise = np.random.default_rng(6).standard_normal((100, 200, 2))
+    dense = watched(noise, 5.0)
+    assert dense.evidence.max() < watched(noise, 50.0).evidence.max()
+
+
+def test_a_rate_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="above 0"):
+        watch({"0": drawn(0)}, 0.0)
+
+
+# -- projections in closed form
+
+
+def test_the_inverse_of_the_total_is_that_of_the_sum_and_of_a_part_where_nothing_is_known() -> None:
+    rng = np.random.default_rng(7)
+    a, b = rng.standard_normal((2, 3, 3))
+    information, covariance = a @ a.T, b @ b.T + np.eye(3)
+    wanted = np.linalg.inv(np.linalg.inv(information) + covariance)
+    assert inverse_total(information[None], covariance)[0] == pytest.approx(wanted, rel=1e-8)
+    information[2], information[:, 2] = 0.0, 0.0
+    part = inverse_total(information[None], covariance)[0]
+    assert part[:2, :2] == pytest.approx(np.linalg.inv(np.linalg.inv(information[:2, :2]) + covariance[:2, :2]))
+    assert np.abs(part[2]).max() < 1e-12
+
+
+def test_the_information_of_some_columns_is_that_of_their_covariance() -> None:
+    a = np.random.default_rng(8).standard_normal((4, 4))
+    whole = a @ a.T
+    wanted = np.linalg.inv(np.linalg.inv(whole)[:2, :2])
+    assert marginal(whole[None], [0, 1])[0] == pytest.approx(wanted)
+
+
+# -- drives
+
+
+def test_ten_per_cent_of_coulomb_friction_are_found_named_and_sized(worn: FleetWatch) -> None:
+    (alarm,) = worn.found.alarms
+    assert (alarm.drive, alarm.law) == ("0", "Coulomb friction")
+    assert alarm.interval[0] < 0.10 < alarm.interval[1]
+    assert abs(int(alarm.first_run.split("_")[1]) - 25) <= 2
+    assert 25 < int(alarm.raised_run.split("_")[1]) <= 36
+    assert alarm.size == pytest.approx(alarm.change * LEVEL[COULOMB], rel=0.3)
+    before, after = alarm.look_at[:2], alarm.look_at[2:]
+    assert all(int(run.split("_")[1]) < 25 for run in before)
+    assert all(int(run.split("_")[1]) >= 25 for run in after)
+
+
+def test_what_is_printed_and_what_is_json_say_the_same(worn: FleetWatch) -> None:
+    plain = json.loads(json.dumps(worn.found.as_plain()))
+    assert plain["alarms"][0]["text"] == watch_lines(worn.found)[0]
+    assert "Coulomb friction +" in watch_lines(worn.found)[0]
+    assert worn.trace("0").evidence.max() >= 1.0
+    with pytest.raises(KeyError, match="nobody"):
+        worn.trace("nobody")
+
+
+def test_a_doubled_ripple_is_named_by_its_order() -> None:
+    found = watch(fleet(ripple=2.0), 1e-3).found
+    assert [(alarm.drive, alarm.law) for alarm in found.alarms] == [("0", "ripple of order 12")]
+    assert found.alarms[0].change == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_constant_torque_is_named() -> None:
+    found = watch(fleet(change={OFFSET: 0.25}), 1e-3).found
+    assert [(alarm.drive, alarm.law) for alarm in found.alarms] == [("0", "constant torque")]
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_weather_is_no_wear(logged: bool) -> None:
+    """A season of 40 % of viscous and 8 % of Coulomb friction."""
+    assert watch(fleet(logged=logged), 0.01).found.alarms == ()
+
+
+def test_without_a_temperature_a_change_along_the_line_of_weather_is_a_doubt_and_no_alarm() -> None:
+    change = {VISCOUS: 0.9, COULOMB: 0.18, STRIBECK: 0.18}  # 45 K colder
+    found = watch(fleet(change=change, at=40, logged=False), 1e-3).found
+    assert [alarm.law for alarm in found.alarms if alarm.drive == "0"] == []
+    (doubt,) = (one for one in found.doubts if one.drive == "0")
+    assert "wear cannot be told from weather" in doubt.text
+
+
+def test_a_temperature_that_was_not_seen_before_is_a_doubt() -> None:
+    history = drawn(0)
+    history.temperature_degc[-8:] = 70.0
+    found = watch({**fleet(), "0": history}, 1e-3).found
+    assert any(doubt.drive == "0" and "70 degC" in doubt.text for doubt in found.doubts)
+
+
+def test_a_drive_with_few_runs_says_so_and_drives_with_other_columns_are_refused() -> None:
+    found = watch({**fleet(6), "new": drawn(40, runs=5, at=5)}, 0.01).found
+    assert any(doubt.drive == "new" and "5 runs" in doubt.text for doubt in found.doubts)
+    with pytest.raises(ValueError, match="drive b"):
+        watch({"a": drawn(1), "b": drawn(2)._replace(names=PARAMETERS[::-1])}, 0.01)
