@@ -79,6 +79,16 @@ def test_nothing_is_gained_by_listing_more():
     assert rejected.false_findings == ()
 
 
+def test_what_a_report_doubts_is_no_claim_and_is_counted_apart():
+    doubtful = {**finding("cogging"), "doubt": "its strength changes from run to run"}
+    one, free = scored([effect()], [doubtful]), scored([], [doubtful])
+    assert not one.guesses[0].named
+    assert (one.false_findings, one.doubted, one.doubted_truths) == ((), ("cogging",), 1)
+    assert (free.false_findings, free.doubted) == ((), ("cogging",))
+    assert score.summarise([one, free]).doubted_truths.found == 1
+    assert score.summarise([one, free]).doubted_free.found == 1
+
+
 def test_a_wave_counts_with_its_order_alone_and_strong_waves_of_many_periods_are_counted_apart():
     wave = {**effect(), "parameters": {"order": 24.0}, "share_of_coulomb": 0.2}
     faint = {**wave, "share_of_coulomb": 0.1}

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from engine import accepted_of, claimed
 
 NORMAL_95 = 1.959964
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
@@ -93,9 +92,10 @@ class Scored:
 def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_nm: float | None) -> Scored:
     """Score one report. `floor_rms_nm`: what the oracle leaves of the held-out torque error."""
     effects = truth["effects"]
-    accepted = claimed(report)
+    stands = [finding for finding in report["effects"] if finding["accepted"]]
+    accepted = [finding for finding in stands if not finding.get("doubt")]
+    doubted = [finding for finding in stands if finding.get("doubt")]
     counted = accepted[: len(effects)] if effects else accepted
-    doubted = [one for one in accepted_of(dict(report)) if one.get("doubt")]
     left = list(counted)
     guesses: list[Guess | None] = [None] * len(effects)
     for exact in (True, False):  # a right name first, so that a family does not take another effect's finding
