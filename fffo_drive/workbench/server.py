@@ -74,6 +74,11 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing: the key would stand in it."""
 
+    def handle(self) -> None:
+        """As usual; a page that has gone meanwhile is no error."""
+        with contextlib.suppress(ConnectionError):
+            super().handle()
+
     def do_GET(self) -> None:
         """The page, its state, a page that was written."""
         found = self._judged()

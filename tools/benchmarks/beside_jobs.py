@@ -9,6 +9,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from running_axis import Axis
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.daemon.client import ClientError
-from fffo_drive.workbench.jobs import Jobs
+from fffo_drive.workbench.jobs import Job, Jobs
 from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "beside_jobs"
@@ -41,18 +42,20 @@ def recordings(directory: Path) -> list[str]:
     return files
 
 
+def _set(ended: threading.Event, _: Job) -> None:
+    ended.set()
+
+
 @contextlib.contextmanager
 def job(directory: Path, files: list[str], gives_way: bool) -> Iterator[None]:
     """A diagnosis that is begun again when it ends, for as long as the block lasts."""
     jobs, stop = Jobs(), threading.Event()
 
     def work() -> None:
-        number = 0
         while not stop.is_set():
-            number += 1
             ended = threading.Event()
             words = ["diagnose", "--out", str(directory / f"out_{time.monotonic_ns()}"), "--fit", *files]
-            jobs.start("diagnose", "diagnose", words, None, lambda _, e=ended: e.set(), gives_way)
+            jobs.start("diagnose", "diagnose", words, None, partial(_set, ended), gives_way)
             ended.wait()
 
     worker = threading.Thread(target=work, daemon=True)
