@@ -71,6 +71,7 @@ Y = "(() => { const u = Chart.current.plot; return [u.scales.y.min, u.scales.y.m
 
 
 def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
+    page.tab.select_option("#seconds", "2")  # all of it with curves: a cursor stands where there is something
     served.run()
     page.see(3.0)
     page.tab.click("#pause")
