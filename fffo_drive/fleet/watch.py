@@ -55,7 +55,7 @@ class Alarm(NamedTuple):
     look_at: tuple[str, ...]  # the runs before and after that show it best
 
 
-class Doubt(NamedTuple):
+class Undecided(NamedTuple):
     """What the records of a drive cannot decide, and what would."""
 
     drive: str
@@ -66,7 +66,7 @@ class Watched(NamedTuple):
     """What `watch` found."""
 
     alarms: tuple[Alarm, ...]
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[Undecided, ...]
     drives: int
     runs: int
     drive_years: float
@@ -247,7 +247,7 @@ def _to_look_at(
     return tuple(str(stack.run[n]) for n in chosen)
 
 
-def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
+def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
     """Drives of which the records cannot say whether it is wear or weather, and those with too few runs."""
     found = []
     place = stack.columns.index(VISCOUS) if VISCOUS in stack.columns else None
@@ -255,14 +255,14 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
         runs = stack.of(number)
         count = runs.stop - runs.start
         if count <= BURN_IN:
-            found.append(Doubt(drive, f"{count} runs: a change is looked for from run {BURN_IN + 1} on"))
+            found.append(Undecided(drive, f"{count} runs: a change is looked for from run {BURN_IN + 1} on"))
         elif stack.logged[number]:
             degc = MEAN_DEGC + STEP_K * stack.temperature[runs]
             before, now = degc[:-RECENT], float(np.nanmedian(degc[-RECENT:]))
             if before.size and np.isfinite(before).any():
                 low, high = float(np.nanmin(before)), float(np.nanmax(before))
                 if not low - OUTSIDE_K <= now <= high + OUTSIDE_K:
-                    found.append(Doubt(drive, (
+                    found.append(Undecided(drive, (
                         f"the last runs are at {now:.0f} degC, those before at {low:.0f} to {high:.0f} degC: what this "
                         "temperature does to the drive is not known from its own runs, so a change of friction cannot "
                         "be told from it yet"
@@ -273,7 +273,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
             usual, now = float(np.nanmedian(values[:-RECENT])), float(np.nanmedian(values[-RECENT:]))
             sd = math.sqrt(prior.weather_covariance[place, place])
             if abs(now - usual) > OUTSIDE_SDS * sd:
-                found.append(Doubt(drive, (
+                found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
                     f"weather moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
                     "logged, so wear cannot be told from weather: log the temperature, or compare runs of equal warmth"
