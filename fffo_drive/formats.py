@@ -76,6 +76,8 @@ IDENTIFICATION = Format("identification", "results in report.json of an identifi
 TUNING = Format("tuning", "results in report.json of a design", "tune", NOBODY)
 CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the-loop", NOBODY)
 FLEET = Format("fleet", "store.json of a fleet's store", "fleet add", "fleet")
+FLEET_REPORT = Format("fleet_report", "results in report.json of a fleet", "fleet report", NOBODY)
+FLEET_COMPARISON = Format("fleet_comparison", "results in report.json of two sets of runs", "fleet compare", NOBODY)
 REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
 
 FORMATS: dict[str, Format] = {
@@ -83,6 +85,7 @@ FORMATS: dict[str, Format] = {
     for f in (
         AXIS, DRIVE_PROFILE, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT,
         IDENTIFICATION, TUNING, CIRCLE, FLEET,
+        FLEET_REPORT, FLEET_COMPARISON,
     )
 }  # fmt: skip
 

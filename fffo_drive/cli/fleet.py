@@ -19,10 +19,12 @@ import json
 import os
 import sys
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..documents import DocumentError
 from ..identification.facts import read_facts
+from ..recording.errors import did_you_mean
 from .exits import EXIT_BAD_INPUT
 from .progress import progress_bar
 
@@ -50,6 +52,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _action(actions, "status", "how far the work is, and what failed")
     compact = _action(actions, "compact", "merge the small files of records, month by month")
     compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began longer ago")
+    report = _action(actions, "report", "population of each model and history of each drive, as a page and JSON")
+    report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
+    report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
+    compare = actions.add_parser("compare", help="what differs between two runs, or two times of a drive")
+    compare.description = (
+        "What differs between A and B beyond chance: two runs (files, or content hashes of --store), or with --serial "
+        "two times of a drive, FROM..TO in UTC (2026-01-01..2026-02-01; either end may be left out)."
+    )
+    compare.add_argument("sides", nargs=2, metavar="A|B", help="run, or FROM..TO")
+    compare.add_argument("--store", metavar="STORE", help="where the records are; the fleet is then what scatter is of")
+    compare.add_argument("--serial", metavar="NAME", help="drive whose times are compared")
+    compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
+    compare.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
+    compare.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
@@ -199,4 +215,58 @@ def _compact(options: argparse.Namespace) -> int:
     return 0
 
 
-_ACTIONS = {"add": _add, "work": _work, "status": _status, "compact": _compact}
+def _report(options: argparse.Namespace) -> int:
+    from ..fleet.history import histories
+    from ..fleet.report import FleetSource, outsider_text, shown_drives, write_fleet_report
+    from ..fleet.spread import SPREAD_COLUMNS, spreads_of
+    from ..fleet.store import FleetStore
+
+    store = FleetStore(options.store)
+    spreads = spreads_of(store.parts(SPREAD_COLUMNS))
+    if not spreads:
+        raise DocumentError(f"{options.store}: no record yet: `fffo-drive fleet work {options.store}` makes them")
+    known = [drive for spread in spreads for drive in spread.drives]
+    for name in options.serial:
+        if name not in known:
+            raise DocumentError(f"--serial {name}: no record of it: {did_you_mean(name, known)}")
+    drawn = {}
+    for spread in spreads:
+        asked = [drive for drive in options.serial if drive in spread.drives]
+        drawn[spread.model] = histories(store, asked or shown_drives(spread))
+    paths = write_fleet_report(FleetSource(store.place.address, store.status(), spreads, drawn, {}), Path(options.out))
+    if options.json:
+        print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
+        return 0
+    for spread in spreads:
+        print(f"{spread.model}: {len(spread.drives)} drives, {int(spread.runs.sum())} runs")
+        for one in spread.outsiders[:MOST_TOLD]:
+            print(f"  {one.drive} stands outside: {outsider_text(one)}")
+    print(paths.page)
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from ..fleet.compare import compared, side_of_file, side_of_store, write_comparison
+    from ..fleet.difference import difference_lines
+    from ..fleet.store import FleetStore
+
+    facts = read_facts(options.drive) if options.drive else None
+    store = FleetStore(options.store) if options.store else None
+    if store is None and options.serial:
+        raise DocumentError(f"--serial {options.serial}: give the store of its records with --store")
+    first, second = (
+        side_of_file(text, facts) if store is None else side_of_store(store, text, options.serial)
+        for text in options.sides
+    )
+    found = compared(first, second, store)
+    paths = write_comparison(first, second, found, Path(options.out))
+    if options.json:
+        print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
+        return 0
+    print("\n".join([*difference_lines(found), str(paths.page)]))
+    return 0
+
+
+_ACTIONS = {
+    "add": _add, "work": _work, "status": _status, "compact": _compact, "report": _report, "compare": _compare,
+}  # fmt: skip

@@ -461,6 +461,13 @@ class DaemonSection(StrictRecord):
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
     record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
+    fleet: Annotated[
+        str | None,
+        Field(
+            description="store (directory, s3://...) that gets a record of each finished recording; null: none "
+            "(extra `fleet`)"
+        ),
+    ] = None
     record_required: Annotated[bool, Field(description="true: an axis whose record fails is stopped")] = False
     profiles: Annotated[
         dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")

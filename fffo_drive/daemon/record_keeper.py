@@ -18,6 +18,7 @@ from ..runtime.runs import run_metadata, timestamp_name
 from ..workflows.plan import YAML_TYPE, Plan
 from .connection import Connection
 from .event_log import EventLog
+from .fleet_records import FleetRecords
 from .worker import Worker
 
 DISK_TIMEOUT_S = 30.0
@@ -56,6 +57,8 @@ class RecordKeeper:
         self._disk = Worker("fffo-disk")
         self._bad = ""
         self.last_files: tuple[Path, ...] = ()
+        self._fleet = FleetRecords(log)
+        self._store: str | None = None  # of the fleet, for the file that is being written
 
     async def begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
         """Begin a file now, or (without a connection, "") with the next one. Raises OSError."""
@@ -74,6 +77,8 @@ class RecordKeeper:
                 return []
             files = [str(file) for file in await self._disk.run(self._stop)]
         self._log.add("recording", f"recorded {', '.join(files) or 'nothing'}", data={"files": files})
+        if self._store is not None and files:
+            self._fleet.take(self._store, files)
         return files
 
     def _start(self, plan: Plan, connection: Connection, sources: Sources, toggle: int, note: str) -> Path:
@@ -94,6 +99,8 @@ class RecordKeeper:
         )  # fmt: skip
         recorder.start()
         self._recorder, self._bad = recorder, ""
+        store = plan.axis.daemon.fleet
+        self._store = store if store is None or "://" in store else str((self._base or Path()) / store)
         return path
 
     def _stop(self) -> tuple[Path, ...]:

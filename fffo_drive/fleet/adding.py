@@ -64,41 +64,47 @@ def add_runs(
 
     What speaks against a run is told and stops no other. Raises OSError where the store cannot be written.
     """
-    facts = None if given.facts is None else json.dumps(given.facts.model_dump(exclude_defaults=True), sort_keys=True)
     known = {(entry["path"], entry["stamp"]): entry["run"] for entry in store.index().to_pylist()}
     entries: list[dict[str, Any]] = []
     runs: list[str] = []
     problems: list[str] = []
     for number, place in enumerate(places):
         try:
-            path = place if is_url(place) else str(Path(place).resolve())
-            size, stamp, changed = _state_of(path)
+            path, size, stamp, changed = _state_of(place)
             if (path, stamp) in known:
                 runs.append(known[path, stamp])
-            else:
-                entry = _entry(path, given, facts, changed) | {"path": path, "bytes": size, "stamp": stamp}
-                entries.append(entry)
-                runs.append(entry["run"])
+                continue
+            entries.append(_entry(path, given, changed) | {"bytes": size, "stamp": stamp})
+            runs.append(entries[-1]["run"])
         except (RecordingError, DocumentError) as error:
             problems.append(str(error))
         except OSError as error:
             problems.append(f"{place}: {error.strerror or error}")
-        if progress is not None:
-            progress((number + 1) / len(places))
+        finally:
+            if progress is not None:
+                progress((number + 1) / len(places))
     return Added(len(places), store.add(entries), tuple(runs), tuple(problems))
 
 
-def _state_of(path: str) -> tuple[int, str, datetime]:
-    """Size, what changes when the file does, and when it was written."""
+def entry_of(place: str, given: Given) -> dict[str, Any]:
+    """One run as the index has it (`schema.INDEX_SCHEMA`). Raises DocumentError, RecordingError, OSError."""
+    path, size, stamp, changed = _state_of(place)
+    return _entry(path, given, changed) | {"bytes": size, "stamp": stamp}
+
+
+def _state_of(place: str) -> tuple[str, int, str, datetime]:
+    """Where a file is, its size, what changes when the file does, and when it was written."""
+    path = place if is_url(place) else str(Path(place).resolve())
     filesystem, inner = open_filesystem(path)
     info = filesystem.info(inner)
     told = info.get("LastModified") or info.get("mtime") or 0.0
     changed = told if isinstance(told, datetime) else datetime.fromtimestamp(float(told), UTC)
     size = int(info.get("size") or 0)
-    return size, f"{size} {changed.isoformat()} {info.get('ETag', '')}".strip(), changed
+    return path, size, f"{size} {changed.isoformat()} {info.get('ETag', '')}".strip(), changed
 
 
-def _entry(path: str, given: Given, facts: str | None, changed: datetime) -> dict[str, Any]:
+def _entry(path: str, given: Given, changed: datetime) -> dict[str, Any]:
+    facts = None if given.facts is None else json.dumps(given.facts.model_dump(exclude_defaults=True), sort_keys=True)
     with local_copy(path) as copy:
         if copy.name.lower().endswith(RECORDINGS):
             drive, model, start = _said(path, read_head(copy), given, changed)
@@ -106,7 +112,10 @@ def _entry(path: str, given: Given, facts: str | None, changed: datetime) -> dic
             if given.facts is None:
                 raise DocumentError(f"{path}: a table carries no facts about its drive: give them with --drive FILE")
             drive, model, start = _of_facts(path, given.facts, given), given.model or given.facts.name, changed
-        return {"run": digest_of(copy), "drive": drive, "model": model or drive, "start": start, "facts": facts}
+        return {
+            "run": digest_of(copy), "drive": drive, "model": model or drive, "path": path, "start": start,
+            "facts": facts,
+        }  # fmt: skip
 
 
 def _said(path: str, head: RunHead, given: Given, changed: datetime) -> tuple[str, str, datetime]:

@@ -241,7 +241,7 @@ def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None)
             size = sample[np.isfinite(sample[:, k]), k]
             usual = float(np.median(size))
             spread = NORMAL_MAD * float(np.median(np.abs(size - usual)))
-            steady[k] = usual / spread if usual > LEAST_STEADINESS * spread else 0.0
+            steady[k] = usual / spread if spread > 0.0 and usual > LEAST_STEADINESS * spread else 0.0
         chosen = np.sort(np.argsort(steady)[::-1][:MOST_ORDERS])
         orders = [float(first.orders[k]) for k in chosen if steady[k] > 0.0]
     places = [int(np.flatnonzero(first.orders == order)[0]) for order in orders]

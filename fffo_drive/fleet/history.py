@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +13,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..documents import DocumentError
-from .regress import PARAMETERS, Balance, solve, unpacked
+from .regress import PARAMETERS, Balance, Estimates, solve_each, unpacked
 from .schema import ORDERS
 from .store import FleetStore
 
 Floats = npt.NDArray[np.float64]
 
 US_PER_S = 1e6
+FEW_DRIVES = 32
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
@@ -44,24 +48,38 @@ def history(store: FleetStore, drive: str) -> RunHistory:
     return history_of(store.records(HISTORY_COLUMNS, pc.field("drive") == drive), drive)
 
 
+def histories(store: FleetStore, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
+    """Histories of drives (None: of all), by drive; one without records is left out."""
+    where = None if drives is None else _any_of(drives)
+    table = store.records(("drive", *HISTORY_COLUMNS), where)
+    names = sorted(set(table.column("drive").to_pylist())) if drives is None else drives
+    parts = {drive: table.filter(pc.field("drive") == drive) for drive in names}
+    return {drive: history_of(part, drive) for drive, part in parts.items() if part.num_rows}
+
+
+def _any_of(drives: Sequence[str]) -> pc.Expression | None:
+    """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set."""
+    if not 0 < len(drives) <= FEW_DRIVES:
+        return pc.field("drive").isin(list(drives))
+    return functools.reduce(operator.or_, (pc.field("drive") == drive for drive in drives))
+
+
 def history_of(table: pa.Table, drive: str) -> RunHistory:
     """As `history`, of records (`schema.RECORD_SCHEMA`, at least HISTORY_COLUMNS) of one drive."""
     if not table.num_rows:
         raise DocumentError(f"no record of drive {drive!r}: `fffo-drive fleet status STORE` lists the drives")
     table = table.sort_by([("start", "ascending"), ("run", "ascending")])
-    normal, moment = unpacked(_matrix(table, "normal")), _matrix(table, "moment")
-    scalars = np.stack([_column(table, name) for name in SCALARS], axis=1)
-    solved = [solve(Balance(a, b, *c)) for a, b, c in zip(normal, moment, scalars.tolist(), strict=True)]
+    solved = estimates_of(table)
     return RunHistory(
         time_s=table.column("start").cast(pa.int64()).to_numpy() / US_PER_S,
-        theta=np.stack([one.theta for one in solved]),
-        information=np.stack([one.information for one in solved]),
+        theta=solved.theta,
+        information=solved.information,
         names=PARAMETERS,
-        rms_nm=_column(table, "rms_nm"),
-        order_amplitude_nm=_matrix(table, "order_amplitude_nm"),
+        rms_nm=column_of(table, "rms_nm"),
+        order_amplitude_nm=matrix_of(table, "order_amplitude_nm"),
         orders=ORDERS,
-        speed_rms_rps=_column(table, "speed_rms_rps"),
-        temperature_degc=_column(table, "temperature_degc"),
+        speed_rms_rps=column_of(table, "speed_rms_rps"),
+        temperature_degc=column_of(table, "temperature_degc"),
         run=np.array(table.column("run").to_pylist(), dtype=np.str_),
     )
 
@@ -69,17 +87,23 @@ def history_of(table: pa.Table, drive: str) -> RunHistory:
 def balance_of_rows(table: pa.Table) -> Balance:
     """All records of a table together."""
     return Balance(
-        unpacked(_matrix(table, "normal").sum(axis=0)), _matrix(table, "moment").sum(axis=0),
-        *(float(_column(table, name).sum()) for name in SCALARS),
+        unpacked(matrix_of(table, "normal").sum(axis=0)), matrix_of(table, "moment").sum(axis=0),
+        *(float(column_of(table, name).sum()) for name in SCALARS),
     )  # fmt: skip
 
 
-def _column(table: pa.Table, name: str) -> Floats:
+def estimates_of(table: pa.Table) -> Estimates:
+    """What each record gives by itself. (n, ...)"""
+    scalars = (column_of(table, name) for name in SCALARS)
+    return solve_each(unpacked(matrix_of(table, "normal")), matrix_of(table, "moment"), *scalars)
+
+
+def column_of(table: pa.Table, name: str) -> Floats:
     """A column of numbers; nan where there is none. (n,)"""
     return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
-def _matrix(table: pa.Table, name: str) -> Floats:
+def matrix_of(table: pa.Table, name: str) -> Floats:
     """A column of lists of one length. (n, length)"""
     column = table.column(name).combine_chunks()
     return np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=np.float64).reshape(len(column), -1)

@@ -72,7 +72,7 @@ def _balance(balance: Balance, estimates: Estimates) -> dict[str, Any]:
         "rows": balance.rows, "effective_rows": balance.effective_rows,
         **{name: value if sure else None for name, value, _, sure in pairs},
         **{f"{name}_sd": sd if sure else None for name, _, sd, sure in pairs},
-        "torque_rms_nm": float(np.sqrt(balance.energy_nm2 / balance.rows)), "rms_nm": estimates.rms_nm,
+        "torque_rms_nm": float(np.sqrt(balance.energy_nm2 / balance.rows)), "rms_nm": float(estimates.rms_nm),
     }  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def open_filesystem(place: str) -> tuple[Any, str]:
     return filesystem, path
 
 
-class Place:
+class StorePlace:
     """A directory or a prefix with files by their names relative to it. Files appear whole, or not at all."""
 
     def __init__(self, place: str) -> None:

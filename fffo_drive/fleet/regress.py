@@ -10,7 +10,6 @@ on all of its rows. The last two columns are there where the angle has the same 
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -57,12 +56,12 @@ class Balance(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """What a balance gives."""
+    """What a balance gives, or each of several (...)."""
 
-    theta: Floats  # (p,) of PARAMETERS, finite; what is not determined is the smallest that fits
-    information: Floats  # (p, p) inverse covariance; 0 along what is not determined
-    sd: Floats  # (p,) nan where a parameter is not determined
-    rms_nm: float  # of the residual
+    theta: Floats  # (..., p) of PARAMETERS, finite; what is not determined is the smallest that fits
+    information: Floats  # (..., p, p) inverse covariance; 0 along what is not determined
+    sd: Floats  # (..., p) nan where a parameter is not determined
+    rms_nm: Floats  # (...) of the residual
 
 
 def balance_columns(rows: RegressionRows, facts: DriveFacts) -> Floats:
@@ -96,63 +95,68 @@ def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
     solution = solve(whole)
     scores = own * (torque_nm - own @ solution.theta)[:, None]
     sums = np.add.reduceat(scores, begins, axis=0) if kept.size else scores
-    return whole._replace(effective_rows=_effective_rows(whole, sums, solution.rms_nm))
+    return whole._replace(effective_rows=_effective_rows(whole, sums, float(solution.rms_nm)))
 
 
 def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     """Rows over how much larger variances are than those of independent rows, by blocks' scores (b, p)."""
-    scaled = _Scaled(balance.normal)
-    if rms_nm == 0.0 or scaled.rank == 0 or sums.shape[0] <= scaled.rank:
+    scale, curvature, directions = _scaled(balance.normal)
+    known = curvature > SINGULAR
+    rank = int(known.sum())
+    if rms_nm == 0.0 or rank == 0 or sums.shape[0] <= rank:
         return balance.rows
-    half = sums / scaled.scale @ scaled.directions / np.sqrt(scaled.curvature)
-    few = sums.shape[0] / (sums.shape[0] - scaled.rank)
-    ratio = few * float(np.sum(half**2)) / (scaled.rank * rms_nm**2)
+    half = (sums / scale @ directions)[:, known] / np.sqrt(curvature[known])
+    few = sums.shape[0] / (sums.shape[0] - rank)
+    ratio = few * float(np.sum(half**2)) / (rank * rms_nm**2)
     return float(balance.rows / max(1.0, ratio))
 
 
-class _Scaled:
-    """A normal matrix with columns of length one: the directions in which it determines something."""
-
-    def __init__(self, normal: Floats) -> None:
-        length = np.sqrt(np.diag(normal))
-        self.scale: Floats = np.where(length > 0.0, length, 1.0)
-        curvature, directions = np.linalg.eigh(normal / np.outer(self.scale, self.scale))
-        known = curvature > SINGULAR
-        self.curvature: Floats = curvature[known]
-        self.directions: Floats = directions[:, known]  # (p, rank)
-        self.rank = int(known.sum())
-
-    @cached_property
-    def inverse(self) -> Floats:
-        """Pseudo-inverse, still scaled."""
-        return np.asarray((self.directions / self.curvature) @ self.directions.T)
+def _scaled(normal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Lengths of the columns (..., p), and eigenvalues and vectors of the normal matrix of columns of length one."""
+    length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
+    scale = np.where(length > 0.0, length, 1.0)
+    curvature, directions = np.linalg.eigh(normal / (scale[..., :, None] * scale[..., None, :]))
+    return scale, curvature, directions
 
 
 def solve(balance: Balance) -> Estimates:
     """Least squares, with the covariance that the effective rows give."""
-    scaled = _Scaled(balance.normal)
-    theta = scaled.inverse @ (balance.moment / scaled.scale) / scaled.scale
-    left = max(balance.energy_nm2 - float(balance.moment @ theta), 0.0)
-    variance_nm2 = left / max(balance.rows - scaled.rank, 1.0)
-    information = np.zeros_like(balance.normal)
-    sd = np.full(theta.size, np.nan)
-    if variance_nm2 > 0.0:
-        share = balance.effective_rows / balance.rows
-        kept = (scaled.directions * scaled.curvature) @ scaled.directions.T * np.outer(scaled.scale, scaled.scale)
-        information = kept * (share / variance_nm2)
-        inflation = np.diag(scaled.inverse)
-        # a direction that is not determined and has a part in a parameter: nor is that
-        within = np.abs(np.sum(scaled.directions**2, axis=1) - 1.0) < SINGULAR**0.5
-        known = within & (inflation < LARGEST_INFLATION) & (np.diag(balance.normal) > 0.0)
-        sd[known] = np.sqrt(inflation[known] * variance_nm2 / share) / scaled.scale[known]
-    return Estimates(theta, information, sd, float(np.sqrt(left / balance.rows)) if balance.rows else 0.0)
+    scalars = (np.array([value]) for value in balance[2:])
+    found = solve_each(balance.normal[None], balance.moment[None], *scalars)
+    return Estimates(*(one[0] for one in found))
+
+
+def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats, effective_rows: Floats) -> Estimates:
+    """`solve` of n balances: (n, p, p), (n, p) and (n,) each."""
+    scale, curvature, directions = _scaled(normal)
+    known = curvature > SINGULAR
+    rank = known.sum(axis=-1)
+    over = np.where(known, 1.0 / np.where(known, curvature, 1.0), 0.0)
+    inverse = np.einsum("nij,nj,nkj->nik", directions, over, directions)
+    theta = np.einsum("nij,nj->ni", inverse, moment / scale) / scale
+    left = np.maximum(energy_nm2 - np.einsum("ni,ni->n", moment, theta), 0.0)
+    variance_nm2 = left / np.maximum(rows - rank, 1.0)
+    noisy = variance_nm2 > 0.0
+    share = np.where(noisy, effective_rows / np.maximum(rows, 1.0), 0.0)
+    precision = np.where(noisy, share / np.where(noisy, variance_nm2, 1.0), 0.0)
+    kept = np.einsum("nij,nj,nkj->nik", directions, np.where(known, curvature, 0.0), directions)
+    there = np.diagonal(normal, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
+    size = scale * there
+    information = kept * (size[:, :, None] * size[:, None, :]) * precision[:, None, None]
+    inflation = np.diagonal(inverse, axis1=-2, axis2=-1)
+    # a parameter that has a part in a direction that is not determined is not determined either
+    within = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
+    sure = within & there & (inflation < LARGEST_INFLATION) & (precision > 0.0)[:, None]
+    variance = inflation / np.where(precision > 0.0, precision, 1.0)[:, None]
+    sd = np.where(sure, np.sqrt(np.maximum(variance, 0.0)) / scale, np.nan)
+    return Estimates(theta, information, sd, np.sqrt(left / np.maximum(rows, 1.0)))
 
 
 def explained_by(balance: Balance, without: tuple[int, ...]) -> float:
     """Share of the squared residual that these columns explain beside all others: of a rung of the ladder."""
     keep = np.setdiff1d(np.arange(len(PARAMETERS)), without)
     rest = solve(balance._replace(normal=balance.normal[np.ix_(keep, keep)], moment=balance.moment[keep]))
-    left, whole = rest.rms_nm**2, solve(balance).rms_nm ** 2
+    left, whole = float(rest.rms_nm) ** 2, float(solve(balance).rms_nm) ** 2
     return max(0.0, 1.0 - whole / left) if left > 0.0 else 0.0
 
 

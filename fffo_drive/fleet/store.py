@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -27,7 +28,7 @@ import pyarrow.parquet as pq
 
 from .. import formats
 from ..documents import DocumentError
-from .place import Place
+from .place import StorePlace
 from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, table_of
 
 STORE_FILE = "store.json"
@@ -86,7 +87,7 @@ class FleetStore:
 
     def __init__(self, address: str, create: bool = False) -> None:
         """`create`: make it where there is none. Raises DocumentError for what is no store of this version."""
-        self.place = Place(address)
+        self.place = StorePlace(address)
         if create and not self.place.exists(STORE_FILE):
             if self.place.files("", ""):
                 raise DocumentError(f"{address}: no store ({STORE_FILE} is missing), and not empty: give another place")
@@ -137,9 +138,23 @@ class FleetStore:
 
     def records(self, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
         """Records, one a run, in no order. `columns`: None for all; `where`: which. Raises DocumentError, OSError."""
+        return self._records_in(self._record_files, columns, where)
+
+    def parts(self, columns: Sequence[str]) -> Iterator[pa.Table]:
+        """`records` in parts that hold different runs: month by month, where all is merged."""
+        if self.place.files(NEW, PARQUET):  # looked for first: what is merged meanwhile is in a month by then
+            yield self.records(columns)
+            return
+        months = {name.split("/")[2] for name in self.place.files(MERGED, PARQUET)}
+        for month in sorted(months):
+            yield self._records_in(partial(self.place.files, f"{MERGED}/{month}", PARQUET), columns, None)
+
+    def _records_in(
+        self, listed: Callable[[], dict[str, int]], columns: Sequence[str] | None, where: pc.Expression | None
+    ) -> pa.Table:
         wanted = list(RECORD_SCHEMA.names) if columns is None else list(columns)
         needed = list(dict.fromkeys([*wanted, "run", "schema_version"]))
-        table = self._read(self._record_files, RECORD_SCHEMA, needed, where)
+        table = self._read(listed, RECORD_SCHEMA, needed, where)
         newest = pc.max(table.column("schema_version")).as_py() if table.num_rows else None
         if newest is not None and newest > SCHEMA_VERSION:
             raise DocumentError(
@@ -150,12 +165,10 @@ class FleetStore:
 
     def recorded(self) -> set[str]:
         """Runs that have a record of this version."""
-        table = self._read(
-            lambda: self.place.files(MERGED, PARQUET), RECORD_SCHEMA, ["run"],
-            pc.field("schema_version") >= SCHEMA_VERSION,
-        )  # fmt: skip
         ending = f"-{SCHEMA_VERSION}{PARQUET}"
-        new = (name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending))
+        new = [name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending)]  # first, as in parts
+        merged = partial(self.place.files, MERGED, PARQUET)
+        table = self._read(merged, RECORD_SCHEMA, ["run"], pc.field("schema_version") >= SCHEMA_VERSION)
         return {name.removesuffix(ending) for name in new} | set(table.column("run").to_pylist())
 
     def _record_files(self) -> dict[str, int]:

@@ -43,7 +43,7 @@ def make_record(address: str, entry: Entry) -> None:
         if attempt is None:
             return
         try:
-            row = _row(entry)
+            row = record_row(entry)
         except Exception as error:  # whatever is in the file: it stops nobody else
             reason = str(error) if isinstance(error, DataError) else f"{type(error).__name__}: {error}"
             with _storing():
@@ -62,7 +62,8 @@ def make_record(address: str, entry: Entry) -> None:
             store.end_attempt(attempt, None)
 
 
-def _row(entry: Entry) -> dict[str, Any]:
+def record_row(entry: Entry) -> dict[str, Any]:
+    """The record of a run that the index names. Raises DataError for what its file does wrong, OSError."""
     path = str(entry["path"])
     with local_copy(path) as copy:
         digest = digest_of(copy)

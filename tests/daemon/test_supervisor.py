@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from daemon.rig import Rig, edit
+from daemon.rig import RATE_HZ, Rig, edit
 
 from fffo_drive.daemon import supervisor as supervisors
 from fffo_drive.daemon.client import CallError
@@ -17,6 +18,7 @@ from fffo_drive.daemon.states import State
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+from fffo_drive.fleet.store import FleetStore
 from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime import session as sessions
@@ -313,3 +315,35 @@ def test_a_service_that_ends_while_it_brings_the_drive_up_leaves_the_drive_again
         go_on.set()
     assert len(left) == 1
     assert not left[0].running
+
+
+def test_what_is_recorded_gets_a_record_in_the_fleets_store(tmp_path):
+    store = tmp_path / "store"
+    with Rig(tmp_path, fleet=str(store)) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("record", to="on")
+        client.call("enable")
+        client.call("start", profile="default")
+        rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > 4 * RATE_HZ, client)
+        client.call("disable")
+        (file,) = client.call("record", to="off")["files"]
+        rig.until_status(lambda _: list(store.glob("records/new/*.parquet")) != [], client)
+        assert not any("no record" in event["text"] for event in rig.events("recording"))
+    made = FleetStore(str(store))
+    assert (made.status().runs, made.status().recorded, made.status().failed) == (1, 1, 0)
+    (entry,) = made.index().to_pylist()
+    assert entry["path"] == str(Path(file).resolve())
+    (row,) = made.records(["ticks", "trip"]).to_pylist()
+    assert row["ticks"] > 4 * RATE_HZ
+
+
+def test_a_fleets_store_that_cannot_be_written_is_told_and_stops_nothing(tmp_path):
+    (tmp_path / "store").write_text("a file where a directory should be")
+    with Rig(tmp_path, fleet=str(tmp_path / "store")) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("record", to="on")
+        client.call("record", to="off")
+        rig.until_status(lambda _: any("no record for the fleet" in e["text"] for e in rig.events("recording")), client)
+        assert client.call("status")["state"] == "ready"

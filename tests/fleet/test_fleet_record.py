@@ -112,7 +112,7 @@ def test_a_table_without_facts_and_a_run_that_hardly_moves_are_refused_with_a_wo
         still, np.stack([time_s, position, np.sin(9.0 * time_s)], axis=1), fmt="%.9g", delimiter=",",
         header="time_s,position_rev,current_command_a", comments="",
     )  # fmt: skip
-    with pytest.raises(DataError, match="hardly moves"):
+    with pytest.raises(DataError, match="hardly anything moves"):
         record(still)
 
 

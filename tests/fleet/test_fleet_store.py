@@ -16,7 +16,7 @@ from fleet.fleet_rig import files_of
 
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet.history import balance_of_rows, history
-from fffo_drive.fleet.place import Place
+from fffo_drive.fleet.place import StorePlace
 from fffo_drive.fleet.regress import PARAMETERS, UPPER
 from fffo_drive.fleet.schema import HIGHEST_ORDER, RECORD_SCHEMA, SCHEMA_VERSION, file_bytes, table_of
 from fffo_drive.fleet.store import FleetStore
@@ -142,7 +142,7 @@ def test_a_merge_that_is_cut_off_before_it_deletes_is_made_good(store, monkeypat
     def cut(self, names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Place, "delete", cut)
+    monkeypatch.setattr(StorePlace, "delete", cut)
     with pytest.raises(KeyboardInterrupt):
         store.compact()
     monkeypatch.undo()
