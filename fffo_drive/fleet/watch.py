@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
-from .history import RunHistory, history
-from .store import FleetStore
+from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
 
@@ -311,11 +310,3 @@ def watch_lines(found: Watched) -> list[str]:
 
 def _day(time_s: float) -> str:
     return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")
-
-
-def watch_store(store: FleetStore, alarms_per_drive_year: float = DEFAULT_ALARMS_PER_DRIVE_YEAR) -> list[Watched]:
-    """Watch every model of a store, each by itself. Raises ValueError for a rate that is not above 0."""
-    by_model: dict[str, dict[str, RunHistory]] = {}
-    for row in store.drives().to_pylist():
-        by_model.setdefault(str(row["model"]), {})[str(row["drive"])] = history(store, str(row["drive"]))
-    return [watch(histories, alarms_per_drive_year).found for histories in by_model.values()]
