@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
-from .history import RunHistory, history
-from .store import FleetStore
+from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,7 +54,7 @@ class Alarm(NamedTuple):
     look_at: tuple[str, ...]  # the runs before and after that show it best
 
 
-class Doubt(NamedTuple):
+class Undecided(NamedTuple):
     """What the records of a drive cannot decide, and what would."""
 
     drive: str
@@ -66,7 +65,7 @@ class Watched(NamedTuple):
     """What `watch` found."""
 
     alarms: tuple[Alarm, ...]
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[Undecided, ...]
     drives: int
     runs: int
     drive_years: float
@@ -247,7 +246,7 @@ def _to_look_at(
     return tuple(str(stack.run[n]) for n in chosen)
 
 
-def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
+def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
     """Drives of which the records cannot say whether it is wear or weather, and those with too few runs."""
     found = []
     place = stack.columns.index(VISCOUS) if VISCOUS in stack.columns else None
@@ -255,14 +254,14 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
         runs = stack.of(number)
         count = runs.stop - runs.start
         if count <= BURN_IN:
-            found.append(Doubt(drive, f"{count} runs: a change is looked for from run {BURN_IN + 1} on"))
+            found.append(Undecided(drive, f"{count} runs: a change is looked for from run {BURN_IN + 1} on"))
         elif stack.logged[number]:
             degc = MEAN_DEGC + STEP_K * stack.temperature[runs]
             before, now = degc[:-RECENT], float(np.nanmedian(degc[-RECENT:]))
             if before.size and np.isfinite(before).any():
                 low, high = float(np.nanmin(before)), float(np.nanmax(before))
                 if not low - OUTSIDE_K <= now <= high + OUTSIDE_K:
-                    found.append(Doubt(drive, (
+                    found.append(Undecided(drive, (
                         f"the last runs are at {now:.0f} degC, those before at {low:.0f} to {high:.0f} degC: what this "
                         "temperature does to the drive is not known from its own runs, so a change of friction cannot "
                         "be told from it yet"
@@ -273,7 +272,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Doubt]:
             usual, now = float(np.nanmedian(values[:-RECENT])), float(np.nanmedian(values[-RECENT:]))
             sd = math.sqrt(prior.weather_covariance[place, place])
             if abs(now - usual) > OUTSIDE_SDS * sd:
-                found.append(Doubt(drive, (
+                found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
                     f"weather moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
                     "logged, so wear cannot be told from weather: log the temperature, or compare runs of equal warmth"
@@ -311,11 +310,3 @@ def watch_lines(found: Watched) -> list[str]:
 
 def _day(time_s: float) -> str:
     return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")
-
-
-def watch_store(store: FleetStore, alarms_per_drive_year: float = DEFAULT_ALARMS_PER_DRIVE_YEAR) -> list[Watched]:
-    """Watch every model of a store, each by itself. Raises ValueError for a rate that is not above 0."""
-    by_model: dict[str, dict[str, RunHistory]] = {}
-    for row in store.drives().to_pylist():
-        by_model.setdefault(str(row["model"]), {})[str(row["drive"])] = history(store, str(row["drive"]))
-    return [watch(histories, alarms_per_drive_year).found for histories in by_model.values()]

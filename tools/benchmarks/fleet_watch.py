@@ -390,7 +390,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "friction +10 % (level and stiction), the gap +20 %, the ripple doubled; at once or over 4 to 11 runs.",
         "- Drawn: runs of real drives without wear in blocks of five neighbours, with weather, slopes and times drawn "
         "anew; wear adds what it adds to real records on the mean (tools/benchmarks/lives_records.py). "
-        f"{100 * WORN_SHARE:.0f} % of the second thousand wear, a third by each law.",
+        f"{100 * WORN_SHARE:.0f} % of the second fleet wear, a third by each law.",
         f"- Seeds: the method was chosen on real lives of seed {CHOSEN_ON} ({len(chosen_on)} drives), which the drawn "
         f"ones are drawn from too; the real figures are of seed {MEASURED_ON}, the drawn ones of seeds {HEALTHY} and "
         f"{WORN}.",
