@@ -5,6 +5,7 @@ fffo-drive fleet work STORE            make the record of every run that has non
 fffo-drive fleet status STORE          how far that is, and what failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
 fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
+fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
 fffo-drive fleet compare A B           two runs, or two times of a drive: what differs beyond chance
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
@@ -30,6 +31,7 @@ from .progress import progress_bar
 
 if TYPE_CHECKING:
     from ..fleet.store import FleetStore
+    from ..fleet.watch import Watched
 
 MOST_TOLD = 20  # failures that status prints; --json has all
 
@@ -54,7 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began longer ago")
     report = _action(actions, "report", "population of each model and history of each drive, as a page and JSON")
     report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
+    report.add_argument(
+        "--alarms-per-drive-year", type=float, metavar="R", help="also what moved, as `fleet watch` finds it"
+    )
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
+    watch = _action(actions, "watch", "changes in drives' own histories, at a rate of false alarms that you set")
+    watch.add_argument(
+        "--alarms-per-drive-year", type=float, default=0.01, metavar="R", help="false ones, at most (%(default)g)"
+    )
     compare = actions.add_parser("compare", help="what differs between two runs, or two times of a drive")
     compare.description = (
         "What differs between A and B beyond chance: two runs (files, or content hashes of --store), or with --serial "
@@ -233,7 +242,10 @@ def _report(options: argparse.Namespace) -> int:
     for spread in spreads:
         asked = [drive for drive in options.serial if drive in spread.drives]
         drawn[spread.model] = histories(store, asked or shown_drives(spread))
-    paths = write_fleet_report(FleetSource(store.place.address, store.status(), spreads, drawn, {}), Path(options.out))
+    rate = options.alarms_per_drive_year
+    moved = {} if rate is None else _watched(store, rate)
+    source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)
+    paths = write_fleet_report(source, Path(options.out))
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0
@@ -242,6 +254,29 @@ def _report(options: argparse.Namespace) -> int:
         for one in spread.outsiders[:MOST_TOLD]:
             print(f"  {one.drive} stands outside: {outsider_text(one)}")
     print(paths.page)
+    return 0
+
+
+def _watched(store: FleetStore, rate: float) -> dict[str, Watched]:
+    """By model."""
+    from ..fleet.history import histories_by_model
+    from ..fleet.watch import watch
+
+    if not rate > 0.0:
+        raise DocumentError(f"--alarms-per-drive-year {rate:g}: more than 0")
+    return {model: watch(histories, rate).found for model, histories in histories_by_model(store).items()}
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from ..fleet.store import FleetStore
+    from ..fleet.watch import watch_lines
+
+    found = _watched(FleetStore(options.store), options.alarms_per_drive_year)
+    if options.json:
+        print(json.dumps({model: one.as_plain() for model, one in found.items()}, indent=2))
+        return 0
+    for model, one in found.items():
+        print("\n".join([f"{model}:", *(f"  {line}" for line in watch_lines(one))]))
     return 0
 
 
@@ -268,5 +303,6 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 _ACTIONS = {
-    "add": _add, "work": _work, "status": _status, "compact": _compact, "report": _report, "compare": _compare,
+    "add": _add, "work": _work, "status": _status, "compact": _compact, "report": _report, "watch": _watch,
+    "compare": _compare,
 }  # fmt: skip

@@ -275,4 +275,4 @@ def _mean_square(side: Side, column: str) -> Floats:
     known = np.isfinite(values)
     count = known.sum(axis=0)
     total = np.where(known, values, 0.0) ** 2
-    return np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan)
+    return np.asarray(np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import operator
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -51,10 +52,24 @@ def history(store: FleetStore, drive: str) -> RunHistory:
 def histories(store: FleetStore, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
     """Histories of drives (None: of all), by drive; one without records is left out."""
     where = None if drives is None else _any_of(drives)
-    table = store.records(("drive", *HISTORY_COLUMNS), where)
-    names = sorted(set(table.column("drive").to_pylist())) if drives is None else drives
-    parts = {drive: table.filter(pc.field("drive") == drive) for drive in names}
-    return {drive: history_of(part, drive) for drive, part in parts.items() if part.num_rows}
+    return _by_drive(store.records(("drive", *HISTORY_COLUMNS), where))
+
+
+def histories_by_model(store: FleetStore) -> dict[str, dict[str, RunHistory]]:
+    """Histories of all drives of each model."""
+    table = store.records(("model", "drive", *HISTORY_COLUMNS))
+    models = sorted(set(table.column("model").to_pylist()))
+    return {model: _by_drive(table.filter(pc.field("model") == model)) for model in models}
+
+
+def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
+    if not table.num_rows:
+        return {}
+    table = table.sort_by("drive")
+    drive = table.column("drive").combine_chunks()
+    edges = [0, *(np.flatnonzero(pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)) + 1), len(drive)]
+    parts = {str(drive[int(a)]): table.slice(int(a), int(b - a)) for a, b in itertools.pairwise(edges)}
+    return {name: history_of(part, name) for name, part in parts.items()}
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression | None:

@@ -92,7 +92,7 @@ def _left(rows: RegressionRows, residual_nm: Floats, balance: Balance, facts: Dr
 
 
 def _amplitudes(waves: Waves, resolved: npt.NDArray[np.bool_]) -> Floats:
-    return np.where(resolved, np.abs(waves.amplitude[0]), np.nan)
+    return np.asarray(np.where(resolved, np.abs(waves.amplitude[0]), np.nan))
 
 
 def _resolved(rows: RegressionRows) -> npt.NDArray[np.bool_]:
@@ -112,7 +112,7 @@ def _bands(rows: RegressionRows, residual_nm: Floats) -> Floats:
         density[1 : -1 if part.size % 2 == 0 else None] *= 2.0
         frequency_hz = np.fft.rfftfreq(part.size, rows.period_s)
         power += np.histogram(frequency_hz, BAND_EDGES_HZ, weights=density / part.size)[0]
-    return np.sqrt(power / np.count_nonzero(rows.sliding))
+    return np.asarray(np.sqrt(power / np.count_nonzero(rows.sliding)))
 
 
 def _covered(record: Record, stretches: list[RegressionStretch], cutoff_hz: float) -> dict[str, Any]:

@@ -301,7 +301,7 @@ def _history_section(place: int, spread: ModelSpread, histories: Mapping[str, Ru
 
 
 def _days(history: RunHistory) -> Floats:
-    return (history.time_s - history.time_s[0]) / DAY_S
+    return np.asarray((history.time_s - history.time_s[0]) / DAY_S)
 
 
 def _parameter_figures(name: str, drive: str, history: RunHistory, spread: ModelSpread) -> list[Figure]:
@@ -341,7 +341,7 @@ def sds_of(history: RunHistory) -> Floats:
     known = curvature > 1e-9
     variance = np.einsum("nij,nj->ni", directions**2, np.where(known, 1.0 / np.where(known, curvature, 1.0), 0.0))
     within = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < 1e-4
-    return np.where(within & there, np.sqrt(variance) / scale, np.nan)
+    return np.asarray(np.where(within & there, np.sqrt(variance) / scale, np.nan))
 
 
 def _residual_figure(name: str, drive: str, history: RunHistory) -> Figure:
