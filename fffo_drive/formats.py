@@ -78,14 +78,14 @@ CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the
 FLEET = Format("fleet", "store.json of a fleet's store", "fleet add", "fleet")
 FLEET_REPORT = Format("fleet_report", "results in report.json of a fleet", "fleet report", NOBODY)
 FLEET_COMPARISON = Format("fleet_comparison", "results in report.json of two sets of runs", "fleet compare", NOBODY)
+POPULATION = Format("population", "parameters of the drives of one model", "fleet.prior", "fleet.prior")
 REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
 
 FORMATS: dict[str, Format] = {
     f.kind: f
     for f in (
         AXIS, DRIVE_PROFILE, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT,
-        IDENTIFICATION, TUNING, CIRCLE, FLEET,
-        FLEET_REPORT, FLEET_COMPARISON,
+        IDENTIFICATION, TUNING, CIRCLE, FLEET, FLEET_REPORT, FLEET_COMPARISON, POPULATION,
     )
 }  # fmt: skip
 

@@ -29,7 +29,7 @@ from ..report.document import (
     of_linear_axis,
     provenance,
 )
-from ..report.figures import Figure, PlotAxis, Series
+from ..report.figures import Dash, Figure, PlotAxis, Series
 from ..report.page import ReportPaths, refuse_other_report, write_report
 from .adding import Given, entry_of
 from .difference import CONFIDENCE, LARGEST_P, Difference, difference
@@ -46,6 +46,7 @@ KIND = "fleet-compare"
 RANGE = ".."
 LEAST_HASH = 6  # characters of a content hash that name a run
 COLOURS = ("grey", "blue")
+DASHES: tuple[Dash, Dash] = ("dashed", "solid")
 LONGEST_LABEL = 15  # characters below a bar
 
 
@@ -246,7 +247,7 @@ def _changes(found: Difference) -> Figure:
 def _orders(first: Side, second: Side) -> Figure:
     series = [
         Series(name, ORDERS, _mean_square(side, "order_amplitude_nm"), colour, dash=dash)
-        for (name, side), colour, dash in zip(_named(first, second), COLOURS, ("dashed", "solid"), strict=True)
+        for (name, side), colour, dash in zip(_named(first, second), COLOURS, DASHES, strict=True)
     ]
     return Figure(
         "orders", "xy", "Orders of the motor angle", "Amplitude of the residual at each order.",
@@ -258,7 +259,7 @@ def _bands(first: Side, second: Side) -> Figure:
     centres = np.sqrt(BAND_EDGES_HZ[1:] * BAND_EDGES_HZ[:-1])
     series = [
         Series(name, centres, _mean_square(side, "band_rms_nm"), colour, dash=dash)
-        for (name, side), colour, dash in zip(_named(first, second), COLOURS, ("dashed", "solid"), strict=True)
+        for (name, side), colour, dash in zip(_named(first, second), COLOURS, DASHES, strict=True)
     ]
     return Figure(
         "bands", "xy", "Frequencies", "rms of the residual in each third of an octave.",

@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from .. import formats
 from .channels import inverse_total, learned, marginal, stacked
 from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
 
-FORMAT = "fffo_drive/population/1"
 LEAST_DRIVES = 3
 ROUNDS = 60
 OUTLIER_P = 0.01  # a drive further out than this weighs less
@@ -42,7 +42,7 @@ class Population(NamedTuple):
     def as_plain(self) -> dict[str, Any]:
         """JSON- and YAML-ready."""
         return {
-            "format": FORMAT, "names": list(self.names), "mean": self.mean.tolist(),
+            "format": formats.POPULATION.word, "names": list(self.names), "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(), "scatter": self.scatter.tolist(), "drives": self.drives,
         }  # fmt: skip
 
@@ -66,8 +66,12 @@ class Posterior(NamedTuple):
 def population_from_plain(plain: Mapping[str, Any]) -> Population:
     """What `Population.as_plain` wrote. Raises ValueError for anything else."""
     missing = [key for key in ("format", *Population._fields) if key not in plain]
-    if missing or plain["format"] != FORMAT:
-        said = f"lacks {', '.join(missing)}" if missing else f"format is {plain['format']!r}, not {FORMAT!r}"
+    if missing or plain["format"] != formats.POPULATION.word:
+        said = (
+            f"lacks {', '.join(missing)}"
+            if missing
+            else f"format is {plain['format']!r}, not {formats.POPULATION.word!r}"
+        )
         raise ValueError(f"not a population: {said}")
     names = tuple(str(name) for name in plain["names"])
     mean, covariance, scatter = (np.array(plain[key], dtype=np.float64) for key in ("mean", "covariance", "scatter"))

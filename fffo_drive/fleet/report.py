@@ -301,7 +301,8 @@ def _history_section(place: int, spread: ModelSpread, histories: Mapping[str, Ru
 
 
 def _days(history: RunHistory) -> Floats:
-    return np.asarray((history.time_s - history.time_s[0]) / DAY_S)
+    days: Floats = (history.time_s - history.time_s[0]) / DAY_S
+    return days
 
 
 def _parameter_figures(name: str, drive: str, history: RunHistory, spread: ModelSpread) -> list[Figure]:
