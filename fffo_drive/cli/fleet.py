@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..documents import DocumentError
+from ..documents import DocumentError, counted
 from ..identification.facts import read_facts
 from ..recording.errors import did_you_mean
 from .exits import EXIT_BAD_INPUT
@@ -171,7 +171,7 @@ def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[
     if options.json and not hasattr(options, "runs"):
         print(json.dumps({"runs": len(entries), "failed": [one._asdict() for one in failed]}, indent=2))
     elif not options.json:
-        print(f"{len(entries) - len(failed)} records made" + (f", {len(failed)} failed" if failed else ""))
+        print(f"{counted(len(entries) - len(failed), 'record')} made" + (f", {len(failed)} failed" if failed else ""))
         for failure in failed[:MOST_TOLD]:
             print(f"failed: {failure.reason}", file=sys.stderr)
         if failed:
@@ -197,10 +197,12 @@ def _status(options: argparse.Namespace) -> int:
         print(json.dumps(told, indent=2, default=str))
         return 0
     share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
-    print(f"{status.runs} runs of {status.drives} drives, {status.models} models: {share:.0f} % done")
+    print(
+        f"{counted(status.runs, 'run')} of {counted(status.drives, 'drive')}, {counted(status.models, 'model')}: {share:.0f} % done"
+    )
     kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
     print(f"  {status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed")
-    print(f"  {status.new_files} files to merge, {status.merged_files} merged")
+    print(f"  {counted(status.new_files, 'file')} to merge, {status.merged_files} merged")
     for row in drives[:MOST_TOLD]:
         span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
         print(f"  {row['model']}, {row['drive']}: {row['runs']} runs, {span}")
@@ -220,7 +222,10 @@ def _compact(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(done._asdict(), indent=2))
     else:
-        print(f"{done.records} records in {done.files} files" + (f", {done.removed} removed" if done.removed else ""))
+        print(
+            f"{counted(done.records, 'record')} in {counted(done.files, 'file')}"
+            + (f", {done.removed} removed" if done.removed else "")
+        )
     return 0
 
 
@@ -250,7 +255,7 @@ def _report(options: argparse.Namespace) -> int:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0
     for spread in spreads:
-        print(f"{spread.model}: {len(spread.drives)} drives, {int(spread.runs.sum())} runs")
+        print(f"{spread.model}: {counted(len(spread.drives), 'drive')}, {counted(int(spread.runs.sum()), 'run')}")
         for one in spread.outsiders[:MOST_TOLD]:
             print(f"  {one.drive} stands outside: {outsider_text(one)}")
     print(paths.page)

@@ -26,7 +26,9 @@ def find_socket(axis: str | None, sockets: str | Path | None, watching: bool) ->
         which = f" of '{axis}'" if axis else ""
         places = ", ".join(str(home) for home in homes)
         raise ClientError(f"no daemon{which} in {places}: start one with fffo-drive serve AXIS, or give --sockets")
-    raise ClientError(f"several daemons run, give --axis: {', '.join(path.parent.name for path in found)}")
+    raise ClientError(
+        f"more than one daemon runs, choose one with --axis: {', '.join(path.parent.name for path in found)}"
+    )
 
 
 def serving(name: str, sockets: Path | None = None) -> tuple[Path, str] | None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .. import formats
-from ..documents import DocumentError
+from ..documents import DocumentError, counted
 from ..identification.facts import DriveFacts
 from ..report.document import (
     Cell,
@@ -156,7 +156,7 @@ def _verdict(found: Difference) -> Verdict:
         lines=[Line(label=law.law, text=law.text) for law in different[:3]],
         reasons=[
             f"p below {LARGEST_P:g} after a correction for the number of laws",
-            f"{found.runs[0]} runs against {found.runs[1]}",
+            f"{counted(found.runs[0], 'run')} against {found.runs[1]}",
         ],
         cautions=list(found.remarks),
     )

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from ..documents import counted
 from .channels import COLUMNS, WITHOUT_TEMPERATURE, Channels, Stack, channels_of, learned, stacked
 from .detector import CLIP, ChannelPrior
 from .history import RunHistory
@@ -84,7 +85,7 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
     if unlogged:
         remarks.append(
             f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} is the thermometer and not compared. A change "
-            "that moves it together with Coulomb friction, as temperature does, cannot be told from weather"
+            "that moves it together with Coulomb friction, as temperature does, cannot be distinguished from temperature"
         )
     return Difference(tuple(laws), counts, degc, tuple(remarks))
 
@@ -171,7 +172,7 @@ def _mean(values: Floats) -> float:
 def difference_lines(found: Difference) -> list[str]:
     """What the command prints."""
     degc = " and ".join("not logged" if math.isnan(value) else f"{value:.0f} degC" for value in found.temperature_degc)
-    lines = [f"{found.runs[0]} runs against {found.runs[1]}; temperature {degc}"]
+    lines = [f"{counted(found.runs[0], 'run')} against {found.runs[1]}; temperature {degc}"]
     if not any(law.differs for law in found.laws):
         lines.append("nothing differs beyond chance")
     return [*lines, *(law.text for law in found.laws), *found.remarks]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..documents import counted
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory
@@ -275,7 +276,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
                 found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
                     f"weather moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
-                    "logged, so wear cannot be told from weather: log the temperature, or compare runs of equal warmth"
+                    "logged, so wear cannot be distinguished from temperature: log the temperature, or compare runs at the same one"
                 )))  # fmt: skip
     return found
 
@@ -300,7 +301,8 @@ def watch_lines(found: Watched) -> list[str]:
     lines += [f"{doubt.drive}: {doubt.text}" for doubt in found.doubts]
     expected = found.alarms_per_drive_year * found.drive_years
     lines.append(
-        f"{len(found.alarms)} alarms in {found.drives} drives, {found.runs} runs, {found.drive_years:.1f} drive-years; "
+        f"{counted(len(found.alarms), 'alarm')} in {counted(found.drives, 'drive')}, {counted(found.runs, 'run')}, "
+        f"{found.drive_years:.1f} drive-years; "
         f"at {found.alarms_per_drive_year:g} false alarms a drive and year, {expected:.2g} of them are expected to be "
         "false at most"
     )

@@ -247,7 +247,7 @@ def test_of_two_drives_one_is_named_or_asked_for(bus, tmp_path):
         assert (command.exit_code(alone), alone.axis_file) == (78, None)
         person = Person("9")
         assert bring_up_axis(wishes(bus), person).node_id == 9
-        assert person.questions[0] == "which node is the axis (5, 9)?"
+        assert person.questions[0] == "which node is the drive of the axis (5, 9)?"
         named = bring_up_axis(wishes(bus, node_id=5, force=True), Person())
         assert (named.node_id, len(named.nodes)) == (5, 2)
         other = bring_up_axis(wishes(bus, node_id=6, force=True), Person())
@@ -376,7 +376,7 @@ def test_a_directory_that_is_not_there_is_named_before_the_bus_is_used(bus):
 
 def test_files_are_never_overwritten_unasked_and_then_the_bus_is_left_alone(bus, tmp_path):
     (tmp_path / "axis.model.yaml").write_text("mine")
-    with BusLog(bus) as log, pytest.raises(DocumentError, match=r"axis\.model\.yaml: there already"):
+    with BusLog(bus) as log, pytest.raises(DocumentError, match=r"axis\.model\.yaml: exists already"):
         bring_up_axis(wishes(bus), Person())
     assert log.frames == []
     with Drive(bus):
@@ -438,7 +438,7 @@ def test_the_command_says_the_verdict_and_checks_its_own_file(bus, tmp_path, cap
     assert printed.lstrip().startswith("READY to be commissioned")
     assert main(["config", "check", str(out)]) == 0
     assert main(["bring-up", bus, "--out", str(out), "--no-measure"]) == 78
-    assert "there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("typed", "started"), [("", False), ("n", False), ("yes please", False), ("y", True)])

@@ -9,7 +9,8 @@ import sys
 import pytest
 from daemon.rig import Rig
 
-from fffo_drive.cli import ctl, main
+from fffo_drive.cli import main
+from fffo_drive.daemon import serving
 from fffo_drive.daemon.parameters import METHODS
 
 
@@ -40,7 +41,7 @@ def test_without_a_daemon_it_says_what_to_do(capsys, tmp_path, monkeypatch):
     code, _, error = run(capsys, "--sockets", str(tmp_path), "status")
     assert code == 69
     assert "fffo-drive serve" in error
-    monkeypatch.setattr(ctl, "SYSTEM_DIRECTORY", tmp_path)
+    monkeypatch.setattr(serving, "SYSTEM_DIRECTORY", tmp_path)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert run(capsys, "status")[0] == 69
     for name in ("can0", "can1"):

@@ -345,5 +345,9 @@ def test_a_fleets_store_that_cannot_be_written_is_told_and_stops_nothing(tmp_pat
         rig.until("ready", client)
         client.call("record", to="on")
         client.call("record", to="off")
-        rig.until_status(lambda _: any("no record for the fleet" in e["text"] for e in rig.events("recording")), client)
+
+        def told(status) -> bool:
+            return any("no record for the fleet" in e["text"] for e in client.call("events", limit=100)["events"])
+
+        rig.until_status(told, client)
         assert client.call("status")["state"] == "ready"

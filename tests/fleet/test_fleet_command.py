@@ -53,7 +53,7 @@ def fleet(facts_file, tmp_path_factory):
 def test_status_counts_and_names_the_drives(fleet, capsys):
     assert main(["fleet", "status", str(fleet)]) == 0
     said = capsys.readouterr().out
-    assert "24 runs of 6 drives, 1 models: 100 % done" in said
+    assert "24 runs of 6 drives, 1 model: 100 % done" in said
     assert "M1, SN3: 4 runs, 2026-03-02 to 2026-03-23" in said
     assert main(["fleet", "status", str(fleet), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -113,7 +113,7 @@ def test_two_files_are_compared_without_a_store(fleet, facts_file, tmp_path, cap
     sides = [str(fleet.parent / f"drive{k}" / "run0.csv") for k in (0, OUTSIDE)]
     words = ["--drive", str(facts_file), "--out", str(tmp_path / "page")]
     assert main(["fleet", "compare", *sides, *words]) == 0
-    assert "1 runs against 1" in capsys.readouterr().out
+    assert "1 run against 1" in capsys.readouterr().out
     assert main(["fleet", "report", str(fleet), "--out", str(tmp_path / "page")]) == 78  # another kind of page is there
     assert "fleet-compare" in capsys.readouterr().err
 

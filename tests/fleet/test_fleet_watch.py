@@ -203,7 +203,7 @@ def test_without_a_temperature_a_change_along_the_line_of_weather_is_a_doubt_and
     found = watch(fleet(change=change, at=40, logged=False), 1e-3).found
     assert [alarm.law for alarm in found.alarms if alarm.drive == "0"] == []
     (doubt,) = (one for one in found.doubts if one.drive == "0")
-    assert "wear cannot be told from weather" in doubt.text
+    assert "wear cannot be distinguished from temperature" in doubt.text
 
 
 def test_a_temperature_that_was_not_seen_before_is_a_doubt() -> None:

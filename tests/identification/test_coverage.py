@@ -60,5 +60,5 @@ def test_a_linear_axis_has_its_own_words():
     found = coverage_of([record_of(sine(0.2, 0.5, 10.0))])
     text = " ".join(coverage_lines(found, linear=True))
     assert "m/s2" in text
-    assert "periods a metre" in text
+    assert "periods per metre" in text
     assert "rev" not in text.replace("reversals", "")

@@ -169,7 +169,7 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
         assert run_import(log, "--out", tmp_path / "other", *words) == EXIT_BAD_INPUT
         assert text in capsys.readouterr().err
     assert run_import(log, "--out", tmp_path / "out") == EXIT_BAD_INPUT
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_a_sign_that_is_turned_is_told(tmp_path, capsys):

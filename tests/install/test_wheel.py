@@ -65,6 +65,13 @@ IN_PROCESS = (
     Typed(
         "import speed.csv --torque-constant 0.148 --out imported --yes", "inertia and friction", "imported/facts.yaml"
     ),
+    Typed("fleet add store work.mcap circle/before.mcap", "fleet work store", "store/store.json"),
+    Typed("fleet work store --workers 1", "2 records made"),
+    Typed("fleet status store", "100 % done"),
+    Typed("fleet compact store", "2 records in 1 file"),
+    Typed("fleet report store --out population", "2 runs", "population/report.html"),
+    Typed("fleet watch store", "a change is looked for from run 9 on"),
+    Typed("fleet compare work.mcap circle/before.mcap --out differences", "1 run against 1", "differences/report.html"),
     Typed("sim configs/simulated_drive.yaml --eds drive.eds", "wrote drive.eds", "drive.eds"),
     Typed("drive-info drive.eds", "can be used, as far as the file says"),
     Typed("doctor configs/axis_bench.yaml --seconds 0.1 --record machine", "clock source", "machine", (0, 1)),

@@ -138,7 +138,7 @@ def test_runs_of_two_torque_constants_are_not_one_axis_unless_the_facts_say_so(s
 
 
 def test_a_run_is_no_proof_of_what_was_chosen_on_it(simulated):
-    with pytest.raises(DocumentError, match="b: the same run cannot be both fitted and held out"):
+    with pytest.raises(DocumentError, match="b: a run cannot be fitted and held out"):
         fd.diagnose(arrays_of(simulated, "a"), arrays_of(simulated, "b"))
 
 
@@ -271,7 +271,7 @@ def test_recordings_have_the_figures_of_the_command_line_and_one_that_broke_off_
     shorter = tmp_path / "shorter.yaml"
     shorter.write_text("profile: {kind: paper, duration_s: 3, seed: 3}\n")
     third = fd.run(AXIS, tmp_path / "third.mcap", toggle="off", profile=shorter)
-    with pytest.warns(UserWarning, match="do not share one profile"):
+    with pytest.warns(UserWarning, match="have different profiles"):
         fd.evaluate(runs=[third, recorded])
     with pytest.raises(DocumentError, match="a scenario file or runs"):
         fd.evaluate()

@@ -16,11 +16,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
 from fffo_drive.daemon.client import ClientError, DaemonClient
+from fffo_drive.fleet.prior import Population
+from fffo_drive.fleet.store import FleetStore
 from fffo_drive.identification.facts import read_facts
 from fffo_drive.recording.reader import read_run
 
@@ -139,6 +142,11 @@ def make(out: Path, circle: Path) -> None:
         "profile": SINE, "commissioning": "commissioning.yaml",
         "daemon": {"supervisor_timeout_s": 5, "scope": 8700, "foxglove": "127.0.0.1:8765", "profiles": PROFILES},
     })  # fmt: skip
+    FleetStore(str(out / "fleet"), create=True)
+    shutil.move(out / "fleet" / "store.json", out / "store.json")
+    shutil.rmtree(out / "fleet")
+    population = Population(("coulomb_nm",), np.array([0.025]), np.eye(1) * 1e-5, np.eye(1) * 1e-6, 12)
+    write(out / "population.yaml", population.as_plain())
     # recordings
     work = out.parent / f"{out.name}.work"
     shutil.copytree(out, work)

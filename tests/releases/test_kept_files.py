@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from fffo_drive.config.drive_profile import read_profile
 from fffo_drive.config.scenario import read_scenario
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.documents import parse, read_text
+from fffo_drive.fleet.prior import population_from_plain
+from fffo_drive.fleet.store import FleetStore
 from fffo_drive.formats import FORMATS, kind_of
 from fffo_drive.identification.facts import ColumnFact, read_facts
 from fffo_drive.model.effects.laws.lookup import CurveModel
@@ -35,9 +38,16 @@ def test_there_is_a_file_of_every_format_that_is_read():
         kinds = {"facts"} if (release / "facts.yaml").exists() else set()  # of 0.1.0: it does not say so
         for path in release.glob("*.yaml"):
             kinds.add(kind_of(parse(read_text(path), str(path))[0]))
-        kinds.add(kind_of(json.loads((release / "diagnosis.json").read_text())))
+        kinds |= {kind_of(json.loads(path.read_text())) for path in release.glob("*.json")}
         assert {kind for kind, one in FORMATS.items() if one.read_by != formats.NOBODY} <= kinds
         assert all(path.stat().st_size < LARGEST_BYTES for path in release.iterdir())
+
+
+def test_a_fleets_store_and_population(tmp_path):
+    shutil.copy(FIRST / "store.json", tmp_path)
+    assert FleetStore(str(tmp_path)).status().runs == 0
+    kept = population_from_plain(parse(read_text(FIRST / "population.yaml"), "population.yaml")[0])
+    assert (kept.names, kept.mean.tolist(), kept.drives) == (("coulomb_nm",), [0.025], 12)
 
 
 def test_the_profile_of_a_family():

@@ -132,7 +132,7 @@ def test_what_is_not_searched_or_no_probability_is_refused(command, capsys, word
 def test_every_axis_of_the_search_can_be_left_out():
     names = searched_names()
     assert {f"unknown:{axis.word}" for axis in axes_of(100.0)} <= set(names)
-    assert {"torque_offset", "response(frequency)", "wound(memory)", "motor_angle x velocity"} <= set(names)
+    assert {"torque_offset", "wound(memory)", "motor_angle x velocity"} <= set(names)
     assert len(set(names)) == len(names)
 
 

@@ -151,7 +151,7 @@ def test_a_linear_axis_is_tuned_in_its_own_units(tmp_path, report):
     _, rotary = report
     tables = {table.name: table for table in linear.tables}
     assert {row.label: row.unit for row in tables["gains"].rows} == {
-        "Kp": "A s/m", "Ki": "A/m", "Ti": "s", "L": "N/m", "at rest": "-",
+        "Kp": "A s/m", "Ki": "A/m", "Ti": "s", "L": "N/m", "at rest": "-", "hold": "A/m/s",
     }  # fmt: skip
     inertia, mass = (next(t for t in one.tables if t.name == "axis").rows[0] for one in (rotary, linear))
     assert (inertia.label, inertia.unit, mass.label, mass.unit) == ("J", "kg m²", "M", "kg")
