@@ -197,15 +197,14 @@ def _status(options: argparse.Namespace) -> int:
         print(json.dumps(told, indent=2, default=str))
         return 0
     share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
-    print(
-        f"{counted(status.runs, 'run')} of {counted(status.drives, 'drive')}, {counted(status.models, 'model')}: {share:.0f} % done"
-    )
+    drives_and_models = f"{counted(status.drives, 'drive')}, {counted(status.models, 'model')}"
+    print(f"{counted(status.runs, 'run')} of {drives_and_models}: {share:.0f} % done")
     kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
     print(f"  {status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed")
     print(f"  {counted(status.new_files, 'file')} to merge, {status.merged_files} merged")
     for row in drives[:MOST_TOLD]:
         span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
-        print(f"  {row['model']}, {row['drive']}: {row['runs']} runs, {span}")
+        print(f"  {row['model']}, {row['drive']}: {counted(row['runs'], 'run')}, {span}")
     if len(drives) > MOST_TOLD:
         print(f"  and {len(drives) - MOST_TOLD} drives more (--json has all)")
     for failure in failures[:MOST_TOLD]:

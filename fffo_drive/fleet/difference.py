@@ -85,7 +85,7 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
     if unlogged:
         remarks.append(
             f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} is the thermometer and not compared. A change "
-            "that moves it together with Coulomb friction, as temperature does, cannot be distinguished from temperature"
+            "that moves it together with Coulomb friction cannot be distinguished from temperature"
         )
     return Difference(tuple(laws), counts, degc, tuple(remarks))
 

@@ -172,8 +172,8 @@ def _population(place: int, spread: ModelSpread) -> Table:
         name=f"population-{place}", title=f"Population of {spread.model}", corner="quantity", rows=rows,
         columns=[Heading(label="median"), Heading(label="spread"), Heading(label="spread", unit="%"),
                  Heading(label="drives"), Heading(label="outside")],
-        note=f"{counted(len(spread.drives), 'drive')}, {counted(int(spread.runs.sum()), 'run')}. Below the median 5 and 95 % of the drives; "
-        "the spread is between drives, robust, their own uncertainty taken out.",
+        note=f"{counted(len(spread.drives), 'drive')}, {counted(int(spread.runs.sum()), 'run')}. Below the median 5 "
+        "and 95 % of the drives; the spread is between drives, robust, their own uncertainty taken out.",
     )  # fmt: skip
 
 

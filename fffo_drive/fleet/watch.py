@@ -276,7 +276,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
                 found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
                     f"weather moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
-                    "logged, so wear cannot be distinguished from temperature: log the temperature, or compare runs at the same one"
+                    "logged, so wear cannot be distinguished from temperature: log it, or compare runs at the same one"
                 )))  # fmt: skip
     return found
 
