@@ -161,6 +161,6 @@ def test_add_and_work_in_one_go(facts_file, tmp_path, capsys):
     run = write_run(tmp_path / "run.csv", 1)
     words = [str(run), "--drive", str(facts_file), "--work", "--workers", "1"]
     assert main(["fleet", "add", str(tmp_path / "store"), *words]) == 0
-    assert "1 records made" in capsys.readouterr().out
+    assert "1 record made" in capsys.readouterr().out
     glob = str(tmp_path / "store" / "records" / "new" / "*.parquet")
     assert duckdb.sql(f"select drive, model from '{glob}'").fetchall() == [("axis", "axis")]
