@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     compare.add_argument("sides", nargs=2, metavar="A|B", help="run, or FROM..TO")
     compare.add_argument("--store", metavar="STORE", help="where the records are; the fleet is then what scatter is of")
     compare.add_argument("--serial", metavar="NAME", help="drive whose times are compared")
+    compare.add_argument("--model", metavar="NAME", help="type of that drive, where several types have its number")
     compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     compare.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     compare.add_argument("--json", action="store_true", help="print one JSON object")
@@ -168,12 +169,17 @@ def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[
         run(progress=progress)
     asked = {entry["run"] for entry in entries}
     failed = [failure for failure in store.failures() if failure.run in asked]
+    unreached = [one for one in store.unreached() if one.run in asked]
     if options.json and not hasattr(options, "runs"):
-        print(json.dumps({"runs": len(entries), "failed": [one._asdict() for one in failed]}, indent=2))
+        told = {"failed": [one._asdict() for one in failed], "unreached": [one._asdict() for one in unreached]}
+        print(json.dumps({"runs": len(entries), **told}, indent=2))
     elif not options.json:
-        print(f"{counted(len(entries) - len(failed), 'record')} made" + (f", {len(failed)} failed" if failed else ""))
+        made = len(entries) - len(failed) - len(unreached)
+        print(f"{counted(made, 'record')} made" + (f", {len(failed)} failed" if failed else ""))
         for failure in failed[:MOST_TOLD]:
             print(f"failed: {failure.reason}", file=sys.stderr)
+        for attempt in unreached[:MOST_TOLD]:
+            print(f"waits for the next work: {attempt.reason}", file=sys.stderr)
         if failed:
             print(f"all of them: fffo-drive fleet status {options.store}; again: work --retry", file=sys.stderr)
 
@@ -189,11 +195,12 @@ def _status(options: argparse.Namespace) -> int:
     from ..fleet.store import FleetStore
 
     store = FleetStore(options.store)
-    status, failures = store.status(), store.failures()
+    status, failures, unreached = store.status(), store.failures(), store.unreached()
     drives = store.drives().to_pylist()
     if options.json:
         told = status._asdict() | {"waiting": status.waiting}
         told |= {"by_drive": drives, "failures": [one._asdict() for one in failures]}
+        told |= {"unreached": [one._asdict() for one in unreached]}
         print(json.dumps(told, indent=2, default=str))
         return 0
     share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
@@ -207,6 +214,8 @@ def _status(options: argparse.Namespace) -> int:
         print(f"  {row['model']}, {row['drive']}: {counted(row['runs'], 'run')}, {span}")
     if len(drives) > MOST_TOLD:
         print(f"  and {len(drives) - MOST_TOLD} drives more (--json has all)")
+    for attempt in unreached[:MOST_TOLD]:
+        print(f"waits for the next work: {attempt.reason}")
     for failure in failures[:MOST_TOLD]:
         print(f"failed after {failure.tries} tries: {failure.reason}")
     return 0
@@ -245,7 +254,7 @@ def _report(options: argparse.Namespace) -> int:
     drawn = {}
     for spread in spreads:
         asked = [drive for drive in options.serial if drive in spread.drives]
-        drawn[spread.model] = histories(store, asked or shown_drives(spread))
+        drawn[spread.model] = histories(store, spread.model, asked or shown_drives(spread))
     rate = options.alarms_per_drive_year
     moved = {} if rate is None else _watched(store, rate)
     source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)
@@ -294,7 +303,7 @@ def _compare(options: argparse.Namespace) -> int:
     if store is None and options.serial:
         raise DocumentError(f"--serial {options.serial}: give the store of its records with --store")
     first, second = (
-        side_of_file(text, facts) if store is None else side_of_store(store, text, options.serial)
+        side_of_file(text, facts) if store is None else side_of_store(store, text, options.serial, options.model)
         for text in options.sides
     )
     found = compared(first, second, store)

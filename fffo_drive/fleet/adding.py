@@ -15,6 +15,7 @@ from ..importing.convert import FACTS_NAME
 from ..recording.errors import RecordingError
 from ..recording.reader import RunHead, read_head
 from ..recording.table import SUFFIXES
+from ..recording.writer import PART_SUFFIX
 from .place import digest_of, is_url, local_copy, open_filesystem
 from .store import FleetStore
 
@@ -62,6 +63,8 @@ def add_runs(
 ) -> Added:
     """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read.
 
+    A recording that ended badly (`NAME.mcap.part`) and the finished file made of it (`NAME.mcap`) are one run: the
+    finished one is taken, and what the index has of the other is dropped.
     What speaks against a run is told and stops no other. Raises OSError where the store cannot be written.
     """
     known = {(entry["path"], entry["stamp"]): entry["run"] for entry in store.index().to_pylist()}
@@ -70,6 +73,8 @@ def add_runs(
     problems: list[str] = []
     for number, place in enumerate(places):
         try:
+            if _is_finished_beside(place):
+                continue
             path, size, stamp, changed = _state_of(place)
             if (path, stamp) in known:
                 runs.append(known[path, stamp])
@@ -83,13 +88,26 @@ def add_runs(
         finally:
             if progress is not None:
                 progress((number + 1) / len(places))
-    return Added(len(places), store.add(entries), tuple(runs), tuple(problems))
+    fresh = store.add(entries)
+    parts = {entry["path"]: entry["run"] for entry in store.index().to_pylist() if entry["path"].endswith(PART_SUFFIX)}
+    torn = [parts[f"{entry['path']}{PART_SUFFIX}"] for entry in entries if f"{entry['path']}{PART_SUFFIX}" in parts]
+    if torn:
+        store.drop(torn)
+    return Added(len(places), fresh, tuple(runs), tuple(problems))
 
 
 def entry_of(place: str, given: Given) -> dict[str, Any]:
     """One run as the index has it (`schema.INDEX_SCHEMA`). Raises DocumentError, RecordingError, OSError."""
     path, size, stamp, changed = _state_of(place)
     return _entry(path, given, changed) | {"bytes": size, "stamp": stamp}
+
+
+def _is_finished_beside(place: str) -> bool:
+    """Whether a file is what was left of a recording of which there is a finished file."""
+    if not place.endswith(PART_SUFFIX):
+        return False
+    filesystem, path = open_filesystem(place)
+    return bool(filesystem.exists(path.removesuffix(PART_SUFFIX)))
 
 
 def _state_of(place: str) -> tuple[str, int, str, datetime]:

@@ -1,6 +1,6 @@
-"""Records to channels: one number a run for each law, without what weather and the run's own motion do to it.
+"""Records to channels: one number a run for each law, without the effects of temperature and of the run's motion.
 
-The estimates of one short run lean on each other: where it hardly moved fast, viscous friction comes out high and
+The estimates of one short run are correlated: where it hardly moved fast, viscous friction comes out high and
 Coulomb friction low. Between runs they move together as well: along a line with temperature, and with the profile.
 So a law is not watched by its own column. With theta_t the estimates of run t over the drive's own scales, I_t their
 information and S the covariance between runs, both as a fleet shows it,
@@ -8,7 +8,7 @@ information and S the covariance between runs, both as a fleet shows it,
     P_t = (I_t^-1 + S)^-1,    y_t = e^T P_t (theta_t - mu_t) / e^T P_t e,    var y_t = 1 / e^T P_t e
 
 is the generalised least-squares estimate of a change along e that leaves all else as it was (Rao's score for it). mu_t
-is the drive's own level, from runs before t, and with a logged temperature its own slope. Without one, weather is a
+is the drive's own level, from runs before t, and with a logged temperature its own slope. Without one, temperature is a
 part of S: what moves along its line, viscous friction and Coulomb friction together, then counts for next to nothing.
 That is how viscous friction serves as the thermometer.
 """
@@ -44,18 +44,20 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {
     "gravity_sin_nm": ("gravity", _COULOMB, 0.05),
 }
 WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
-UNMODELLED = "what no column explains (backlash, elasticity)"
+UNMODELLED = "what no column explains (elasticity)"
+BACKLASH = "backlash"
 LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
-LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of weather, before any drive is seen
+LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of temperature, before any drive is seen
 LARGEST_STEPS = 3.0  # along that line
-LEANING = -0.4  # typical correlation of viscous and Coulomb friction between runs: on each other, less weather
+CORRELATION = -0.4  # typical, of viscous and Coulomb friction between runs: of the fits, less that of temperature
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
 PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
 MEAN_DEGC, STEP_K = 25.0, 10.0  # temperatures are counted in steps from this mean
 TEMPERATURE_SHARE = 0.8  # of the runs with a temperature, for it to be the thermometer
 SLOPE_SDS = 1.5  # slope per step of temperature, before any drive is seen: in typical deviations between runs
 CHANNEL_SLOPE_SD = 0.02  # of a channel per e-fold of speed, over its scale
+GAP_SD = 0.05  # of the logarithm of the gap between runs, beside what each run says: in simulated lives
 EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.2  # of logarithms of amplitudes: between runs, and per unit of a covariate
 LEVEL_RUNS = 100.0  # variances of a run that a level may be away at first
 REFERENCE_EVERY = 8  # runs after which a drive's own level is taken anew
@@ -86,10 +88,11 @@ class Stack(NamedTuple):
     temperature: Floats  # (n,) steps from the mean; 0 for drives without a thermometer, nan for single runs without
     logged: Mask  # (d,) whether a drive has a thermometer
     log_speed: Floats  # (n,)
-    extras: Floats  # (n, k) logarithms of amplitudes; nan where a run has none
+    extras: Floats  # (n, k) logarithms of amplitudes and of the gap; nan where a run has none
+    extra_variance: Floats  # (n, k) of them
     run: npt.NDArray[np.str_]  # (n,)
     columns: tuple[str, ...]  # (p,)
-    orders: tuple[float, ...]  # of extras; rms of the residual stands behind them
+    orders: tuple[float, ...]  # of extras; rms of the residual and the gap stand behind them
 
     def of(self, drive: int) -> slice:
         """Runs of a drive."""
@@ -105,7 +108,7 @@ class Stack(NamedTuple):
         return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut)
 
 
-_BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "run")
+_BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "extra_variance", "run")
 
 
 class FleetPrior(NamedTuple):
@@ -158,11 +161,11 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
     shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
     logged = shares >= TEMPERATURE_SHARE
     temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
-    chosen, extras = _extras(histories, orders)
+    chosen, extras, extra_variance = _extras(histories, orders)
     speed = np.concatenate([one.speed_rms_rps for one in histories.values()])
     return Stack(
         drives, bounds, np.concatenate([one.time_s for one in histories.values()]), theta, information, scales,
-        temperature, logged, np.log(np.maximum(speed, 1e-6)), extras,
+        temperature, logged, np.log(np.maximum(speed, 1e-6)), extras, extra_variance,
         np.concatenate([one.run for one in histories.values()]), columns, chosen,
     )  # fmt: skip
 
@@ -229,8 +232,13 @@ def _typical_size(values: Floats, known: Floats) -> float:
     return size if size > 0.0 else 1.0
 
 
-def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None) -> tuple[tuple[float, ...], Floats]:
-    """Logarithms of the amplitudes of some orders, and of the residual. Those orders stand out where none are given."""
+def _extras(
+    histories: Mapping[str, RunHistory], orders: Sequence[float] | None
+) -> tuple[tuple[float, ...], Floats, Floats]:
+    """Logarithms of the amplitudes of some orders, of the residual and of the gap, and their variances.
+
+    Those orders stand out where none are given.
+    """
     first = next(iter(histories.values()))
     if orders is None:
         some = list(histories.values())[:LEARNED_DRIVES]
@@ -246,10 +254,13 @@ def _extras(histories: Mapping[str, RunHistory], orders: Sequence[float] | None)
         orders = [float(first.orders[k]) for k in chosen if steady[k] > 0.0]
     places = [int(np.flatnonzero(first.orders == order)[0]) for order in orders]
     values = np.concatenate([
-        np.column_stack([one.order_amplitude_nm[:, places], one.rms_nm]) for one in histories.values()
+        np.column_stack([one.order_amplitude_nm[:, places], one.rms_nm, one.gap_rev]) for one in histories.values()
     ])  # fmt: skip
+    variance = np.full(values.shape, EXTRA_SD**2)
+    own_sd = np.concatenate([one.gap_log_sd for one in histories.values()])
+    variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(own_sd), own_sd, 0.0) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        return tuple(orders), np.where(values > 0.0, np.log(values), np.nan)
+        return tuple(orders), np.where(values > 0.0, np.log(values), np.nan), variance
 
 
 def inverse_total(information: Floats, covariance: Floats) -> Floats:
@@ -264,7 +275,7 @@ def typical_covariance(columns: Sequence[str]) -> Floats:
     correlation = np.eye(len(columns))
     if _VISCOUS in columns and _COULOMB in columns:
         a, b = columns.index(_VISCOUS), columns.index(_COULOMB)
-        correlation[a, b] = correlation[b, a] = LEANING
+        correlation[a, b] = correlation[b, a] = CORRELATION
     return np.asarray(correlation * np.outer(sds, sds))
 
 
@@ -281,16 +292,16 @@ def learn(stack: Stack) -> FleetPrior:
         slope = share * np.median(slopes, axis=0)
         spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
         slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * slope_sd**2)
-    weather, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
-    line = slope if logged.size else _line(stack, weather)
-    return FleetPrior(stack.columns, covariance, weather, slope, slope_sd, line, _directions(stack), stack.orders)
+    unlogged, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
+    line = slope if logged.size else _line(stack, unlogged)
+    return FleetPrior(stack.columns, covariance, unlogged, slope, slope_sd, line, _directions(stack), stack.orders)
 
 
 def _line(stack: Stack, covariance: Floats) -> Floats:
-    """What weather moves, where none is logged: friction that neighbours in time have in common. (p,)
+    """What temperature moves, where none is logged: friction that neighbours in time have in common. (p,)
 
-    What a run's own motion does to its estimates is another thing in the next run; a season is not. Of the size of
-    weather's standard deviation.
+    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. Of
+    the size of temperature's standard deviation.
     """
     friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
     line = np.zeros(len(stack.columns))
@@ -394,12 +405,11 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     with np.errstate(invalid="ignore"):
         usual = np.array([np.median(v[np.isfinite(v)]) if np.isfinite(v).any() else 1.0 for v in variance.T])
         y[variance > LARGEST_NOISE * usual] = np.nan
-    names = [f"ripple of order {order:g}" for order in stack.orders] + [UNMODELLED]
-    extra_variance = np.full(stack.extras.shape, EXTRA_SD**2)
+    names = [f"ripple of order {order:g}" for order in stack.orders] + [UNMODELLED, BACKLASH]
     covariates = np.column_stack([steps, stack.log_speed - np.median(stack.log_speed)])
     return Channels(
         (*laws, *names), np.column_stack([y, stack.extras]),
-        np.column_stack([np.where(np.isfinite(y), variance, 1.0), extra_variance]), covariates,
+        np.column_stack([np.where(np.isfinite(y), variance, 1.0), stack.extra_variance]), covariates,
     )  # fmt: skip
 
 
@@ -428,7 +438,7 @@ def _usual_weights(stack: Stack, prior: FleetPrior, drives: Integers, covariance
 def _projected(
     stack: Stack, prior: FleetPrior, drives: Integers, runs: Integers, covariance: Floats, usual: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of weather.
+    """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of temperature.
 
     The population's slope is taken out. Of some drives and their runs.
     """

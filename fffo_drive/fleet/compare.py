@@ -33,7 +33,16 @@ from ..report.figures import Dash, Figure, PlotAxis, Series
 from ..report.page import ReportPaths, refuse_other_report, write_report
 from .adding import Given, entry_of
 from .difference import CONFIDENCE, LARGEST_P, Difference, difference
-from .history import RunHistory, balance_of_rows, column_of, histories, history_of, matrix_of
+from .history import (
+    RunHistory,
+    balance_of_rows,
+    column_of,
+    gap_of_rows,
+    histories,
+    history_of,
+    matrix_of,
+    records_of_drive,
+)
 from .regress import PARAMETERS, solve
 from .schema import BAND_EDGES_HZ, ORDERS, table_of, unit_of
 from .store import FleetStore
@@ -67,14 +76,13 @@ def side_of_file(place: str, facts: DriveFacts | None) -> Side:
     return Side(place, table_of([record_row(entry_of(place, Given("run", None, facts)))]))
 
 
-def side_of_store(store: FleetStore, text: str, drive: str | None) -> Side:
+def side_of_store(store: FleetStore, text: str, drive: str | None, model: str | None = None) -> Side:
     """Runs of a store: FROM..TO of a drive, or one by its content hash or path. Raises DocumentError."""
     if RANGE in text and drive is not None:
         begin, end = (_day(part, text) for part in text.split(RANGE, 1))
-        where = pc.field("drive") == drive
-        where = where if begin is None else where & (pc.field("start") >= begin)
+        where = pc.scalar(True) if begin is None else pc.field("start") >= begin
         where = where if end is None else where & (pc.field("start") < end)
-        found = store.records(where=where)
+        found = records_of_drive(store, drive, model, where=where)
         if not found.num_rows:
             raise DocumentError(f"{text}: no record of drive {drive!r} in it")
         return Side(text, found)
@@ -110,9 +118,10 @@ def compared(first: Side, second: Side, store: FleetStore | None) -> Difference:
         raise DocumentError(f"{first.label} and {second.label}: a rotary and a linear axis have nothing to compare")
     fleet: Mapping[str, RunHistory] | None = None
     if store is not None:
-        models = set(first.records.column("model").to_pylist()) | set(second.records.column("model").to_pylist())
-        drives = store.records(["drive", "model"]).filter(pc.field("model").isin(sorted(models))).column("drive")
-        fleet = histories(store, sorted(set(drives.to_pylist())))
+        models = {model for side in (first, second) for model in side.records.column("model").to_pylist()}
+        fleet = {
+            f"{model} {drive}": own for model in sorted(models) for drive, own in histories(store, model).items()
+        }  # fmt: skip
     return difference(first.history, second.history, fleet)
 
 
@@ -179,7 +188,8 @@ def _laws(found: Difference) -> Table:
 
 
 def _numbers(first: Side, second: Side) -> Table:
-    sides = [solve(balance_of_rows(side.records)) for side in (first, second)]
+    sides_of = (first, second)
+    sides = [solve(balance_of_rows(side.records)) for side in sides_of]
     rows = []
     for k, name in enumerate(PARAMETERS):
         cells = [
@@ -190,6 +200,10 @@ def _numbers(first: Side, second: Side) -> Table:
         ]
         if any(cell.value is not None for cell in cells):
             rows.append(Row(label=word_of(name), unit=unit_of(name), cells=cells))
+    gaps = [gap_of_rows(side.records) for side in sides_of]
+    if any(np.isfinite(gap.gap_rev) for gap in gaps):
+        cells = [_with_interval(gap.gap_rev, NORMAL_95 * gap.log_sd * gap.gap_rev) for gap in gaps]
+        rows.append(Row(label="backlash", unit="rev", cells=cells))
     rows.append(Row(label="rms of the residual", unit="Nm", cells=[number(float(one.rms_nm)) for one in sides]))
     return Table(
         name="numbers", title="Both in numbers", corner="quantity", rows=rows,

@@ -1,7 +1,7 @@
 """The sequential test behind `watch`: a bound on false alarms that holds for heavy tails and without a simulation.
 
 Each channel of a drive (one column of its records) is predicted from the drive's own earlier runs by a Bayesian linear
-regression on level, weather and speed, whose prior is the population. The innovations t_n, over their predictive
+regression on level, temperature and speed, whose prior is the population. The innovations t_n, over their predictive
 standard deviation and brought from Student's t to a normal score, are independent under a normal model whatever its
 coefficients and variance are: they are recursive residuals (Brown, Durbin and Evans, J. R. Statist. Soc. B 37, 1975).
 
@@ -43,7 +43,7 @@ SLOPES = np.array([1.0, 2.5])  # l: a small shift and a large one
 MOST_ALARMS = 4  # of one drive
 BURN_IN = 8  # runs that set a level: what comes after is judged against it, these are not
 NORMAL_MAD = 1.4826  # standard deviation over the median magnitude
-LEVEL, WEATHER, SPEED = range(3)  # coefficients of a channel
+LEVEL, TEMPERATURE, SPEED = range(3)  # coefficients of a channel
 COVARIATES = 2
 # a channel's memory: 3 coefficients, their covariance over the variance, shape and sum of the variance, the run before
 _B, _V, _SHAPE, _SUM, _LAST, _HAS = 0, 3, 12, 13, 14, 17
@@ -82,10 +82,10 @@ def normal_score(t: float, dof: float) -> float:
 
 @njit
 def _advance(
-    state: Floats, y: float, noise: float, weather: float, speed: float, memory: float, most_weight: float
+    state: Floats, y: float, noise: float, temperature: float, speed: float, memory: float, most_weight: float
 ) -> float:
     """Predict one value of a channel, learn from it by a weight of at most `most_weight`, and give its score."""
-    own0, own1, own2, target, variance = 1.0, weather, speed, y, noise
+    own0, own1, own2, target, variance = 1.0, temperature, speed, y, noise
     if memory > 0.0:
         if state[_HAS] > 0.0:
             own0 = 1.0 - memory
@@ -96,7 +96,7 @@ def _advance(
             variance /= 1.0 - memory * memory
         state[_HAS] = 1.0
         state[_LAST] = y
-        state[_LAST + 1] = weather
+        state[_LAST + 1] = temperature
         state[_LAST + 2] = speed
     k0 = state[_V] * own0 + state[_V + 1] * own1 + state[_V + 2] * own2
     k1 = state[_V + 3] * own0 + state[_V + 4] * own1 + state[_V + 5] * own2
@@ -277,7 +277,7 @@ def detect(
     """Watch the runs of many drives. `bounds` (d + 1,): drive k has the runs bounds[k]:bounds[k + 1], oldest first.
 
     `time_s` (n,), `y` (n, c) with nan where a run has no value, `noise` (n, c) variance over that of `prior`,
-    `covariates` (n, 2) weather and speed.
+    `covariates` (n, 2) temperature and speed.
     """
     channels, runs = y.shape[1], y.shape[0]
     if alarms_per_drive_year <= 0.0:

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..documents import DocumentError
+from .backlash import Gap, GapSums, gap_of, gaps_unpacked
 from .regress import PARAMETERS, Balance, Estimates, solve_each, unpacked
 from .schema import ORDERS
 from .store import FleetStore
@@ -25,7 +26,7 @@ FEW_DRIVES = 32
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
-    "speed_rms_rps", "temperature_degc",
+    "speed_rms_rps", "temperature_degc", "gap_rev", "gap_log_sd",
 )  # fmt: skip
 
 
@@ -42,16 +43,37 @@ class RunHistory(NamedTuple):
     speed_rms_rps: Floats  # (n,)
     temperature_degc: Floats  # (n,) mean; nan where not logged
     run: npt.NDArray[np.str_]  # (n,) content hash of each run, hex
+    gap_rev: Floats  # (n,) backlash at the motor shaft; nan where the run shows none
+    gap_log_sd: Floats  # (n,) standard deviation of its logarithm
 
 
-def history(store: FleetStore, drive: str) -> RunHistory:
-    """A drive's records. Raises DocumentError where there is none of it, with the nearest names."""
-    return history_of(store.records(HISTORY_COLUMNS, pc.field("drive") == drive), drive)
+def history(store: FleetStore, drive: str, model: str | None = None) -> RunHistory:
+    """A drive's records. Raises DocumentError where there is none of it, and where several models have its number."""
+    return history_of(records_of_drive(store, drive, model, HISTORY_COLUMNS), drive)
 
 
-def histories(store: FleetStore, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
-    """Histories of drives (None: of all), by drive; one without records is left out."""
-    where = None if drives is None else _any_of(drives)
+def records_of_drive(
+    store: FleetStore, drive: str, model: str | None, columns: Sequence[str] | None = None,
+    where: pc.Expression | None = None,
+) -> pa.Table:  # fmt: skip
+    """Records of one drive: of this serial number, and of this model where it is given.
+
+    Raises DocumentError where several models have a drive of that number and none is given.
+    """
+    own = pc.field("drive") == drive
+    own = own if model is None else own & (pc.field("model") == model)
+    wanted = None if columns is None else tuple(dict.fromkeys((*columns, "model")))
+    found = store.records(wanted, own if where is None else own & where)
+    models = sorted(set(found.column("model").to_pylist()))
+    if len(models) > 1:
+        raise DocumentError(f"drive {drive!r} is one of each of {', '.join(models)}: say which with --model")
+    return found
+
+
+def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
+    """Histories of drives (None: of all) of a model, by drive; one without records is left out."""
+    where = pc.field("model") == model
+    where = where if drives is None else where & _any_of(drives)
     return _by_drive(store.records(("drive", *HISTORY_COLUMNS), where))
 
 
@@ -72,7 +94,7 @@ def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
     return {name: history_of(part, name) for name, part in parts.items()}
 
 
-def _any_of(drives: Sequence[str]) -> pc.Expression | None:
+def _any_of(drives: Sequence[str]) -> pc.Expression:
     """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set."""
     if not 0 < len(drives) <= FEW_DRIVES:
         return pc.field("drive").isin(list(drives))
@@ -96,6 +118,8 @@ def history_of(table: pa.Table, drive: str) -> RunHistory:
         speed_rms_rps=column_of(table, "speed_rms_rps"),
         temperature_degc=column_of(table, "temperature_degc"),
         run=np.array(table.column("run").to_pylist(), dtype=np.str_),
+        gap_rev=column_of(table, "gap_rev"),
+        gap_log_sd=column_of(table, "gap_log_sd"),
     )
 
 
@@ -113,12 +137,24 @@ def estimates_of(table: pa.Table) -> Estimates:
     return solve_each(unpacked(matrix_of(table, "normal")), matrix_of(table, "moment"), *scalars)
 
 
+def gap_of_rows(table: pa.Table) -> Gap:
+    """The backlash of all records of a table together."""
+    normal = gaps_unpacked(np.nansum(matrix_of(table, "gap_normal"), axis=0))
+    moment = np.nansum(matrix_of(table, "gap_moment"), axis=0)
+    scalars = (float(np.nansum(column_of(table, f"gap_{name}"))) for name in SCALARS)
+    return gap_of(GapSums(normal, moment, *scalars), str(table.column("units")[0].as_py()))
+
+
 def column_of(table: pa.Table, name: str) -> Floats:
     """A column of numbers; nan where there is none. (n,)"""
     return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
 def matrix_of(table: pa.Table, name: str) -> Floats:
-    """A column of lists of one length. (n, length)"""
+    """A column of lists of one length; nan in a row without one, of an older version. (n, length)"""
     column = table.column(name).combine_chunks()
-    return np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=np.float64).reshape(len(column), -1)
+    values = np.full((len(column), column.type.list_size), np.nan)
+    there = column.is_valid().to_numpy(zero_copy_only=False)
+    flat = np.asarray(column.drop_null().flatten().to_numpy(zero_copy_only=False), dtype=np.float64)
+    values[there] = flat.reshape(-1, column.type.list_size)
+    return values

@@ -19,6 +19,7 @@ from ..recording.reader import Run
 from ..recording.table import LogTable
 from ..signals import TEMPERATURE
 from ..workflows.recorded_facts import facts_in
+from .backlash import GAP_REV, GAP_UPPER, GapSums, gap_of, gap_sums
 from .regress import PARAMETERS, RUNGS, Balance, Estimates, balance_columns, balance_of, explained_by, packed, solve
 from .schema import ANGLE_BINS, BAND_EDGES_HZ, HIGHEST_ORDER, LOAD_QUANTILES, SCHEMA_VERSION, SPEED_EDGES_RPS
 
@@ -58,6 +59,7 @@ def measured(path: Path, digest: str, facts: DriveFacts | None) -> dict[str, Any
         "run": digest, "schema_version": SCHEMA_VERSION, "tool": TOOL,
         "duration_s": record.duration_s, "rate_hz": 1.0 / record.period_s, "units": facts.units,
         **_balance(balance, estimates), "delay_s": delay_s,
+        **_gap(gap_sums(record, facts, estimates, delay_s), facts.units),
         **_left(rows, residual_nm, balance, facts),
         **_covered(record, stretches, cutoff_hz),
         **_temperature(log), **_ticks(log),
@@ -73,6 +75,18 @@ def _balance(balance: Balance, estimates: Estimates) -> dict[str, Any]:
         **{name: value if sure else None for name, value, _, sure in pairs},
         **{f"{name}_sd": sd if sure else None for name, _, sd, sure in pairs},
         "torque_rms_nm": float(np.sqrt(balance.energy_nm2 / balance.rows)), "rms_nm": float(estimates.rms_nm),
+    }  # fmt: skip
+
+
+def _gap(sums: GapSums | None, units: str) -> dict[str, Any]:
+    """Sums of the gap; those of a run that says nothing of it are 0."""
+    sums = sums or GapSums(np.zeros((GAP_REV.size, GAP_REV.size)), np.zeros(GAP_REV.size), 0.0, 0.0, 0.0)
+    found = gap_of(sums, units)
+    views = {"gap_rev": found.gap_rev, "gap_log_sd": found.log_sd, "gap_share": found.share}
+    return {
+        "gap_normal": sums.normal[GAP_UPPER], "gap_moment": sums.moment, "gap_energy_nm2": sums.energy_nm2,
+        "gap_rows": sums.rows, "gap_effective_rows": sums.effective_rows,
+        **{name: float(value) if np.isfinite(value) else None for name, value in views.items()},
     }  # fmt: skip
 
 

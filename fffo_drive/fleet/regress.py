@@ -21,6 +21,7 @@ from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 PARAMETERS = (
     "inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "stribeck_nm", "offset_nm",
@@ -87,15 +88,18 @@ def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
     """Normal equations of the rows that slide for sure; `columns` (m, p) of all rows."""
     kept = np.flatnonzero(rows.sliding)
     own, torque_nm = columns[kept], rows.torque_nm[kept]
-    duration_s = rows.run.size * rows.period_s
-    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, duration_s / BLOCKS_A_RUN))
-    block = kept // max(1, round(block_s / rows.period_s))
-    begins = np.flatnonzero(np.diff(block, prepend=-1))
+    begins = block_starts(kept, rows.run.size, rows.period_s)
     whole = Balance(own.T @ own, own.T @ torque_nm, float(torque_nm @ torque_nm), float(kept.size), float(kept.size))
     solution = solve(whole)
     scores = own * (torque_nm - own @ solution.theta)[:, None]
     sums = np.add.reduceat(scores, begins, axis=0) if kept.size else scores
     return whole._replace(effective_rows=_effective_rows(whole, sums, float(solution.rms_nm)))
+
+
+def block_starts(kept: Integers, count: int, period_s: float) -> Integers:
+    """Places in `kept` (m,), rows of `count` in all, at which a block begins that is independent of the one before."""
+    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, count * period_s / BLOCKS_A_RUN))
+    return np.flatnonzero(np.diff(kept // max(1, round(block_s / period_s)), prepend=-1))
 
 
 def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:

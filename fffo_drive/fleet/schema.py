@@ -1,7 +1,9 @@
 """The record of a run as a row: columns with units and meanings, and how rows become bytes of a Parquet file.
 
-What adds up over the runs of an axis is `normal`, `moment`, `energy_nm2`, `rows` and `effective_rows` (`regress`). The
-columns named after the parameters are views of them for readers without this program; nothing here reads those.
+What adds up over the runs of an axis is `normal`, `moment`, `energy_nm2`, `rows` and `effective_rows` (`regress`), and
+the same of the gap with `gap_` before the name (`backlash`). The
+columns named after the parameters are views of them for readers without this program. A history takes the gap from its
+view, which is what the sums of that run give.
 """
 
 from __future__ import annotations
@@ -13,9 +15,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from .backlash import GAP_REV, GAP_UPPER
 from .regress import PARAMETERS, UPPER
 
-SCHEMA_VERSION = 1  # rises when a column changes its meaning; a new column alone does not raise it
+SCHEMA_VERSION = 2  # rises when records are to be made anew: 2 has the gap. Older ones are read, with nulls
 FORMAT_KEY = b"fffo_drive_fleet"  # of the files' metadata
 HIGHEST_ORDER = 100  # whole orders of the motor angle
 ORDERS = np.arange(1.0, HIGHEST_ORDER + 1.0)
@@ -66,6 +69,15 @@ RECORD_SCHEMA = pa.schema(
         *(_field(name, _F8, unit_of(name), "view: estimate of this run alone; null: not determined")
           for name in PARAMETERS),
         *(_field(f"{name}_sd", _F8, unit_of(name), "view: its standard deviation") for name in PARAMETERS),
+        _field("gap_normal", _numbers(GAP_UPPER[0].size, _F8), "-",
+               "E^T M E of the grid of gaps (`fleet.backlash`), upper triangle row by row; adds up; 0: not determined"),
+        _field("gap_moment", _numbers(GAP_REV.size, _F8), "-", "E^T M y; adds up"),
+        _field("gap_energy_nm2", _F8, "Nm2", "y^T M y; adds up"),
+        _field("gap_rows", _F8, "-", "rows in motion that this regression has; adds up"),
+        _field("gap_effective_rows", _F8, "-", "independent ones among them; adds up"),
+        _field("gap_rev", _F8, "rev", "view: backlash at the motor shaft, by this run alone; null: none found"),
+        _field("gap_log_sd", _F8, "-", "view: standard deviation of its logarithm"),
+        _field("gap_share", _F8, "-", "view: share of the inertia behind it"),
         _field("delay_s", _F8, "s", "command to torque, by this run"),
         _field("torque_rms_nm", _F8, "Nm", "of those rows"),
         _field("rms_nm", _F8, "Nm", "of the residual at those rows"),

@@ -6,7 +6,7 @@
     records/merged/YYYY-MM/DIGEST.parquet
                                     the records of a month after `compact`, sorted by model, drive, time and run
     failed/RUN.json                 a run that makes no record, and why
-    failed/tries/RUN-K.json         an attempt that has begun; gone when it ends well
+    failed/tries/RUN-K.json         an attempt that has begun; gone when it ends well. K 0: its file was not reached
 
 Every file appears whole under a name that its content gives. Whoever writes the same thing writes the same file, so
 that several may write at once; whoever merges deletes only what stands in the merged file.
@@ -35,6 +35,7 @@ STORE_FILE = "store.json"
 INDEX, NEW, MERGED, FAILED, TRIES = "index", "records/new", "records/merged", "failed", "failed/tries"
 PARQUET = ".parquet"
 MOST_TRIES = 3
+UNREACHED = 0  # number of a note that a run's file could not be reached: no attempt
 RELISTED = 5  # times that a listing is made again because somebody merged meanwhile
 
 
@@ -207,6 +208,15 @@ class FleetStore:
         self._note(attempt)
         return attempt
 
+    def note_unreached(self, run: str, path: str, reason: str) -> None:
+        """The place of a run's file did not answer: it waits, and this is no failure of the file."""
+        self._note(Attempt(run, path, UNREACHED, reason))
+
+    def unreached(self) -> list[Attempt]:
+        """Runs that wait because the place of their file did not answer when it was last asked, by run."""
+        names = self.place.files(TRIES, f"-{UNREACHED}.json")
+        return [Attempt(**json.loads(self.place.read(name))) for name in names]
+
     def _note(self, attempt: Attempt) -> None:
         text = json.dumps(attempt._asdict(), indent=2) + "\n"
         self.place.write(f"{TRIES}/{attempt.run}-{attempt.number}.json", text.encode())
@@ -230,7 +240,7 @@ class FleetStore:
         self._forget(failure.run)
 
     def _forget(self, run: str) -> None:
-        self.place.delete(f"{TRIES}/{run}-{number}.json" for number in range(1, MOST_TRIES + 1))
+        self.place.delete(f"{TRIES}/{run}-{number}.json" for number in range(MOST_TRIES + 1))
 
     def failures(self) -> list[Failure]:
         """Runs that make no record, by run."""
@@ -289,7 +299,8 @@ class FleetStore:
         """
         oldest = None if keep_days is None else (now or datetime.now(UTC)) - timedelta(days=keep_days)
         self.place.sweep()
-        self._merge(list(self.place.files(INDEX, PARQUET)), INDEX, INDEX_SCHEMA, oldest)
+        kept = None if oldest is None else pc.field("start") >= pa.scalar(oldest, pa.timestamp("us", "UTC"))
+        self._merge(list(self.place.files(INDEX, PARQUET)), INDEX, INDEX_SCHEMA, kept)
         new = self._by_month(list(self.place.files(NEW, PARQUET)))
         merged: dict[str, list[str]] = {}
         for name in self.place.files(MERGED, PARQUET):
@@ -297,9 +308,19 @@ class FleetStore:
         records = removed = 0
         for month in sorted({*new, *merged}):
             names = [*merged.get(month, []), *new.get(month, [])]
-            kept, gone = self._merge(names, f"{MERGED}/{month}", RECORD_SCHEMA, oldest)
-            records, removed = records + kept, removed + gone
+            stayed, gone = self._merge(names, f"{MERGED}/{month}", RECORD_SCHEMA, kept)
+            records, removed = records + stayed, removed + gone
         return Compacted(records, len(self.place.files(MERGED, PARQUET)), removed)
+
+    def drop(self, runs: Sequence[str]) -> None:
+        """Take runs off the index, with their records and failures: another file is the same run. Raises OSError."""
+        others = ~pc.field("run").isin(list(runs))
+        self._merge(list(self.place.files(INDEX, PARQUET)), INDEX, INDEX_SCHEMA, others)
+        for run in runs:
+            self.place.delete([self.record_name(run), f"{FAILED}/{run}.json"])
+            self._forget(run)
+        for name in self.place.files(MERGED, PARQUET):
+            self._merge([name], name.rsplit("/", 1)[0], RECORD_SCHEMA, others)
 
     def _by_month(self, names: list[str]) -> dict[str, list[str]]:
         """New records by the month in which their run began."""
@@ -322,20 +343,18 @@ class FleetStore:
             table = table.append_column(field, pa.nulls(table.num_rows, field.type))
         return table.select(wanted.names).cast(wanted)
 
-    def _merge(self, names: list[str], folder: str, schema: pa.Schema, oldest: datetime | None) -> tuple[int, int]:
-        """Files into one, and only then away with them; rows that are kept, and too old ones."""
+    def _merge(self, names: list[str], folder: str, schema: pa.Schema, where: pc.Expression | None) -> tuple[int, int]:
+        """Files into one, and only then away with them; how many rows are kept (all, or those of `where`), and not."""
         if len(names) == 1 and names[0].startswith(f"{folder}/"):
-            alone = self._table(names[0], schema, ["start"])
-            if alone is not None and (oldest is None or pc.min(alone.column("start")).as_py() >= oldest):
+            alone = self._table(names[0], schema, ["run", "start"])
+            if alone is not None and (where is None or alone.filter(where).num_rows == alone.num_rows):
                 return alone.num_rows, 0  # merged already
         tables = {name: self._table(name, schema) for name in names}
         read = {name: table for name, table in tables.items() if table is not None}
         if not read:
             return 0, 0
         whole = _first_of_each(pa.concat_tables(read.values()), schema)
-        kept = (
-            whole if oldest is None else whole.filter(pc.field("start") >= pa.scalar(oldest, pa.timestamp("us", "UTC")))
-        )
+        kept = whole if where is None else whole.filter(where)
         target = ""
         if kept.num_rows:
             order = SORTED_BY if schema is RECORD_SCHEMA else [("run", "ascending")]

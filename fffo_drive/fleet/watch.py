@@ -1,6 +1,6 @@
-"""Wear, not weather: changes in each drive's own history, at a rate of false alarms that the user sets.
+"""Changes in each drive's own history, beside those with temperature, at a rate of false alarms that the user sets.
 
-`channels` takes weather, load and speed out of the records, `detector` holds the bound on false alarms. Here alarms get
+`channels` takes temperature, load and speed out of the records, `detector` holds the bound on false alarms. Here alarms get
 a law, a size with an interval, a first run, and runs to look at.
 """
 
@@ -30,7 +30,7 @@ RAMP_GAIN = 6.0  # fall of the squared misfit, in variances, that makes a step a
 AS_GOOD = 0.85  # of the largest statistic: a law that may be meant as well
 LOOK_AT = 2  # runs to open on either side of a change
 RECENT = 8  # runs
-OUTSIDE_SDS = 3.0  # of weather's standard deviation
+OUTSIDE_SDS = 3.0  # standard deviations of friction with temperature
 OUTSIDE_K = 3.0  # beyond the temperatures that were seen
 VISCOUS = "viscous_nm_per_rps"
 
@@ -87,7 +87,7 @@ class DriveTrace(NamedTuple):
 
     time_s: Floats  # (n,)
     laws: tuple[str, ...]
-    estimate: Floats  # (n, c) of each law, weather taken out; over its scale, or a logarithm
+    estimate: Floats  # (n, c) of each law, temperature taken out; over its scale, or a logarithm
     sd: Floats  # (n, c)
     evidence: Floats  # (n,) 1 raises an alarm
 
@@ -237,7 +237,7 @@ def _described(
 def _to_look_at(
     stack: Stack, channels: Channels, drive: int, c: int, first: int, whole: int, rises: bool
 ) -> tuple[str, ...]:
-    """Runs near the change in the same weather: the surest of the last before it and of the first after it."""
+    """Runs near the change: the surest of the last before it and of the first after it."""
     begin, end = int(stack.bounds[drive]), int(stack.bounds[drive + 1])
     chosen: list[int] = []
     for low, high in ((max(begin, first - RECENT), first), (min(whole, end - 1), min(end, whole + RECENT))):
@@ -248,7 +248,7 @@ def _to_look_at(
 
 
 def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
-    """Drives of which the records cannot say whether it is wear or weather, and those with too few runs."""
+    """Drives of which the records cannot say whether it is wear or temperature, and those with too few runs."""
     found = []
     place = stack.columns.index(VISCOUS) if VISCOUS in stack.columns else None
     for number, drive in enumerate(stack.drives):
@@ -275,7 +275,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
             if abs(now - usual) > OUTSIDE_SDS * sd:
                 found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
-                    f"weather moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
+                    f"temperature moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
                     "logged, so wear cannot be distinguished from temperature: log it, or compare runs at the same one"
                 )))  # fmt: skip
     return found

@@ -1,7 +1,8 @@
 """Records of the runs that have none: one unit a run, by processes here, by one share of many, or by dask.
 
 A unit writes its record itself and returns nothing. One that is done again finds the record and does no work. What a
-run's file does wrong is noted with the store; what the store's disk does ends the work.
+run's file does wrong is noted with the store; what the store's disk does ends the work. A file whose place does not
+answer is no failure of the file: it is noted, and the run waits for the next work.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -22,7 +24,7 @@ from ..identification.dataset import DataError
 from ..recording.errors import RecordingError
 from .adding import facts_of
 from .measure import measured
-from .place import digest_of, local_copy
+from .place import digest_of, is_url, local_copy
 from .store import FleetStore
 
 Entry = dict[str, Any]
@@ -31,6 +33,10 @@ Progress = Callable[[float], None]
 
 class StoreWriteError(OSError):
     """The store does not take a record: the disk, not the run."""
+
+
+class UnreachedError(Exception):
+    """The place of a run's file does not answer."""
 
 
 def make_record(address: str, entry: Entry) -> None:
@@ -44,6 +50,11 @@ def make_record(address: str, entry: Entry) -> None:
             return
         try:
             row = record_row(entry)
+        except UnreachedError as error:
+            with _storing():
+                store.give_back(attempt)
+                store.note_unreached(run, entry["path"], str(error))
+            return
         except Exception as error:  # whatever is in the file: it stops nobody else
             reason = str(error) if isinstance(error, DataError) else f"{type(error).__name__}: {error}"
             with _storing():
@@ -63,10 +74,10 @@ def make_record(address: str, entry: Entry) -> None:
 
 
 def record_row(entry: Entry) -> dict[str, Any]:
-    """The record of a run that the index names. Raises DataError for what its file does wrong, OSError."""
+    """The record of a run that the index names. Raises DataError for what its file does wrong, UnreachedError."""
     path = str(entry["path"])
-    with local_copy(path) as copy:
-        digest = digest_of(copy)
+    with contextlib.ExitStack() as kept:
+        copy, digest = _reached(path, kept)
         if digest != entry["run"]:
             raise DataError(f"{path}: has changed since it was added: add it again")
         try:
@@ -75,6 +86,24 @@ def record_row(entry: Entry) -> dict[str, Any]:
         except (RecordingError, DocumentError) as error:
             raise DataError(str(error).replace(str(copy), path)) from error
     return row | {name: entry[name] for name in ("drive", "model", "path", "start")}
+
+
+def _reached(path: str, kept: contextlib.ExitStack) -> tuple[Path, str]:
+    """The file on this machine, for as long as `kept`, and its content hash.
+
+    Raises DataError where it is gone from a place that answers, UnreachedError where that does not.
+    """
+    try:
+        copy = kept.enter_context(local_copy(path))
+        return copy, digest_of(copy)
+    except DocumentError:
+        raise
+    except FileNotFoundError as error:
+        if is_url(path) or Path(path).parent.is_dir():
+            raise DataError(f"{path}: {error.strerror or 'no such file'}: it is gone since it was added") from None
+        raise UnreachedError(f"{path}: its directory is not there") from error
+    except Exception as error:  # clients of object stores have their own
+        raise UnreachedError(f"{path}: cannot be reached: {error}") from error
 
 
 @contextlib.contextmanager

@@ -258,7 +258,7 @@ def wave_columns(rows: RegressionRows, order: float) -> Floats:
 
 
 def _passed_by_filter(rows: RegressionRows, order: float) -> Floats:
-    return np.asarray(1.0 / (1.0 + (order * rows.velocity_rps / rows.cutoff_hz) ** FILTER_ORDER))
+    return np.asarray(1.0 / (1.0 + np.square(order * rows.velocity_rps / rows.cutoff_hz) ** (FILTER_ORDER // 2)))
 
 
 def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:

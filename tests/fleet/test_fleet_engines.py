@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from fleet.fleet_rig import FACTS, files_of, filled_store, write_run
 
+import fffo_drive as fd
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet import work as work_module
 from fffo_drive.fleet.adding import Given, add_runs, runs_below
@@ -26,6 +27,7 @@ from fffo_drive.fleet.store import MOST_TRIES, FleetStore
 from fffo_drive.fleet.work import StoreWriteError, make_record, shard_of, work
 
 ANSWER_S = 30.0
+AXIS = Path(__file__).resolve().parents[2] / "configs" / "axis_simulated.yaml"
 
 
 @pytest.fixture(scope="session")
@@ -47,6 +49,44 @@ def merged_bytes(six_runs, tmp_path_factory):
 def merged(store):
     store.compact()
     return files_of(Path(store.place.address))
+
+
+def test_a_place_that_does_not_answer_is_no_failure_of_the_file(six_runs, tmp_path):
+    mounted = tmp_path / "mounted"
+    mounted.mkdir()
+    path = write_run(mounted / "run.csv", 60)
+    store = filled_store(tmp_path / "store", [path])
+    mounted.rename(tmp_path / "away")
+    for _ in range(MOST_TRIES + 1):
+        work(store.place.address, store.waiting(), workers=1)
+    assert store.failures() == []
+    assert store.status().waiting == 1
+    (noted,) = store.unreached()
+    assert "its directory is not there" in noted.reason
+    (tmp_path / "away").rename(mounted)
+    work(store.place.address, store.waiting(), workers=1)
+    assert (store.status().recorded, store.unreached()) == (1, [])
+
+
+def test_a_torn_recording_and_the_finished_file_made_of_it_are_one_run(six_runs, tmp_path):
+    profile = tmp_path / "short.yaml"
+    profile.write_text("profile: {kind: paper, duration_s: 4, seed: 9}\n")
+    fd.run(AXIS, tmp_path / "run.mcap", toggle="ff", profile=profile)
+    whole, torn = (tmp_path / "run.mcap").read_bytes(), tmp_path / "run.mcap.part"
+    (tmp_path / "run.mcap").rename(tmp_path / "kept")
+    torn.write_bytes(whole[: len(whole) * 3 // 4])
+    store = FleetStore(str(tmp_path / "store"), create=True)
+    given = Given("d1", "m1", None)
+    assert add_runs(store, [str(torn)], given).new == 1
+    work(store.place.address, store.waiting(), workers=1)
+    assert store.status().recorded == 1
+    store.compact()
+    (tmp_path / "kept").rename(tmp_path / "run.mcap")
+    assert add_runs(store, [str(tmp_path / "run.mcap")], given).new == 1
+    assert add_runs(store, [str(torn)], given).new == 0
+    assert store.status().runs == 1
+    work(store.place.address, store.waiting(), workers=1)
+    assert store.records(["path"]).column("path").to_pylist() == [str(tmp_path / "run.mcap")]
 
 
 def test_processes_make_the_same_bytes(six_runs, merged_bytes, tmp_path):

@@ -15,7 +15,9 @@ import pytest
 from fleet.fleet_rig import files_of
 
 from fffo_drive.documents import DocumentError
-from fffo_drive.fleet.history import balance_of_rows, history
+from fffo_drive.fleet.backlash import GAP_UPPER
+from fffo_drive.fleet.compare import side_of_store
+from fffo_drive.fleet.history import balance_of_rows, histories, history, matrix_of
 from fffo_drive.fleet.place import StorePlace
 from fffo_drive.fleet.regress import PARAMETERS, UPPER
 from fffo_drive.fleet.schema import HIGHEST_ORDER, RECORD_SCHEMA, SCHEMA_VERSION, file_bytes, table_of
@@ -210,6 +212,30 @@ def test_records_of_an_older_version_are_read_and_the_newest_of_a_run_counts(sto
     assert store.records(["rms_nm"]).column("rms_nm").to_pylist() == [0.1]
     store.compact()
     assert store.records(["rms_nm"]).column("rms_nm").to_pylist() == [0.1]
+
+
+def test_records_of_before_the_gap_are_read_beside_newer_ones_and_merged(store):
+    gap = [name for name in RECORD_SCHEMA.names if name.startswith("gap_")]
+    old = table_of([row(1) | {"schema_version": 1}]).drop_columns(gap)
+    store.place.write(f"records/new/{1:064x}-1.parquet", file_bytes(old, small=True))
+    newer = {"gap_rev": 0.02, "gap_log_sd": 0.03, "gap_normal": np.ones(GAP_UPPER[0].size), "gap_rows": 5.0}
+    store.write_record(row(2, days=1) | newer)
+    for _ in range(2):
+        found = history(store, "d1")
+        assert np.array_equal(found.gap_rev, [np.nan, 0.02], equal_nan=True)
+        summed = matrix_of(store.records(["gap_normal"]), "gap_normal")
+        assert np.nansum(summed) == GAP_UPPER[0].size
+        store.compact()
+
+
+def test_drives_of_two_models_with_one_number_are_two_drives(store):
+    store.write_record(row(1))
+    store.write_record(row(2, days=1) | {"model": "m2"})
+    with pytest.raises(DocumentError, match=r"one of each of m1, m2.*--model"):
+        history(store, "d1")
+    assert history(store, "d1", "m2").run.tolist() == [f"{2:064x}"]
+    assert histories(store, "m1")["d1"].run.tolist() == [f"{1:064x}"]
+    assert side_of_store(store, "..", "d1", "m1").records.num_rows == 1
 
 
 def test_records_of_a_later_version_are_refused_with_a_word(store):

@@ -26,7 +26,7 @@ VISCOUS_PER_K, COULOMB_PER_K = -0.02, -0.004
 
 def drawn(
     number: int, change: dict[int, float] | None = None, at: int = 25, runs: int = 50, season_k: float = 10.0,
-    logged: bool = True, ripple: float = 1.0,
+    logged: bool = True, ripple: float = 1.0, gap: float = 1.0,
 ) -> RunHistory:  # fmt: skip
     """A drive's records: weather with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
     rng = np.random.default_rng([11, number])
@@ -44,10 +44,13 @@ def drawn(
     amplitude = np.full((runs, 20), np.nan)
     amplitude[:, 11] = 1e-3 * np.exp(0.1 * rng.standard_normal(runs))
     amplitude[at:, 11] *= ripple
+    gap_rev = 0.02 * np.exp(0.05 * rng.standard_normal(runs))
+    gap_rev[at:] *= gap
     return RunHistory(
         np.arange(runs) * WEEK_S, theta, information, PARAMETERS, 2e-3 * np.exp(0.1 * rng.standard_normal(runs)),
         amplitude, np.arange(1.0, 21.0), np.full(runs, 3.0),
         25.0 + warmer_k if logged else np.full(runs, math.nan), np.array([f"{number}_{k}" for k in range(runs)]),
+        gap_rev, np.full(runs, 0.02),
     )  # fmt: skip
 
 
@@ -185,6 +188,14 @@ def test_a_doubled_ripple_is_named_by_its_order() -> None:
     found = watch(fleet(ripple=2.0), 1e-3).found
     assert [(alarm.drive, alarm.law) for alarm in found.alarms] == [("0", "ripple of order 12")]
     assert found.alarms[0].change == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_a_gap_grown_by_a_fifth_is_named_backlash(logged: bool) -> None:
+    found = watch(fleet(gap=1.2, logged=logged), 1e-3).found
+    assert [(alarm.drive, alarm.law) for alarm in found.alarms] == [("0", "backlash")]
+    low, high = found.alarms[0].interval
+    assert low < 0.2 < high
 
 
 def test_a_constant_torque_is_named() -> None:

@@ -26,6 +26,7 @@ from lives_plant import (
 )
 
 from fffo_drive.evaluation.campaign import Candidate, Case
+from fffo_drive.fleet.backlash import Gap, gap_of, gap_sums
 from fffo_drive.fleet.channels import MEAN_DEGC, STEP_K, inverse_total, learn, stacked
 from fffo_drive.fleet.history import RunHistory
 from fffo_drive.fleet.measure import _left
@@ -41,6 +42,7 @@ FACTS = DriveFacts(torque_constant_nm_per_a=0.148, rated_current_a=8.3, gear_rat
 THERMOMETER_K = 0.5  # noise of a logged temperature
 BLOCK = 5  # neighbours that are drawn together: what has a memory keeps it
 ORDERS = np.arange(1.0, 101.0)
+GENERATED = ("level", "slope", "size", "away", "wave", "info", "speed", "gap_sd")  # of each real drive
 LEAST_RUNS = 20  # without wear, of a real drive that is drawn from
 
 
@@ -56,16 +58,20 @@ def row_of(record: Record) -> dict[str, Floats]:
     """What a history has of a run."""
     cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / record.period_s)
     stretches, _ = stretches_of([record], cutoff_hz)
-    rows = rows_at(stretches, cutoff_hz, delay_between(stretches, cutoff_hz))
+    delay_s = delay_between(stretches, cutoff_hz)
+    rows = rows_at(stretches, cutoff_hz, delay_s)
     columns = balance_columns(rows, FACTS)
     balance = balance_of(columns, rows)
     found = solve(balance)
     residual_nm = np.where(rows.sliding, rows.torque_nm - columns @ found.theta, 0.0)
     velocity = np.concatenate([one.motion.velocity_rps for one in stretches])
+    sums = gap_sums(record, FACTS, found, delay_s)
+    gap = gap_of(sums, FACTS.units) if sums is not None else Gap(np.nan, np.nan, np.nan)
     return {
         "theta": found.theta, "info": found.information, "rms": np.array(found.rms_nm),
         "orders": np.asarray(_left(rows, residual_nm, balance, FACTS)["order_amplitude_nm"]),
         "speed": np.array(np.sqrt(np.mean(velocity**2))),
+        "gap": np.array(gap.gap_rev), "gap_sd": np.array(gap.log_sd),
     }  # fmt: skip
 
 
@@ -95,7 +101,7 @@ def read_life(life: Life, path: Path) -> RealLife:
     names = np.array([f"{life.number}_{k}" for k in range(count)])
     own = RunHistory(
         rows["time"], rows["theta"], rows["info"], PARAMETERS, rows["rms"], rows["orders"], ORDERS, rows["speed"],
-        degc, names,
+        degc, names, rows["gap"], rows["gap_sd"],
     )  # fmt: skip
     return RealLife(life, own, rows["wear"])
 
@@ -110,9 +116,10 @@ class Generator(NamedTuple):
 
     levels: Floats  # (d, p) of real drives, in the units of the records
     slopes: Floats  # (d, p) per kelvin
-    amplitude_levels: Floats  # (d, 2) logarithms: the ripple and the residual
+    amplitude_levels: Floats  # (d, 3) logarithms: the ripple, the residual and the gap
     deviations: tuple[Floats, ...]  # of each drive (n, p)
-    amplitudes: tuple[Floats, ...]  # (n, 2) less their level
+    amplitudes: tuple[Floats, ...]  # (n, 3) less their level
+    gap_sds: tuple[Floats, ...]  # (n,)
     information: tuple[Floats, ...]  # (n, p, p)
     speeds: tuple[Floats, ...]  # (n,)
     wears: dict[str, tuple[Floats, Floats]]  # of each law: what the whole wear adds, over the level; and to amplitudes
@@ -124,7 +131,7 @@ def fit_generator(lives: Sequence[RealLife], order: float) -> Generator:
     stack = stacked({str(one.life.number): one.history for one in lives})
     fleet = learn(stack)
     columns = [PARAMETERS.index(name) for name in stack.columns]
-    parts: dict[str, list[Floats]] = {name: [] for name in ("level", "slope", "size", "away", "wave", "info", "speed")}
+    parts: dict[str, list[Floats]] = {name: [] for name in GENERATED}
     signatures: dict[str, list[Floats]] = {}
     signature_waves: dict[str, list[Floats]] = {}
     for number, one in enumerate(lives):
@@ -138,7 +145,9 @@ def fit_generator(lives: Sequence[RealLife], order: float) -> Generator:
         normal = np.einsum("na,nb,nij->aibj", design[kept], design[kept], inverse[kept]).reshape(p * q, p * q)
         right = np.einsum("na,nij,nj->ai", design[kept], inverse[kept], theta[kept]).reshape(p * q)
         fitted = np.linalg.solve(normal + 1e-9 * np.eye(p * q), right).reshape(q, p)
-        waves = np.log(np.column_stack([one.history.order_amplitude_nm[:, place], one.history.rms_nm]))
+        waves = np.log(np.column_stack(
+            [one.history.order_amplitude_nm[:, place], one.history.rms_nm, one.history.gap_rev]
+        ))  # fmt: skip
         quiet = np.flatnonzero(whole == 0.0)
         usual = np.nanmedian(waves[quiet], axis=0)
         if q == 3 and (whole == 1.0).sum() >= BLOCK:
@@ -154,10 +163,11 @@ def fit_generator(lives: Sequence[RealLife], order: float) -> Generator:
         parts["away"].append((theta[quiet] - design[quiet, :2] @ fitted[:2]) * scale)
         parts["wave"].append(np.where(np.isfinite(waves[quiet]), waves[quiet] - usual, np.nan))
         parts["info"].append(one.history.information[quiet][:, columns][:, :, columns])
+        parts["gap_sd"].append(one.history.gap_log_sd[quiet])
         parts["speed"].append(one.history.speed_rms_rps[quiet])
     return Generator(
         np.array(parts["level"]), np.array(parts["slope"]), np.array(parts["size"]), tuple(parts["away"]),
-        tuple(parts["wave"]), tuple(parts["info"]), tuple(parts["speed"]),
+        tuple(parts["wave"]), tuple(parts["gap_sd"]), tuple(parts["info"]), tuple(parts["speed"]),
         {wear: (np.mean(signatures[wear], axis=0), np.mean(signature_waves[wear], axis=0)) for wear in signatures},
     )  # fmt: skip
 
@@ -176,8 +186,8 @@ def drawn_life(generator: Generator, life: Life, seed: int, order: float) -> Run
     times = np.sort(BEGIN_S + np.arange(life.runs) * WEEK_S + rng.uniform(-JITTER_S, JITTER_S, life.runs))
     warmer_k = np.array([weather_k(float(t), rng, season) for t in times])
     theta, information = np.empty((life.runs, p)), np.empty((life.runs, p, p))
-    waves, speed = np.empty((life.runs, 2)), np.empty(life.runs)
-    from_level, of_waves = generator.wears.get(life.wear, (np.zeros(p), np.zeros(2)))
+    waves, speed, gap_sd = np.empty((life.runs, 3)), np.empty(life.runs), np.empty(life.runs)
+    from_level, of_waves = generator.wears.get(life.wear, (np.zeros(p), np.zeros(3)))
     ratio = np.abs(level)
     scale = np.array([ratio[0], ratio[1], ratio[2], ratio[2], ratio[2], ratio[1], ratio[2], ratio[2]])[:p]
     for begin in range(0, life.runs, BLOCK):
@@ -191,6 +201,7 @@ def drawn_life(generator: Generator, life: Life, seed: int, order: float) -> Run
             information[run] = generator.information[source][k]
             waves[run] = size + generator.amplitudes[source][k] + share * of_waves
             speed[run] = generator.speeds[source][k]
+            gap_sd[run] = generator.gap_sds[source][k]
     whole, matrix = np.zeros((life.runs, len(PARAMETERS))), np.zeros((life.runs, len(PARAMETERS), len(PARAMETERS)))
     whole[:, :p], matrix[:, :p, :p] = theta, information
     amplitudes = np.full((life.runs, ORDERS.size), np.nan)
@@ -198,7 +209,8 @@ def drawn_life(generator: Generator, life: Life, seed: int, order: float) -> Run
     degc = MEAN_DEGC + warmer_k + THERMOMETER_K * rng.standard_normal(life.runs)
     names = np.array([f"{life.number}_{k}" for k in range(life.runs)])
     return RunHistory(
-        times, whole, matrix, PARAMETERS, np.exp(waves[:, 1]), amplitudes, ORDERS, speed, degc, names
+        times, whole, matrix, PARAMETERS, np.exp(waves[:, 1]), amplitudes, ORDERS, speed, degc, names,
+        np.exp(waves[:, 2]), gap_sd,
     )  # fmt: skip
 
 
