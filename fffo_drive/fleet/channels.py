@@ -235,10 +235,7 @@ def _typical_size(values: Floats, known: Floats) -> float:
 def _extras(
     histories: Mapping[str, RunHistory], orders: Sequence[float] | None
 ) -> tuple[tuple[float, ...], Floats, Floats]:
-    """Logarithms of the amplitudes of some orders, of the residual and of the gap, and their variances.
-
-    Those orders stand out where none are given.
-    """
+    """Logarithms of amplitudes of orders (None: those that stand out), of the residual and the gap; their variances."""
     first = next(iter(histories.values()))
     if orders is None:
         some = list(histories.values())[:LEARNED_DRIVES]
@@ -591,9 +588,7 @@ def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
     prior = learn(part)
     channels = channels_of(part, prior)
     own = channel_prior(part, channels)
-    found = detect(
-        part.bounds, part.time_s, channels.y, channels.variance, channels.covariates, own, LEARNING_RATE
-    )  # fmt: skip
+    found = detect(part.bounds, part.time_s, *channels[1:], own, LEARNING_RATE)
     kept = np.diff(part.bounds)
     for drive, first in zip(found.drive[::-1], found.first[::-1], strict=True):
         kept[drive] = first - part.bounds[drive]

@@ -1,6 +1,6 @@
 """Changes in each drive's own history, beside those with temperature, at a rate of false alarms that the user sets.
 
-`channels` takes temperature, load and speed out of the records, `detector` holds the bound on false alarms. Here alarms get
+`channels` takes temperature, load and speed out of the records, `detector` holds the bound on false alarms. Alarms get
 a law, a size with an interval, a first run, and runs to look at.
 """
 
