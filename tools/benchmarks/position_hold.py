@@ -3,15 +3,19 @@
 The chain (tools/benchmarks/chain.py) gives each random axis its model and gains. Then all variants of the hold run on
 it: motion, seven seconds of rest, a start in the same direction, five seconds of rest, a start in the other direction,
 five seconds of rest with a load step, and a start under that load. Errors are of the true velocity.
+
+With --rows each axis is saved when it is done, and the same command resumes after an interruption.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +74,7 @@ class Job(NamedTuple):
 
     axis: RandomAxis
     case: Case
+    rows: Path | None  # where its outcome is added
 
 
 class Figures(NamedTuple):
@@ -184,6 +189,26 @@ def figures_of(case: Case, candidate: Candidate) -> Figures | None:
 
 
 def run_job(job: Job) -> Outcome:
+    """The outcome of an axis, saved."""
+    found = outcome_of(job)
+    if job.rows is not None:
+        variants = {name: one._asdict() for name, one in found.variants.items()}
+        with job.rows.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(found._asdict() | {"variants": variants}) + "\n")
+    return found
+
+
+def read_rows(path: Path) -> list[Outcome]:
+    """What `run_job` saved."""
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        row = json.loads(line)
+        variants = {name: Figures(**one) for name, one in row["variants"].items()}
+        found.append(Outcome(**row | {"variants": variants}))
+    return found
+
+
+def outcome_of(job: Job) -> Outcome:
     """The chain on an axis, then every variant."""
     axis, scenario = job.axis, read_scenario(SCENARIO)
     case = job.case._replace(plant=axis.plant)
@@ -264,13 +289,19 @@ def run() -> int:
     """The command."""
     options = parser(NAME, __doc__ or "", AXES, 1)
     options.add_argument("--first", type=int, default=FIRST, help="number of the first random axis")
+    options.add_argument("--rows", type=Path, help="save results here (JSON lines), and resume from it")
     chosen = options.parse_args()
     count = chosen.passes or (1 if chosen.sample else AXES)
     case = case_of(read_scenario(SCENARIO), 1)
     warm_up(case)
-    jobs = [Job(wide_axis(case.plant, number), case) for number in range(chosen.first, chosen.first + count)]
+    numbers = range(chosen.first, chosen.first + count)
+    done = read_rows(chosen.rows) if chosen.rows is not None and chosen.rows.is_file() else []
+    done = [one for one in done if one.number in numbers]
+    known = {one.number for one in done}
+    jobs = [Job(wide_axis(case.plant, number), case, chosen.rows) for number in numbers if number not in known]
     with shown("axes") as progress:
-        done = over_cores(run_job, jobs, progress=None if progress is None else lambda n: progress(n / count))
+        done += over_cores(run_job, jobs, progress=None if progress is None else lambda n: progress(n / len(jobs)))
+    done.sort(key=lambda one: one.number)
     found = [one for one in done if one.variants]
     report = Report(NAME, f"{(__doc__ or '').strip()}\n\nAxes {chosen.first} to {chosen.first + count - 1}.")
     report.facts["axes"] = len(found)
