@@ -27,7 +27,7 @@ from .friction_observer import (
     observer_velocity_rps,
 )
 from .pi import PiConfig, pi_step
-from .position_hold import NO_HOLD, HoldConfig, HoldState, hold_step, nothing_held
+from .position_hold import NO_HOLD, HoldConfig, HoldState, hold_step, nothing_held, within_bound
 from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 
 
@@ -158,6 +158,7 @@ def controller_step(
     integral_a, hold = state.integral_a, state.hold
     if at_rest and config.rest.hold.bound_a > 0.0:
         hold = hold_step(config.rest.hold, hold, rest, position_rev, state.limited, config.period_s)
+        hold, integral_a = within_bound(config.rest.hold, hold, integral_a)
     else:
         integral_a += hold.current_a
         hold = nothing_held()

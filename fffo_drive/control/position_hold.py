@@ -7,6 +7,11 @@ Its bound is a share of the least friction in sliding. It cannot move the axis o
 holds the axis it stays at its bound; and in sliding, friction takes more power than it can give, whatever its phase.
 The linear margins therefore count on the contact that sticks (control/stability). An axis that is moved farther than
 its contact's travel has slid: it is held where it is then, the travel behind, and not brought back all the way.
+
+What the model lacked while the axis moved is in the velocity loop's integral when it stops. Where that is more than
+the bound, as with a model of too little Coulomb friction, it pushes the axis on. What the hold asks for beyond its
+bound is therefore taken off that integral, down to nothing and never beyond. The gain is the same on both sides of the
+bound, and so is the margin. What is taken off is not given back: it is spent once and feeds no oscillation.
 """
 
 from __future__ import annotations
@@ -49,7 +54,10 @@ def nothing_held() -> HoldState:
 def hold_step(
     config: HoldConfig, state: HoldState, rest: float, position_rev: float, limited: bool, period_s: float
 ) -> HoldState:
-    """A period at rest. `rest`: how far the gains have gone to those at rest; `limited`: the last command was cut."""
+    """A period at rest; the current is not bounded yet (`within_bound`).
+
+    `rest`: how far the gains have gone to those at rest; `limited`: the last command was cut.
+    """
     if not math.isfinite(position_rev):
         return state
     if not state.latched:
@@ -63,4 +71,14 @@ def hold_step(
     current_a = state.current_a
     if not limited:
         current_a -= config.integral_a_per_rev_s * period_s * math.copysign(beyond_rev, away_rev)
-    return HoldState(True, held_rev, min(max(current_a, -config.bound_a), config.bound_a))
+    return HoldState(True, held_rev, current_a)
+
+
+@njit
+def within_bound(config: HoldConfig, state: HoldState, integral_a: float) -> tuple[HoldState, float]:
+    """The hold within its bound, and the velocity loop's integral, less what the hold asked for against it beyond."""
+    current_a = min(max(state.current_a, -config.bound_a), config.bound_a)
+    beyond_a = state.current_a - current_a
+    if beyond_a * integral_a < 0.0:
+        integral_a += math.copysign(min(abs(beyond_a), abs(integral_a)), beyond_a)
+    return HoldState(state.latched, state.position_rev, current_a), integral_a

@@ -14,9 +14,10 @@ from fffo_drive.control.controller import (
     controller_step,
     pack_controller,
     unpack_controller,
+    with_limited,
 )
 from fffo_drive.control.feedforward import NO_FEEDFORWARD, steady_reference
-from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
+from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.position_hold import NO_HOLD, HoldConfig
 from fffo_drive.control.stability import LinearAxis
@@ -127,6 +128,57 @@ def test_against_a_hand_or_a_stop_it_stays_at_its_bound_and_lets_go_of_what_has_
     assert -terms.hold_a * away_rev < 0.0 or abs(terms.hold_a) < BOUND_A
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_beyond_its_bound_it_takes_off_the_integral_at_the_same_rate_and_stops_at_nothing(sign):
+    left_a = 3.0 * BOUND_A
+    state = settled()._replace(integral_a=sign * left_a)
+    a_tick_a = HOLD.integral_a_per_rev_s * PERIOD_S * 2.0 * COUNT_REV
+    commands = [sign * left_a]
+    for _ in range(math.ceil((left_a + BOUND_A) / a_tick_a) + 10):
+        terms, state = at_rest(LAW, state, 3.25 + sign * 3.0 * COUNT_REV)
+        commands.append(terms.command_a)
+    steps = sign * np.diff(commands)
+    assert steps[:-11] == pytest.approx(-a_tick_a, rel=1e-6)  # no kink at the bound: one gain, one margin
+    assert steps[-9:] == pytest.approx(0.0, abs=1e-15)
+    assert state.integral_a == 0.0
+    assert terms.command_a == terms.hold_a == -sign * BOUND_A
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_the_integral_holds_against_a_load_is_not_raised_nor_given_back(sign):
+    state = settled()._replace(integral_a=sign * 2.0 * BOUND_A)
+    for _ in range(20_000):  # the load pulls away from the integral's side: the hold helps, up to its bound
+        terms, state = at_rest(LAW, state, 3.25 - sign * 6.0 * COUNT_REV)
+    assert terms.hold_a == sign * BOUND_A
+    assert state.integral_a == sign * 2.0 * BOUND_A
+
+
+@pytest.mark.parametrize("toggles", [(TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD), (TOGGLE_OFF, TOGGLE_FEEDFORWARD)])
+def test_toggling_the_observer_leaves_a_charged_hold_as_it_is(toggles):
+    state = settled()
+    away_rev = 6.0 * COUNT_REV
+    for _ in range(40):
+        before, state = at_rest(LAW, state, 3.25 + away_rev)
+    assert abs(before.hold_a) > 0.01
+    a_tick_a = HOLD.integral_a_per_rev_s * PERIOD_S * (away_rev - COUNT_REV)
+    for toggle in toggles:
+        terms, state = at_rest(LAW, state, 3.25 + away_rev, toggle)
+        assert before.hold_a - terms.hold_a == pytest.approx(a_tick_a)
+        assert abs(terms.command_a - before.command_a) == pytest.approx(a_tick_a)
+        before = terms
+
+
+def test_an_envelope_below_its_bound_stops_it_from_winding_up():
+    limit_a = 0.5 * BOUND_A
+    state = settled()
+    away_rev = 6.0 * COUNT_REV
+    a_tick_a = HOLD.integral_a_per_rev_s * PERIOD_S * (away_rev - COUNT_REV)
+    for _ in range(20_000):
+        terms, state = at_rest(LAW, state, 3.25 + away_rev)
+        state = with_limited(state, abs(terms.command_a) > limit_a)
+    assert limit_a < -terms.hold_a <= limit_a + 1.01 * a_tick_a
+
+
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_the_next_motion_begins_without_a_jump_and_holds_nothing(direction):
     state = settled()
@@ -198,3 +250,25 @@ def test_a_load_step_at_rest_is_brought_back_and_does_not_creep_on(load_share):
     assert scatter["with"] < 1.2 * scatter["without"]  # about its trend: noise alone, no hunting
     assert left["with"] < 3.0
     assert left["without"] > 2.0 * left["with"]
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_model_of_too_little_friction_does_not_let_the_axis_creep_on_after_a_stop(direction):
+    """A tenth of the friction: the integral makes up for the rest, and pushes when the axis has stopped."""
+    tenth = TABLE1._replace(coulomb_nm=0.1 * TABLE1.coulomb_nm, static_nm=0.1 * TABLE1.static_nm)
+    hold = HOLD._replace(bound_a=0.5 * tenth.coulomb_nm / KT)
+    poor = LAW._replace(observer=LAW.observer._replace(friction=tenth), rest=LAW.rest._replace(hold=hold))
+    crept, left_a = {}, {}
+    for name, config in (("with", poor), ("without", poor._replace(rest=poor.rest._replace(hold=NO_HOLD)))):
+        axis = Axis()
+        _, state = axis.run(config, controller_at_rest(), steady_reference(direction), 1.0)
+        _, state = axis.run(config, state, STILL, 0.7)
+        stopped_a = state.integral_a
+        (hold_a, _, counts), state = axis.run(config, state, STILL, 4.0)
+        assert np.abs(hold_a).max() <= hold.bound_a
+        assert direction * stopped_a > 3.0 * hold.bound_a
+        crept[name] = abs(counts[-400:].mean() - counts[:400].mean())
+        left_a[name] = state.integral_a / stopped_a
+    assert crept["with"] < 3.0
+    assert crept["without"] > 3.0 * crept["with"]
+    assert 0.0 <= left_a["with"] < left_a["without"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,21 @@ from runtime.scripted_port import ANSWERS, STATUSWORD, WAKE_DELAY_NS, scripted
 from runtime.test_loop import CONTROLLER, Rig, envelope
 
 from fffo_drive.cli import main
+from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import pack_controller
 from fffo_drive.control.envelope import TRIP_FOLLOWING_ERROR
-from fffo_drive.control.reference import MODE_VELOCITY
+from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from fffo_drive.control.position_hold import HoldConfig
+from fffo_drive.control.reference import MODE_VELOCITY, piecewise_linear
 from fffo_drive.control.velocity_estimator import BRIDGED_TICKS, estimator_config
 from fffo_drive.drive.cia402 import GOAL_ENABLED
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.evaluation.replay import TERMS, WORDS, Replay, law_in_force
 from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.session import Session
 from fffo_drive.runtime.tick import FLAG_ADAPTS, FLAG_ESTIMATED_VELOCITY
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -95,6 +103,35 @@ def test_a_run_on_the_estimated_velocity_is_reproduced_bit_for_bit(axis_file, tm
     report = json.loads(capsys.readouterr().out)
     assert report["exact"]
     assert report["rows"] > 12_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("toggle", [TOGGLE_OFF, TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK])
+def test_a_run_with_a_hold_of_the_position_is_reproduced_bit_for_bit(toggle):
+    """Stop and go under a load: the hold begins, works at its bound on the integral too, ends with the next motion."""
+    case = case_of(read_scenario(CONFIGS / "scenarios" / "paper.yaml"), 1)
+    law = next(c.controller for c in case.candidates if c.name == "pi+fffo+")
+    hold = HoldConfig(2000.0, 2.0**-15, 1e-3, 0.01)
+    law = law._replace(rest=law.rest._replace(gain_share=0.5, fade_share=0.1, release_share=0.1, hold=hold))
+    load = EffectConfig("periodic_disturbance", {"amplitude_nm": 0.02, "frequency_hz": 0.7})
+    drive = SimulatedDrive(replace(case.plant, effects=(load,)), case.device)
+    drive.connect()
+    session = Session(drive, case.session._replace(controller=law))
+    times_s, values_rps = np.array([0.0, 0.1, 0.3, 0.4, 2.0, 2.1, 2.3, 2.4, 4.0]), np.zeros(9)
+    values_rps[[1, 2]], values_rps[[5, 6]] = 2.0, -2.0
+    session.run_profile(piecewise_linear("stop and go", MODE_VELOCITY, 5e-4, times_s, values_rps), toggle)
+    rows = RingReader(session.ring).read().rows
+    held = rows["hold_a"] != 0.0
+    assert held.sum() > 2000
+    assert np.abs(rows["hold_a"]).max() == hold.bound_a
+    nothing = np.zeros(rows.size, np.int64)
+    in_force = law_in_force([pack_controller(law)], [session.blocks.effects[0]], case.session.envelope)
+    replayed = Replay().run(in_force, rows, nothing, nothing)
+    assert replayed.known.all()
+    acts = rows["mode"] == MODE_VELOCITY
+    for column, name in enumerate(TERMS):
+        np.testing.assert_array_equal(replayed.terms[acts, column], rows[name][acts])
+    np.testing.assert_array_equal(replayed.commands[:, 0], rows["limited_a"])
 
 
 def lag_s(velocity_rps, true_rps):

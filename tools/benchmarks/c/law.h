@@ -143,8 +143,8 @@ static struct velocity_estimator_terms velocity_estimator_step(const struct velo
 
 /* ---- the hold of the position at rest ---- */
 
-static void hold_step(const struct hold_config *c, struct hold_state *state, double rest, double position_rev,
-                      bool limited, double period_s)
+static void hold_step(const struct hold_config *c, struct hold_state *state, double *integral_a, double rest,
+                      double position_rev, bool limited, double period_s)
 {
     if (!isfinite(position_rev))
         return;
@@ -160,7 +160,11 @@ static void hold_step(const struct hold_config *c, struct hold_state *state, dou
     double beyond_rev = larger(fabs(away_rev) - c->dead_band_rev, 0.0);
     if (!limited)
         state->current_a -= c->integral_a_per_rev_s * period_s * copysign(beyond_rev, away_rev);
-    state->current_a = smaller(larger(state->current_a, -c->bound_a), c->bound_a);
+    double asked_a = state->current_a;
+    state->current_a = smaller(larger(asked_a, -c->bound_a), c->bound_a);
+    double beyond_a = asked_a - state->current_a;
+    if (beyond_a * *integral_a < 0.0)
+        *integral_a += copysign(smaller(fabs(beyond_a), fabs(*integral_a)), beyond_a);
 }
 
 /* ---- the law ---- */
@@ -180,7 +184,8 @@ static void controller_step(const struct controller_config *c, struct controller
     state->rest = at_rest ? state->rest + c->rest.fade_share * (1.0 - state->rest) : 0.0;
     double gain_share = 1.0 - state->rest * (1.0 - c->rest.gain_share);
     if (at_rest && c->rest.hold.bound_a > 0.0) {
-        hold_step(&c->rest.hold, &state->hold, state->rest, position_rev, state->limited, c->period_s);
+        hold_step(&c->rest.hold, &state->hold, &state->integral_a, state->rest, position_rev, state->limited,
+                  c->period_s);
     } else {
         state->integral_a += state->hold.current_a;
         state->hold = (struct hold_state){0, 0.0, 0.0};
