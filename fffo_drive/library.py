@@ -34,6 +34,7 @@ from .evaluation.summary import Summary, summarise
 from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
 from .identification.facts import DriveFacts
 from .identification.facts import read_facts as read_facts
+from .identification.population import AgainstPopulation
 from .identification.tuning import Wish
 from .model.parameters import ModelFile
 from .model.parameters import read_model as read_model
@@ -299,14 +300,38 @@ def _several(runs: MeasuredRun | Sequence[MeasuredRun]) -> list[MeasuredRun]:
 
 
 def identify(
-    runs: MeasuredRun | Sequence[MeasuredRun], *, facts: DriveFacts | None = None, name: str = "model"
-) -> Identified:
+    runs: MeasuredRun | Sequence[MeasuredRun], *, facts: DriveFacts | None = None, name: str = "model",
+    prior: str | Path | None = None, prior_model: str | None = None,
+) -> Identified:  # fmt: skip
     """Fit inertia, delay and 2SEP friction to runs of one axis. `.model` can be written, run and tuned.
 
-    Raises DataError for runs that carry no fit.
+    `prior`: a store of `fffo-drive fleet` or a population's file: the model then has what drives of its type
+    (`prior_model`; None: what the runs say) have in common, as far as the runs do not determine it; `.result["prior"]`
+    has prior, runs and both. Raises DataError for runs that carry no fit, DocumentError for a prior that is none.
     """
-    records, chosen = _records(_several(runs), facts)
-    return identifying.identify(records, chosen, name)
+    several = _several(runs)
+    records, chosen = _records(several, facts)
+    return identifying.identify(records, chosen, name, None, _prior(prior, several, records, chosen, prior_model))
+
+
+def _prior(
+    prior: str | Path | None, runs: Sequence[MeasuredRun], records: Sequence[Record], facts: DriveFacts,
+    model: str | None,
+) -> AgainstPopulation | None:  # fmt: skip
+    if prior is None:
+        return None
+    try:
+        from .fleet import measure, standing
+    except ImportError as error:
+        raise DocumentError(f"prior: needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+    path = runs[0].path
+    if path is None:  # of arrays
+        who = standing.Who("", model or facts.name)
+    else:
+        who = standing.who_of(path, None if path.name.endswith(RECORDINGS) else facts, model)
+    population = standing.population_at(str(prior), who)
+    degc = [measure.temperature_of(run.columns) for run in runs]
+    return standing.against_population(population, str(prior), records, degc, facts)
 
 
 def tune(
@@ -327,8 +352,11 @@ def tune(
 def diagnose(
     runs: MeasuredRun | Sequence[MeasuredRun], held_out: MeasuredRun | Sequence[MeasuredRun] = (), *,
     model: ModelFile | None = None, facts: DriveFacts | None = None, out: str | Path | None = None,
+    prior: str | Path | None = None, prior_model: str | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Find what the model lacks on `runs`, prove it on `held_out`. `model`: the base (None: identified from the runs).
+
+    `prior`, `prior_model`: as of `identify`, in place of `model`: what the runs determine poorly of the base model.
 
     `.headline` says it in a sentence, `.findings` have size, interval and proof, `.model_after` is the model with them.
     Findings are in Nm, rps and the units that each names. `out`: a directory for report.html, report.json and the
@@ -343,7 +371,10 @@ def diagnose(
         raise DocumentError(f"{both.name}: a run cannot be fitted and held out")
     if out is not None:
         diagnosing.require_place(Path(out))
-    found = diagnosing.diagnose(fit, proven, chosen, model)
+    if prior is not None and model is not None:
+        raise DocumentError("prior: the base model begins from model: give one of them")
+    against = _prior(prior, chosen_runs, fit, chosen, prior_model)
+    found = diagnosing.diagnose(fit, proven, chosen, model, None, None, against)
     if out is not None:
         files = [run.path for run in (*chosen_runs, *proof) if run.path is not None]
         diagnosing.write_diagnosis(found, fit, chosen, files, Path(out), None)

@@ -1,7 +1,8 @@
 """Find what the model of an axis lacks, name it, add it, and show the error before and after on held-out runs.
 
 RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the --fit runs only; the --held-out runs
-are used once, to prove the result. Without --model the base model is identified from the --fit runs. Writes the page
+are used once, to prove the result. Without --model the base model is identified from the --fit runs; with --prior, what
+these determine poorly comes from drives of the same type. Writes the page
 DIR/report.html, DIR/report.json (its schema is stable) and DIR/model.yaml, the base model with the effects found, which
 `fffo-drive adopt` puts in service.
 
@@ -31,11 +32,13 @@ from ..documents import DocumentError
 from ..identification.coverage import Coverage, coverage_lines
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
+from ..identification.population import AgainstPopulation
 from ..model.effects.laws.lookup import KindWord
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
 from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
 from .exits import EXIT_NOTHING_CARRIES_OVER
+from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
 CURVES: dict[KindWord, tuple[str, str]] = {  # in words, and the unit of its values
@@ -62,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="names to exclude from the search")
     parser.add_argument("--name", help="name of the model (default: the directory's)")
     parser.add_argument("--json", action="store_true", help="print report.json instead of the summary")
+    add_prior_arguments(parser)
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -81,10 +85,16 @@ def execute(options: argparse.Namespace) -> int:
         if not options.json:
             print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
 
+    def prior(facts: DriveFacts) -> AgainstPopulation | None:
+        against = prior_of(options, options.fit, facts)
+        if against is not None and not (options.json or against.other_population):  # that is a caution
+            print("\n".join(prior_lines(against)), flush=True)
+        return against
+
     done = diagnose_recordings(
         options.fit, options.held_out, out, facts_file=Path(options.drive) if options.drive else None,
         model_file=Path(options.model) if options.model else None, name=options.name, settings=settings,
-        without=options.without, told=told, bar=partial(progress_bar, quiet=options.json),
+        without=options.without, told=told, bar=partial(progress_bar, quiet=options.json), prior=prior,
     )  # fmt: skip
     if done.removed is not None:
         print(f"{done.removed}: from an earlier diagnosis, removed: these runs give no model", file=sys.stderr)
@@ -106,6 +116,8 @@ def _require(options: argparse.Namespace, out: Path) -> None:
     shared = {Path(path).resolve() for path in options.fit} & {Path(path).resolve() for path in options.held_out}
     if shared:
         raise DocumentError(f"{sorted(shared)[0]}: the same run cannot be both fitted and held out")
+    if options.model and options.prior:
+        raise DocumentError("--prior: the base model begins from --model: give one of them")
     if options.alpha is not None and not 0.0 < options.alpha < 1.0:
         raise DocumentError(f"--alpha: {options.alpha:g} is not a probability: give a number above 0 and below 1")
     known = searched_names()

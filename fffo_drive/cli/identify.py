@@ -5,7 +5,8 @@ YAML file of declared facts (torque constant, resolver, poles and slots, columns
 config schema facts`); recordings of this program and of `fffo-drive import` contain them. If the logs show a constant
 torque, friction that differs by direction, gravity or ripple over the angle, it is fitted as well. Writes
 DIR/model.yaml for the controller, and the page DIR/report.html with DIR/report.json; --svg also draws every figure of
-the page.
+the page. With --prior, a few seconds of motion are enough: the model has what drives of its type have in common, as far
+as the logs do not determine it. A drive that is unlike the others is told, and gets the fit of its logs alone.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from ..report.page import refuse_other_report, write_report
 from ..units import text_on
 from ..workflows.identify import identify
 from ..workflows.recorded_facts import facts_for
+from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
 FIGURES = "figures"
@@ -42,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="name of the model (default: the directory's)")
     parser.add_argument("--svg", action="store_true", help=f"also draw each figure as DIR/{FIGURES}/NAME.svg")
     parser.add_argument("--json", action="store_true", help="print the parameters as JSON")
+    add_prior_arguments(parser)
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -53,13 +56,16 @@ def execute(options: argparse.Namespace) -> int:
     for record in records:
         for warning in record.warnings:
             print(f"warning: {warning}", file=sys.stderr)
+    prior = prior_of(options, options.logs, facts)
     with progress_bar("identify", options.json) as bar:
         name = options.name or out.resolve().name
-        found = identify(records, facts, name, None if bar is None else bar)
+        found = identify(records, facts, name, None if bar is None else bar, prior)
         out.mkdir(parents=True, exist_ok=True)
         write_model(out / "model.yaml", found.model)
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
-        page = identify_report(source, found.fit, records, found.residuals, found.result, found.coverage, found.cyclic)
+        page = identify_report(
+            source, found.fit, records, found.residuals, found.result, found.coverage, found.cyclic, prior
+        )
         paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -67,10 +73,13 @@ def execute(options: argparse.Namespace) -> int:
         write_figures(page.figures, out / FIGURES)
     if options.json:
         keys = ("parameters", "effects", "remarks", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
-        print(json.dumps({key: found.result[key] for key in keys} | {"report": str(paths.page)}, indent=2))
+        told = {key: found.result[key] for key in (*keys, "prior") if key in found.result}
+        print(json.dumps(told | {"report": str(paths.page)}, indent=2))
     else:
         print("\n".join(coverage_lines(found.coverage, facts.units == "linear")))
         _print(found.result)
+        if prior is not None:
+            print("\n".join(prior_lines(prior)))
         if found.cyclic is not None:
             print("\n".join(cyclic_lines(found.cyclic)))
         print(out / "model.yaml")

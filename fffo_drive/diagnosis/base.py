@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..identification.coordinates import LOGARITHMIC, MODEL_PARAMETERS, PARAMETERS, axis_of
 from ..identification.kinematics import low_pass
+from ..identification.population import FROM_POPULATION, AgainstPopulation
 from ..identification.threads import in_threads
 from ..model.axis import AxisConfig
 from ..model.friction import FrictionConfig
@@ -36,6 +37,18 @@ PRIOR_LOG_SD = 2.0
 RELATIVE_STEP = 0.005  # of the numeric sensitivities: of a positive parameter, by its logarithm
 EXPONENT_STEP = 0.005
 BALANCE_HZ = 30.0
+
+
+class BasePrior(NamedTuple):
+    """What is known of the base model beside the runs: a normal distribution in the coordinates of BASE."""
+
+    centre: Floats  # (len(NAMES),) physical
+    precision: Floats  # (len(BASE), len(BASE)), for rows that are independent
+    effective_rows: float = 0.0  # independent rows of the runs; 0: as many as there are
+
+    def weighed(self, rows: int) -> Floats:
+        """The precision beside so many rows: where these repeat each other, it counts as if it did likewise."""
+        return self.precision if self.effective_rows == 0.0 else self.precision * max(1.0, rows / self.effective_rows)
 
 
 class Along(NamedTuple):
@@ -83,9 +96,29 @@ def residual_rows(
     return np.asarray(joined - inertia * (rows.acceleration_rps2 + lag * snap_rows(rows)))
 
 
-def prior_sds() -> Floats:
-    """Prior standard deviations of BASE in its coordinates. (len(BASE),)"""
-    return np.array([PRIOR_SD.get(name, PRIOR_LOG_SD) for name in BASE])
+def wide_prior(start: Floats) -> BasePrior:
+    """Nothing is known: a wide prior around the start, for what the data do not determine."""
+    return BasePrior(start, np.diag([PRIOR_SD.get(name, PRIOR_LOG_SD) ** -2.0 for name in BASE]))
+
+
+def population_prior(against: AgainstPopulation | None, start: Floats) -> BasePrior:
+    """What the population says of inertia, viscous and Coulomb friction, the rest wide; all wide for no population, and
+    for a drive that is not of it."""
+    wide = wide_prior(start)
+    if against is None or against.other_population:
+        return wide
+    known = [(k, row) for k, row in enumerate(against.rows) if row.name in FROM_POPULATION and row.prior > 0.0]
+    if not known:
+        return wide
+    centre, precision = start.copy(), wide.precision.copy()
+    mean = np.array([row.prior for _, row in known])
+    for value, (_, row) in zip(mean, known, strict=True):
+        centre[NAMES.index(row.name)] = value
+    kept = [k for k, _ in known]
+    places = [BASE.index(row.name) for _, row in known]
+    # of logarithms, for deviations that are small beside the values
+    precision[np.ix_(places, places)] = np.linalg.inv(against.covariance[np.ix_(kept, kept)] / np.outer(mean, mean))
+    return BasePrior(centre, precision, against.effective_rows)
 
 
 def distance(physical: Floats, start: Floats) -> Floats:

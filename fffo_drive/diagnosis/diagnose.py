@@ -17,13 +17,14 @@ from ..identification.criterion import Gain
 from ..identification.dataset import DataError, Record, one_rate
 from ..identification.facts import DriveFacts
 from ..identification.fit import sensor_delay
+from ..identification.population import AgainstPopulation
 from ..identification.ranking import ranked
 from ..identification.runs import RunsLook, look_at_runs
 from ..model.effects.laws.lookup import PLAIN, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import axis_of_effect, is_compensable, law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity, effect_model
 from ..units import axis_word_on, inertia_kg_m2, inertia_nm_s2_per_rev
-from .base import BASE, NAMES
+from .base import BASE, NAMES, population_prior
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
 from .gates import NEGLIGIBLE, needed_rows
@@ -52,13 +53,17 @@ DELAY_TOLERANCE_S = 0.0015  # beyond the declared delay, from which on it is not
 SHOWN_TRIALS = 30
 
 
-def prepared(records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter) -> Data:
+def prepared(
+    records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter,
+    prior: AgainstPopulation | None = None,
+) -> Data:  # fmt: skip
     """Data as the fits begin."""
     stretches = stretches_of(records, filter_)
     if not stretches:
         raise DataError("no run has a stretch without a gap that is long enough")
     rows = rows_of(stretches, filter_)
-    return starting_data(facts, stretches, rows, len(records), None if model is None else physical_of(model))
+    data = starting_data(facts, stretches, rows, len(records), None if model is None else physical_of(model))
+    return data if prior is None else data._replace(prior=population_prior(prior, data.start))
 
 
 def filter_for(records: Sequence[Record], facts: DriveFacts, settings: DiagnosisSettings) -> Filter:
@@ -81,8 +86,12 @@ def physical_of(model: ModelFile) -> Floats:
 def diagnose(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, model: ModelFile | None = None,
     settings: DiagnosisSettings | None = None, progress: Progress | None = None,
+    prior: AgainstPopulation | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Find what the base model of an axis lacks. Effects are chosen on `fit` alone; `held_out` is for the proof.
+
+    `prior`: what drives of its model are, for what the runs determine poorly of the base model. It decides no finding:
+    the base is projected out of every effect's evidence, wherever it stands.
 
     Raises DataError where the runs cannot carry a fit.
     """
@@ -100,7 +109,7 @@ def diagnose(
         look = runs_look(fit)
         tell(0.02, "base model")
         filter_ = filter_for(fit, facts, settings)
-        data = prepared(fit, facts, model, filter_)
+        data = prepared(fit, facts, model, filter_, prior)
         tell(0.1, "search")
         selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
         selected = selector.run(data)
@@ -110,7 +119,7 @@ def diagnose(
         tell(0.85, "proof")
         found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
     tell(1.0, "done")
-    return replace(in_words_of_axis(found), seconds=time.monotonic() - begin)
+    return replace(in_words_of_axis(found), seconds=time.monotonic() - begin, prior=prior)
 
 
 def runs_look(records: Sequence[Record]) -> RunsLook | None:

@@ -24,15 +24,16 @@ from .base import (
     BASE,
     NAMES,
     Along,
+    BasePrior,
     along,
     balanced,
     distance,
     models_along,
     moved,
-    prior_sds,
     residual_rows,
     sensitivities,
     step_of,
+    wide_prior,
 )
 from .curves import curve_columns
 from .rows import DiagnosisRows, DiagnosisStretch
@@ -60,8 +61,9 @@ class Data(NamedTuple):
     rows: DiagnosisRows
     weight: Floats  # (m,) one over the level of noise; 0: not kept
     runs: int
-    start: Floats  # base parameters where the fits begin; the centre of the prior
+    start: Floats  # base parameters where the fits begin
     free: tuple[str, ...] = BASE  # of the base parameters: all, or those of a rigid base
+    prior: BasePrior | None = None  # None: a wide one around the start
 
     @property
     def used(self) -> Integers:
@@ -271,10 +273,11 @@ def fit(
     turns = data.rows.turns
     numbers = slots_of(effects, turns, shapes)
     count = len(BASE) if free_base else 0
-    precision = 1.0 / prior_sds()[:count] ** 2
+    prior = data.prior or wide_prior(data.start)
+    centre, precision = prior.centre, prior.weighed(data.used.size)[:count, :count]
     damping, change = 1e-4, np.inf
     matrix = np.zeros((best.white.size, 0))
-    penalty = _penalty(data, best, precision)
+    penalty = _penalty(best, centre, precision)
     for _ in range(iterations):
         if change > STEADY:
             own = effect_jacobian(data, best.effects, numbers, scenes)
@@ -283,8 +286,8 @@ def fit(
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
         gradient = matrix.T @ (weight * best.white)
         hessian = matrix.T @ (weight[:, None] * matrix)
-        gradient[:count] -= precision * distance(best.physical, data.start)[:count]
-        hessian[np.arange(count), np.arange(count)] += precision
+        gradient[:count] -= precision @ distance(best.physical, centre)[:count]
+        hessian[:count, :count] += precision
         _curve_prior(hessian, gradient, best, numbers, count)
         accepted = None
         for _ in range(4):
@@ -299,7 +302,7 @@ def fit(
                     limit = 0.25 / max(turns, 1.0)
                 moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
             trial, trial_scenes = evaluate(data, physical, moved_effects)
-            trial_penalty = _penalty(data, trial, precision)
+            trial_penalty = _penalty(trial, centre, precision)
             if np.isfinite(trial.loss) and trial.loss + trial_penalty < best.loss + penalty:
                 accepted = trial
                 break
@@ -314,10 +317,10 @@ def fit(
     return best
 
 
-def _penalty(data: Data, fitted: Fitted, precision: Floats) -> float:
+def _penalty(fitted: Fitted, centre: Floats, precision: Floats) -> float:
     """Of the prior, in nats a row."""
-    away = distance(fitted.physical, data.start)[: precision.size]
-    return 0.5 * float(np.sum(precision * away * away)) / max(1, fitted.white.size)
+    away = distance(fitted.physical, centre)[: precision.shape[0]]
+    return 0.5 * float(away @ precision @ away) / max(1, fitted.white.size)
 
 
 def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Sequence[Slot], first: int) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from .. import __version__, formats
 from ..documents import Confidence
+from ..identification.population import AgainstPopulation
 from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.effects.registry import law_of
@@ -246,6 +247,7 @@ class Diagnosis:
     seconds: float = 0.0
     fit_names: tuple[str, ...] = ()
     held_out_names: tuple[str, ...] = ()
+    prior: AgainstPopulation | None = None  # what the base model began from beside the runs
 
 
 def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
@@ -317,6 +319,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "tried": list(diagnosis.tried),
         "cautions": list(diagnosis.cautions),
         "settings": diagnosis.settings,
+        "prior": None if diagnosis.prior is None else diagnosis.prior.as_plain(),
         "seconds": diagnosis.seconds,
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,15 +43,7 @@ def measured(path: Path, digest: str, facts: DriveFacts | None) -> dict[str, Any
     else:
         log = log_of(path, facts)
     record = record_of_log(path, log, facts, digest)
-    cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / record.period_s)
-    stretches, _ = stretches_of([record], cutoff_hz)
-    sliding = sum(int(np.count_nonzero(stretch.sliding[stretch.rows])) for stretch in stretches)
-    if sliding < LEAST_ROWS:
-        raise DataError(
-            f"{path}: {sliding} rows of sure sliding motion, {LEAST_ROWS} are needed: hardly anything moves"
-        )
-    delay_s = delay_between(stretches, cutoff_hz)
-    rows = rows_at(stretches, cutoff_hz, delay_s)
+    stretches, rows, delay_s = _rows_of(record)
     columns = balance_columns(rows, facts)
     balance = balance_of(columns, rows)
     estimates = solve(balance)
@@ -61,9 +54,35 @@ def measured(path: Path, digest: str, facts: DriveFacts | None) -> dict[str, Any
         **_balance(balance, estimates), "delay_s": delay_s,
         **_gap(gap_sums(record, facts, estimates, delay_s), facts.units),
         **_left(rows, residual_nm, balance, facts),
-        **_covered(record, stretches, cutoff_hz),
+        **_covered(stretches),
         **_temperature(log), **_ticks(log),
     }  # fmt: skip
+
+
+def _rows_of(record: Record) -> tuple[list[RegressionStretch], RegressionRows, float]:
+    """What the balance of a run stands on, and the delay (s) of its torque. Raises DataError."""
+    cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / record.period_s)
+    stretches, _ = stretches_of([record], cutoff_hz)
+    sliding = sum(int(np.count_nonzero(stretch.sliding[stretch.rows])) for stretch in stretches)
+    if sliding < LEAST_ROWS:
+        raise DataError(
+            f"{record.path}: {sliding} rows of sure sliding motion, {LEAST_ROWS} are needed: hardly anything moves"
+        )
+    delay_s = delay_between(stretches, cutoff_hz)
+    return stretches, rows_at(stretches, cutoff_hz, delay_s), delay_s
+
+
+def balance_of_record(record: Record, facts: DriveFacts) -> Balance:
+    """The balance that the record of a run holds. Raises DataError for one that hardly moves."""
+    _, rows, _ = _rows_of(record)
+    return balance_of(balance_columns(rows, facts), rows)
+
+
+def temperature_of(columns: Mapping[str, Any]) -> float | None:
+    """Mean temperature (degC) of a run by its columns; None where it was not logged."""
+    values = np.asarray(columns.get(TEMPERATURE.name, []), dtype=np.float64)
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else None
 
 
 def _balance(balance: Balance, estimates: Estimates) -> dict[str, Any]:
@@ -129,7 +148,7 @@ def _bands(rows: RegressionRows, residual_nm: Floats) -> Floats:
     return np.asarray(np.sqrt(power / np.count_nonzero(rows.sliding)))
 
 
-def _covered(record: Record, stretches: list[RegressionStretch], cutoff_hz: float) -> dict[str, Any]:
+def _covered(stretches: list[RegressionStretch]) -> dict[str, Any]:
     velocity_rps = np.concatenate([one.motion.velocity_rps for one in stretches])
     position_rev = np.concatenate([one.motion.position_rev for one in stretches])
     acceleration_rps2 = np.concatenate([one.motion.acceleration_rps2 for one in stretches])

@@ -37,6 +37,7 @@ from .document import (
     significant,
 )
 from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
+from .population import population_table
 
 KIND = "diagnose"
 WIDEST = 1e3  # half an interval over its value, beyond which the data say nothing of a parameter
@@ -52,6 +53,11 @@ GAINS = (
     "linearly. Gain: log-likelihood given the other effects, on rows that were not fitted (blocks of the fit runs in "
     "turn), and on the held-out runs; 95 % intervals. p, over the entire search: the probability that noise "
     f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
+)
+FROM_PRIOR = (
+    " Inertia, viscous and Coulomb friction have the population as prior: where the runs say little, they are its. It "
+    "decides no effect: the base is taken out of the evidence of each, wherever it stands. The intervals are those of "
+    "the runs alone."
 )
 FORM = (
     "How the friction differs from that of a single 2SEP surface. This is part of the model, not an additional effect."
@@ -98,6 +104,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     tables += [_rejected(rejected)] if rejected else []
     tables += [_runs(diagnosis.runs_look, words)] if diagnosis.runs_look is not None else []
     tables += [_base(diagnosis, words)]
+    tables += [] if diagnosis.prior is None else [population_table(diagnosis.prior)]
     channels = channel_figure(diagnosis.channels, words)
     sections: tuple[Section, ...] = (
         Section(
@@ -379,7 +386,8 @@ def _base(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
     return Table(
         name="base", title="Base model", corner="Parameter", rows=rows,
         columns=[Heading(label="before"), Heading(label="with the effects")],
-        note="All are refitted with each effect; 95 % intervals where a parameter was fitted.",
+        note="All are refitted with each effect; 95 % intervals where a parameter was fitted."
+        + (FROM_PRIOR if diagnosis.prior is not None and not diagnosis.prior.other_population else ""),
     )  # fmt: skip
 
 

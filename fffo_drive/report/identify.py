@@ -14,6 +14,7 @@ from ..identification.cyclic import CyclicError
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit
+from ..identification.population import AgainstPopulation
 from ..identification.residuals import RunResidual
 from ..identification.results import CONFIDENCE, INERTIA
 from ..units import inertia_kg_m2, name_on, unit_in
@@ -41,6 +42,7 @@ from .document import (
 )
 from .figures import Figure
 from .identify_figures import IdentifyWords
+from .population import population_table
 
 LARGE_RESIDUAL_PERCENT = 10.0  # of the torque: the model misses something that matters
 USELESS_RESIDUAL_PERCENT = 50.0
@@ -69,12 +71,13 @@ def words_of(facts: DriveFacts) -> IdentifyWords:
 
 def identify_report(
     source: IdentifySource, fit: Fit, records: Sequence[Record], runs: Sequence[RunResidual], results: dict[str, Any],
-    coverage: Coverage, cyclic: CyclicError | None = None,
+    coverage: Coverage, cyclic: CyclicError | None = None, prior: AgainstPopulation | None = None,
 ) -> Report:  # fmt: skip
     """The report of a fit. `runs` of residuals.run_residuals, `results` of results.report."""
     words = words_of(source.facts)
     shown = coverage_section(records, coverage, source.facts.units == "linear")
     tables = [_parameters(results)]
+    tables += [] if prior is None else [population_table(prior)]
     tables += [_effects(results, words)] if results["effects"] else []
     tables += [_doubts(results)] if results["doubts"] else []
     tables += [_runs(results, words), _dependence(results, words)]

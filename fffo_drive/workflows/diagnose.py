@@ -13,6 +13,7 @@ from ..identification.coverage import Coverage, coverage_of
 from ..identification.dataset import Record, load_records
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
+from ..identification.population import AgainstPopulation
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
@@ -40,8 +41,12 @@ class Diagnosed(NamedTuple):
 def diagnose(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, model: ModelFile | None = None,
     settings: DiagnosisSettings | None = None, progress: Callable[[float], None] | None = None,
+    prior: AgainstPopulation | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """Find effects on the runs `fit`, prove them on `held_out`. `model`: the base (None: identified from the runs)."""
+    """Find effects on the runs `fit`, prove them on `held_out`. `model`: the base (None: identified from the runs).
+
+    `prior`: the runs `fit` against the population of the drive's model.
+    """
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
     from ..diagnosis.diagnose import diagnose as search
 
@@ -49,22 +54,24 @@ def diagnose(
         if progress is not None:
             progress(share)
 
-    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), told)
+    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), told, prior)
     accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
     remarks = weight_remarks(facts, accepted, coverage_of(list(fit)).travel_rev)
-    return replace(found, cautions=(*found.cautions, *remarks))
+    other = (prior.sentence(),) if prior is not None and prior.other_population else ()
+    return replace(found, cautions=(*found.cautions, *remarks, *other))
 
 
 def diagnose_recordings(
     fit: Sequence[str | Path], held_out: Sequence[str | Path], out: Path, *, facts_file: Path | None = None,
     model_file: Path | None = None, name: str | None = None, settings: DiagnosisSettings | None = None,
     without: Sequence[str] = (), told: Callable[[list[Record], Coverage, DriveFacts], None] | None = None,
-    bar: Bar = no_bar,
+    bar: Bar = no_bar, prior: Callable[[DriveFacts], AgainstPopulation | None] | None = None,
 ) -> Diagnosed:  # fmt: skip
     """`diagnose` on files, written to `out` as page, report and model.
 
     `facts_file`: what is declared about the drive (None: recordings carry it). `without`: what the search leaves out.
-    `told` gets the records and what they cover before the search begins. Raises DocumentError, DataError.
+    `told` gets the records and what they cover before the search begins. `prior` compares the runs `fit` with the
+    population of their model. Raises DocumentError, DataError.
     """
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
 
@@ -74,10 +81,11 @@ def diagnose_recordings(
     settings = settings._replace(without=settings.without | frozenset(without))
     model = None if model_file is None else read_model(model_file)
     records = load_records([*fit, *held_out], facts)
+    against = None if prior is None else prior(facts)
     if told is not None:
         told(records, coverage_of(records[: len(fit)]), facts)
     with bar("diagnose") as progress:
-        found = diagnose(records[: len(fit)], records[len(fit) :], facts, model, settings, progress)
+        found = diagnose(records[: len(fit)], records[len(fit) :], facts, model, settings, progress, against)
     files = [Path(file) for file in (facts_file, model_file, *fit, *held_out) if file is not None]
     return write_diagnosis(found, records[: len(fit)], facts, files, out, name)
 

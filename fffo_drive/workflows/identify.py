@@ -11,6 +11,7 @@ from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit, FitSettings, fit_records
+from ..identification.population import AgainstPopulation, with_population
 from ..identification.residuals import RunResidual, run_residuals
 from ..identification.results import model_file, report
 from ..model.parameters import ModelFile
@@ -49,9 +50,14 @@ class Identified:
 
 
 def identify(
-    records: Sequence[Record], facts: DriveFacts, name: str, progress: Callable[[float], None] | None = None
-) -> Identified:
-    """Fit a model to records of one axis. Raises DataError for logs that carry no fit."""
+    records: Sequence[Record], facts: DriveFacts, name: str, progress: Callable[[float], None] | None = None,
+    prior: AgainstPopulation | None = None,
+) -> Identified:  # fmt: skip
+    """Fit a model to records of one axis. Raises DataError for logs that carry no fit.
+
+    `prior`: these records against the population of the drive's model, of which the model then has what they determine
+    poorly; `result["parameters"]` is the fit of the records alone.
+    """
     told = None if progress is None else lambda share, _: progress(FIT_SHARE * share)
     fit = fit_records(list(records), FitSettings(), facts, told)
     residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
@@ -60,4 +66,10 @@ def identify(
     result = report(fit, records, facts, residuals) | {"coverage": coverage._asdict()}
     if cyclic is not None:
         result["cyclic_error"] = cyclic.as_plain()
-    return Identified(model_file(fit, records, name, facts.units), fit, residuals, coverage, cyclic, result)
+    model = model_file(fit, records, name, facts.units)
+    if prior is not None:
+        result["prior"] = prior.as_plain()
+        model = with_population(model, fit, prior)
+        if prior.other_population:
+            result["warnings"].append(prior.sentence())
+    return Identified(model, fit, residuals, coverage, cyclic, result)

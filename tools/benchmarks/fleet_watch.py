@@ -1,4 +1,4 @@
-"""Wear found in simulated lives, at a rate of false alarms that is set; beside other methods; and the prior.
+"""Wear found in simulated lives, at a rate of false alarms that is set; beside other methods.
 
   .venv/bin/python tools/benchmarks/fleet_watch.py --lives DIR [--real N] [--drives N] [--ruptures]
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from common import RESULTS, ROOT, commit, machine, progress_bar
-from lives_plant import BACKLASH, COULOMB, NONE, RIPPLE, WEARS, Life, life_runs, lives, recorded
+from lives_plant import BACKLASH, COULOMB, NONE, RIPPLE, WEARS, Life, lives
 from lives_records import (
     RealLife,
     drawn_life,
@@ -28,7 +28,6 @@ from lives_records import (
     fleet_of_lives,
     make_life,
     read_life,
-    row_of,
     without_temperature,
 )
 from scipy import stats
@@ -36,11 +35,8 @@ from scipy import stats
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.evaluation.campaign import warm_up
 from fffo_drive.fleet.channels import BACKLASH as GAP
-from fffo_drive.fleet.channels import MEAN_DEGC, STEP_K, inverse_total, learn, stacked
 from fffo_drive.fleet.history import RunHistory
-from fffo_drive.fleet.prior import Population, population_of, posterior
 from fffo_drive.fleet.regress import COULOMB as COULOMB_PLACE
-from fffo_drive.fleet.regress import PARAMETERS
 from fffo_drive.fleet.watch import FleetWatch, watch
 
 Floats = npt.NDArray[np.float64]
@@ -57,9 +53,6 @@ REAL_WEARS = (NONE, COULOMB, BACKLASH, RIPPLE)
 LAWS = {COULOMB: "Coulomb friction", BACKLASH: GAP, RIPPLE: f"ripple of order {ORDER:g}"}
 BASELINE = 12  # runs that the other methods take their level and scatter from
 SPLIT_EVERY = 3  # runs between two looks of ruptures
-FULL_RUNS = 8  # runs of a full recipe: about a minute of motion
-TRUTH_RUNS = 25  # at least, beside these: what a drive truly is
-OTHERS = 16  # drives of another population
 
 
 class Counted(NamedTuple):
@@ -261,86 +254,6 @@ def percent(part: int, whole: int) -> str:
     return f"{100.0 * part / whole:.0f} %" if whole else "-"
 
 
-class PriorFigures(NamedTuple):
-    """What a prior is worth."""
-
-    drives: int
-    error_ratio: dict[str, float]  # of each parameter: rms error with the prior over that of a full recipe
-    without: dict[str, float]  # ... of one run without it
-    coverage: float
-    intervals: int
-    told: tuple[int, int]  # drives of another population that were reported, of how many
-    wrongly: tuple[int, int]  # drives of this population that were
-
-
-def prior_figures(teaching: Sequence[RealLife], measured: Sequence[RealLife]) -> PriorFigures:
-    """One run of five seconds with a prior against eight runs; truth is the drive's whole life at that temperature."""
-    population = population_of({str(one.life.number): one.history for one in teaching})
-    stack = stacked({str(one.life.number): one.history for one in measured})
-    fleet = learn(stack)
-    scale = np.abs(population.mean)
-    scale[[population.names.index(n) for n in ("offset_nm",)]] = scale[population.names.index("coulomb_nm")]
-    judged = [k for k, name in enumerate(population.names) if "inertia" not in name]  # it has the payload of the run
-    errors: dict[str, list[Floats]] = {"prior": [], "full": [], "alone": []}
-    covered, wrongly = [], 0
-    for number, one in enumerate(measured):
-        runs = stack.of(number)
-        # ripple and gap do not change friction
-        quiet = np.flatnonzero((one.wear == 0.0) | (one.life.wear != COULOMB))
-        if quiet.size < FULL_RUNS + TRUTH_RUNS:
-            continue
-        both = np.multiply.outer(stack.scales[number], stack.scales[number])
-        theta, information = stack.theta[runs] * stack.scales[number], stack.information[runs] / both
-        inverse = inverse_total(stack.information[runs], fleet.covariance) / both
-        steps = (one.history.temperature_degc - MEAN_DEGC) / STEP_K
-        test = int(quiet[np.argmin(np.abs(one.history.time_s[quiet] - np.median(one.history.time_s[quiet])))])
-        near = sorted((k for k in quiet if k != test), key=lambda k: abs(steps[k] - steps[test]))
-        full = near[:FULL_RUNS]
-        rest = np.array([k for k in quiet if k != test and k not in full])
-        truth = level_at(theta[rest], steps[rest] - steps[test], inverse[rest])
-        found = posterior(population, theta[test], information[test])
-        errors["prior"].append((found.theta - truth) / scale)
-        errors["alone"].append((theta[test] - truth) / scale)
-        weighted = information[full].sum(axis=0)
-        errors["full"].append(
-            (np.linalg.solve(weighted, np.einsum("nij,nj->i", information[full], theta[full])) - truth) / scale
-        )
-        ends = found.interval()
-        covered.append(((ends[:, 0] <= truth) & (truth <= ends[:, 1]))[judged])
-        wrongly += found.other_population
-    sizes = {name: np.sqrt(np.mean(np.square(values), axis=0)) for name, values in errors.items()}
-    names = [population.names[k] for k in judged]
-    return PriorFigures(
-        len(covered), {n: float(sizes["prior"][k] / sizes["full"][k]) for n, k in zip(names, judged, strict=True)},
-        {n: float(sizes["alone"][k] / sizes["full"][k]) for n, k in zip(names, judged, strict=True)},
-        float(np.mean(covered)), int(np.size(covered)), told(population), (wrongly, len(covered)),
-    )  # fmt: skip
-
-
-def level_at(theta: Floats, steps: Floats, inverse: Floats) -> Floats:
-    """Parameters (p,) at step 0 of a drive, by all of these runs and a slope with temperature."""
-    p = theta.shape[1]
-    design = np.column_stack([np.ones(steps.size), steps])
-    normal = np.einsum("na,nb,nij->aibj", design, design, inverse).reshape(2 * p, 2 * p)
-    right = np.einsum("na,nij,nj->ai", design, inverse, theta).reshape(2 * p)
-    size = np.sqrt(np.diag(normal))
-    return np.asarray((np.linalg.solve(normal / np.outer(size, size), right / size) / size)[:p])
-
-
-def told(population: Population) -> tuple[int, int]:
-    """Drives of another population by one run each: how many are reported."""
-    case = case_of(read_scenario(SCENARIO), 1)
-    candidate = next(one for one in case.candidates if one.name == "pi+fffo")
-    place = [PARAMETERS.index(name) for name in population.names]
-    found = 0
-    for number in range(OTHERS):
-        life = Life(number, 1, NONE, 0, 0, other_model=True)
-        run = life_runs(life, case.plant, case.session.loop.period_ns * 1e-9, MEASURED_ON)[0]
-        row = row_of(recorded(case, candidate, run, str(number)))
-        found += posterior(population, row["theta"][place], row["info"][np.ix_(place, place)]).other_population
-    return found, OTHERS
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run everything and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -403,7 +316,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     drive_years=counts[0].drive_years + counts[1].drive_years,
                 )
                 rows.append([kind, f"{name} on {source}", *cells(both)])
-    prior = prior_figures(chosen_on, measured)
     lines = [
         "# fleet_watch", "",
         f"Wear in simulated lives of {RUNS} weekly runs of 5 to 10 s, at {RATE:g} false alarms a drive and year: found "
@@ -428,16 +340,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"- The other methods' thresholds were calibrated to that rate on {options.drives} drawn drives without wear "
         f"(seed {CALIBRATING}); `watch` has the bound of its theory and no calibration.",
         f"- `watch` took {took:.1f} s of processor time for {options.drives * RUNS} records, learning included.",
-        "", "## The population as a prior", "",
-        f"{len(chosen_on)} drives teach (seed {CHOSEN_ON}), {prior.drives} others are measured (seed {MEASURED_ON}) by "
-        f"one run of 5 to 10 s. The full recipe is {FULL_RUNS} runs of the drive near that temperature; truth is the "
-        "rest of its life, with a slope for temperature. Inertia is left out: each run has its own payload.", "",
-        "| parameter | error with the prior / full recipe | one run alone / full recipe |", "| --- | --- | --- |",
-        *(f"| {name} | {prior.error_ratio[name]:.2f} | {prior.without[name]:.2f} |" for name in prior.error_ratio), "",
-        "Wanted: at most 1.1. Intervals of 95 % cover "
-        f"{100.0 * prior.coverage:.1f} % of {prior.intervals} (wanted: 93 to 97). Of another population (friction "
-        f"+60 %, inertia +25 %) {prior.told[0]} of {prior.told[1]} are reported (wanted: 95 %), of this one "
-        f"{prior.wrongly[0]} of {prior.wrongly[1]}.", "",
+        "",
         f"Made by `tools/benchmarks/fleet_watch.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.",
     ]  # fmt: skip
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -32,6 +32,7 @@ VISCOUS_PER_K = (-0.022, 0.004)  # mean and spread over drives
 COULOMB_PER_K = (-0.004, 0.001)
 WARM_UP_K_PER_W, WARM_UP_S = 20.0, 30.0
 LEVEL_SPREAD, VISCOUS_SPREAD, INERTIA_SPREAD = 0.10, 0.12, 0.04  # over drives, of logarithms
+INERTIA_SHARE = 0.4  # of what another population has more of friction, that it has more of inertia
 GAP_REV, COGGING_NM, COGGING_ORDER = 0.02, 0.004, 12.0
 GAP_SPREAD, COGGING_SPREAD = 0.10, 0.15
 PAYLOADS = (-0.08, 0.0, 0.12)  # of the inertia
@@ -51,7 +52,7 @@ class Life(NamedTuple):
     wear: str
     first: int  # run at which it begins
     ramp: int  # runs until the whole size; 0: a step
-    other_model: bool = False  # a drive of another population
+    more_friction: float = 0.0  # share, of a drive of another population
 
 
 class LifeRun(NamedTuple):
@@ -101,8 +102,8 @@ def life_runs(life: Life, nominal: PlantConfig, period_s: float, seed: int) -> l
     level, viscous, inertia = (
         math.exp(s * own.standard_normal()) for s in (LEVEL_SPREAD, VISCOUS_SPREAD, INERTIA_SPREAD)
     )
-    if life.other_model:
-        level, inertia = 1.6 * level, 1.25 * inertia
+    level *= 1.0 + life.more_friction
+    inertia *= 1.0 + INERTIA_SHARE * life.more_friction
     gap = GAP_REV * math.exp(GAP_SPREAD * own.standard_normal())
     cogging = COGGING_NM * math.exp(COGGING_SPREAD * own.standard_normal())
     phase, season = own.random(2)

@@ -1,0 +1,146 @@
+"""Runs of a drive against the population of its model: from a store or a population's file to what a fit needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..documents import DocumentError, counted, parse, read_text
+from ..identification.dataset import Record, log_of, record_of_log
+from ..identification.facts import DriveFacts
+from ..identification.population import AgainstPopulation, PopulationRow, finite
+from ..recording.errors import did_you_mean
+from .adding import Given, entry_of
+from .history import histories_of_model
+from .measure import balance_of_record, temperature_of
+from .place import is_url
+from .prior import LEAST_DRIVES, Population, Posterior, RunEstimate, population_from_plain, population_of, posterior
+from .regress import PARAMETERS, Balance, solve
+from .schema import unit_of
+from .store import FleetStore
+from .words import word_of
+
+Floats = npt.NDArray[np.float64]
+
+FILES = (".json", ".yaml", ".yml")
+
+
+class Who(NamedTuple):
+    """Which drive runs are of; empty where they do not say."""
+
+    drive: str
+    model: str
+
+
+def who_of(path: Path, facts: DriveFacts | None, model: str | None) -> Who:
+    """What `fleet add` would say of a run. `model`: given, in place of what it says."""
+    try:
+        entry = entry_of(str(path), Given(None, model, facts))
+    except DocumentError:
+        return Who("", model or "")
+    return Who(str(entry["drive"]), str(entry["model"]))
+
+
+def population_at(source: str, who: Who) -> Population:
+    """The population of a model in a store, without the drive itself, or that of a file.
+
+    Raises DocumentError where there is no store or file, none of this model, or too few drives.
+    """
+    if not is_url(source) and source.lower().endswith(FILES):
+        try:
+            kept = population_from_plain(parse(read_text(Path(source)), source)[0])
+        except ValueError as error:
+            raise DocumentError(f"--prior {source}: {error}: `Population.as_plain` makes one") from None
+        if kept.model and who.model and kept.model != who.model:
+            raise DocumentError(
+                f"--prior {source}: is of model {kept.model}, the runs are of {who.model}: give the file of their "
+                f"model, or --prior-model {kept.model}"
+            )
+        return kept._replace(model=kept.model or who.model)
+    store = FleetStore(source)
+    models = sorted(set(store.records(("model",)).column("model").to_pylist()))
+    if not models:
+        raise DocumentError(f"--prior {source}: no record yet: `fffo-drive fleet work {source}` makes them")
+    if not who.model and len(models) > 1:
+        raise DocumentError(
+            f"--prior {source}: the runs do not say of which model their drive is: give --prior-model: "
+            f"{', '.join(models)}"
+        )
+    model = who.model or models[0]
+    if model not in models:
+        raise DocumentError(
+            f"--prior {source}: no record of model {model!r}: {did_you_mean(model, models)}: give --prior-model "
+            "NAME, or add runs of such drives"
+        )
+    drives = histories_of_model(store, model)
+    drives.pop(who.drive, None)  # it is what is asked
+    found = population_of(drives, model) if len(drives) >= LEAST_DRIVES else None
+    least = LEAST_DRIVES if found is None else len(found.names) + 2  # or no drive shows a direction of the covariance
+    if found is None or found.drives < least:
+        beside = f" beside {who.drive}" if who.drive else ""
+        raise DocumentError(
+            f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two more than "
+            f"parameters ({len(PARAMETERS) + 2} at most): add runs of more drives with `fffo-drive fleet add`, or "
+            "leave --prior away"
+        )
+    return found
+
+
+def against_population(
+    population: Population, source: str, records: Sequence[Record], temperatures_degc: Sequence[float | None],
+    facts: DriveFacts,
+) -> AgainstPopulation:  # fmt: skip
+    """Records of one drive against a population; the temperature of each, None where it was not logged.
+
+    Raises DataError for a record that is too short for the balance.
+    """
+    balances = [balance_of_record(record, facts) for record in records]
+    pairs = zip(balances, temperatures_degc, strict=True)
+    runs = [_estimate(balance, degc) for balance, degc in pairs]
+    found = posterior(population, runs)
+    ends = found.interval()
+    sd = np.sqrt(np.diag(found.covariance))
+    rows = tuple(_row(found, k, float(sd[k]), ends[k]) for k in range(sd.size))
+    degc = [one for one in temperatures_degc if one is not None]
+    logged = population.warming is not None and len(degc) == len(records)
+    at_degc = float(np.mean(degc)) if logged else None
+    covariance = population.at(at_degc)[1] + population.scatter
+    effective = float(sum(balance.effective_rows for balance in balances))
+    told = AgainstPopulation(
+        population.model, source, population.drives, at_degc, found.p, found.other_population, rows, covariance,
+        effective,
+    )  # fmt: skip
+    return told.in_words_of(facts.units == "linear")
+
+
+def _row(found: Posterior, k: int, sd: float, ends: Floats) -> PopulationRow:
+    name = found.names[k]
+    return PopulationRow(
+        name, word_of(name), unit_of(name), float(found.prior[k]), float(found.prior_sd[k]), finite(found.own[k]),
+        finite(found.own_sd[k]), float(found.theta[k]), sd, (float(ends[0]), float(ends[1])), finite(found.away_sd[k]),
+    )  # fmt: skip
+
+
+def _estimate(balance: Balance, degc: float | None) -> RunEstimate:
+    solved = solve(balance)
+    return RunEstimate(PARAMETERS, solved.theta, solved.information, degc)
+
+
+def files_against_population(
+    source: str, paths: Sequence[str | Path], facts: DriveFacts, model: str | None = None
+) -> AgainstPopulation:
+    """Runs (files of one drive) against the population at `source`. `model`: in place of what the runs say.
+
+    Raises DocumentError (see `population_at`) and DataError.
+    """
+    population = population_at(source, who_of(Path(paths[0]), facts, model))
+    records, degc = [], []
+    for path in map(Path, paths):
+        log = log_of(path, facts)
+        records.append(record_of_log(path, log, facts, ""))
+        degc.append(temperature_of(log.columns))
+    return against_population(population, source, records, degc, facts)
