@@ -19,7 +19,7 @@ from fffo_drive.workbench.server import WorkbenchServer
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PATIENCE_S = 120.0
-COMPILING_S = 600.0  # the first start of a loop on a busy machine
+COMPILING_S = 600.0  # the first start of a loop, or a diagnosis, on a busy machine
 SCREEN = {"width": 1280, "height": 800}
 SERIOUS = ("serious", "critical")
 
@@ -64,7 +64,8 @@ class Shown:
             self.page.keyboard.press("Enter")
         else:
             self.page.click(button)
-        self.until(f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'")
+        ended = f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'"
+        self.until(ended, COMPILING_S)
         assert self.job["state"] == "done", "\n".join(self.job["output"])
         return self.job
 
@@ -168,6 +169,7 @@ def test_a_motion_is_cancelled_from_the_page(shown):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("by_key", [False, True], ids=["mouse", "keys"])
 def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_line(shown, by_key):
     shown.by_key = by_key
@@ -194,6 +196,7 @@ def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_lin
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("by_key", [False, True], ids=["mouse", "keys"])
 def test_a_file_of_somebody_else_is_taken_in_and_diagnosed(shown, tmp_path, chromium, by_key):
     shown.record("recipe")
