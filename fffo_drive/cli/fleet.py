@@ -192,22 +192,15 @@ def _share(text: str) -> tuple[int, int]:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from ..fleet.store import FleetStore
+    from ..fleet.store import FleetStore, status_lines, status_object
 
     store = FleetStore(options.store)
+    if options.json:
+        print(json.dumps(status_object(store), indent=2))
+        return 0
     status, failures, unreached = store.status(), store.failures(), store.unreached()
     drives = store.drives().to_pylist()
-    if options.json:
-        told = status._asdict() | {"waiting": status.waiting}
-        told |= {"by_drive": drives, "failures": [one._asdict() for one in failures]}
-        told |= {"unreached": [one._asdict() for one in unreached]}
-        print(json.dumps(told, indent=2, default=str))
-        return 0
-    share = 100.0 * (status.recorded + status.failed) / status.runs if status.runs else 100.0
-    drives_and_models = f"{counted(status.drives, 'drive')}, {counted(status.models, 'model')}"
-    print(f"{counted(status.runs, 'run')} of {drives_and_models}: {share:.0f} % done")
-    kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
-    print(f"  {status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed")
+    print("\n  ".join(status_lines(status)))
     print(f"  {counted(status.new_files, 'file')} to merge, {status.merged_files} merged")
     for row in drives[:MOST_TOLD]:
         span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
@@ -254,7 +247,8 @@ def _report(options: argparse.Namespace) -> int:
     drawn = {}
     for spread in spreads:
         asked = [drive for drive in options.serial if drive in spread.drives]
-        drawn[spread.model] = histories(store, spread.model, asked or shown_drives(spread))
+        named = asked if options.serial else shown_drives(spread)
+        drawn[spread.model] = histories(store, spread.model, named) if named else {}
     rate = options.alarms_per_drive_year
     moved = {} if rate is None else _watched(store, rate)
     source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)

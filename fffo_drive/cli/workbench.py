@@ -4,6 +4,8 @@ AXIS is an axis file. Recordings of any program can be given as well or instead 
 drive). Every button runs a command in its own process, with progress and cancel; the page shows the command, and the
 results are written to --out. The page asks before a drive on a bus moves.
 
+--fleet STORE shows a fleet's records in a tab of their own, and makes its records and its report.
+
 You can give others an address with fewer rights: `look` shows everything, `stop` also cancels a job, `move` also
 records, adds files, identifies, diagnoses and compares, `tune` also changes gains and models. workbench.log records who
 did what.
@@ -35,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sockets", metavar="DIR", help="socket directory of the axis' daemon (default: found by name)"
     )
+    parser.add_argument(
+        "--fleet", metavar="STORE", help="fleet's store: directory or URL (default: daemon.fleet of the axis file)"
+    )
     parser.add_argument("--out", metavar="DIR", default="runs/workbench", help="output directory (%(default)s)")
     parser.add_argument("--port", type=int, default=0, help="port on this machine (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the addresses, open no browser")
@@ -58,7 +63,8 @@ def execute(options: argparse.Namespace) -> int:
         read_facts(facts)
     axis = axes[0].resolve() if axes else None
     sockets = Path(options.sockets).resolve() if options.sockets else None
-    bench = Workbench(Path(options.out).resolve(), axis, facts, tuple(path.resolve() for path in runs), sockets)
+    given = tuple(path.resolve() for path in runs)
+    bench = Workbench(Path(options.out).resolve(), axis, facts, given, sockets, options.fleet)
     try:
         server = WorkbenchServer(bench, options.port)
     except (OSError, OverflowError) as error:

@@ -125,7 +125,7 @@ def _verdict(source: FleetSource) -> Verdict:
     outside = {(spread.model, one.drive) for spread in spreads for one in spread.outsiders}
     alarms = [alarm for watched in source.moved.values() for alarm in watched.alarms]
     small = [spread.model for spread in spreads if len(spread.drives) < LEAST_DRIVES]
-    said = f"{drives} drives of {len(spreads)} models in {runs} runs"
+    said = f"{counted(drives, 'drive')} of {counted(len(spreads), 'model')} in {counted(runs, 'run')}"
     headline = f"{said}: {f'{len(outside)} stand' if outside else 'none stands'} outside of the population"
     lines = [
         Line(label=one.drive, text=outsider_text(one))

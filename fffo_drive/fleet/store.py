@@ -27,7 +27,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from .. import formats
-from ..documents import DocumentError
+from ..documents import DocumentError, counted
 from .place import StorePlace
 from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, table_of
 
@@ -73,6 +73,11 @@ class StoreStatus(NamedTuple):
     def waiting(self) -> int:
         """Runs that have neither a record nor failed."""
         return self.runs - self.recorded - self.failed
+
+    @property
+    def share(self) -> float:
+        """Of the runs that are done, 0 to 1."""
+        return (self.recorded + self.failed) / self.runs if self.runs else 1.0
 
 
 class Compacted(NamedTuple):
@@ -374,3 +379,23 @@ def _first_of_each(table: pa.Table, schema: pa.Schema) -> pa.Table:
     run = ordered.column("run").combine_chunks()
     first = pa.concat_arrays([pa.array([True]), pc.not_equal(run[1:], run[:-1])])
     return ordered.filter(first)
+
+
+def status_lines(status: StoreStatus) -> tuple[str, str]:
+    """What there is, and how far it is."""
+    drives_and_models = f"{counted(status.drives, 'drive')}, {counted(status.models, 'model')}"
+    kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
+    return (
+        f"{counted(status.runs, 'run')} of {drives_and_models}: {100.0 * status.share:.0f} % done",
+        f"{status.recorded} have a record ({kilobytes}), {status.waiting} wait, {status.failed} failed",
+    )
+
+
+def status_object(store: FleetStore) -> dict[str, Any]:
+    """How far a store is, for programs: counts, every drive with its time, every run that makes no record."""
+    status = store.status()
+    drives = [row | {end: str(row[end]) for end in ("first", "last")} for row in store.drives().to_pylist()]
+    failures, unreached = ([one._asdict() for one in found] for found in (store.failures(), store.unreached()))
+    counts = status._asdict() | {"waiting": status.waiting, "share": status.share}
+    beside = {"by_drive": drives, "failures": failures, "unreached": unreached}
+    return counts | {"text": status_lines(status)} | beside

@@ -38,12 +38,19 @@ class Bench(NamedTuple):
     given: tuple[Path, ...]  # recordings given at the start
     served: Path | None = None  # sockets of the daemon that has the axis
     who: str = ""  # on whose behalf, for the daemon's log
+    fleet: str | None = None  # store of records
 
     def required_axis(self) -> Path:
         """Raises DocumentError without an axis file."""
         if self.axis is None:
             raise DocumentError("this workbench was opened on recordings: give it an axis file for that")
         return self.axis
+
+    def required_fleet(self) -> str:
+        """The store. Raises DocumentError without one."""
+        if self.fleet is None:
+            raise DocumentError("no store: give one with --fleet, or name it in the axis file (daemon.fleet)")
+        return self.fleet
 
     def runs(self, names: Any) -> list[str]:
         """Paths of recordings of this bench. Raises DocumentError for none, and for one that is not on it."""
@@ -159,6 +166,27 @@ def _compare(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     return CommandLine("compare runs", ("evaluate", "--out", str(out), "--runs", *bench.runs(wish.get("fit"))), out)
 
 
+def _fleet_add(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    words = ("fleet", "add", bench.required_fleet(), *bench.runs(wish.get("fit")), *bench.declared())
+    return CommandLine("add runs to the fleet", words)
+
+
+def _fleet_work(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return CommandLine("records of the fleet", ("fleet", "work", bench.required_fleet()))
+
+
+def _fleet_report(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    rate, serial = wish.get("alarms_per_drive_year"), wish.get("serial")
+    out = shelf.next_free(bench.directory, "fleet")
+    words = ["fleet", "report", bench.required_fleet(), "--out", str(out)]
+    if not isinstance(rate, int | float) or isinstance(rate, bool) or not rate > 0.0:
+        raise DocumentError("alarms per drive and year: a number above 0")
+    words.append(f"--alarms-per-drive-year={rate:g}")
+    if serial:
+        words.append(f"--serial={serial}")  # one word: a name may begin with a dash
+    return CommandLine("report of the fleet", tuple(words), out)
+
+
 def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
     """A model that stands beside a page of this bench. Raises DocumentError for any other."""
     known = [page["model"] for page in shelf.pages(bench.directory) if page["model"]]
@@ -177,6 +205,9 @@ ACTIONS: dict[str, PageAction] = {
     "diagnose": PageAction("move", _diagnose, computes=True),
     "compare": PageAction("move", _compare, computes=True),
     "tune": PageAction("tune", _tune, computes=True),
+    "fleet_add": PageAction("move", _fleet_add, computes=True),
+    "fleet_work": PageAction("move", _fleet_work, computes=True),
+    "fleet_report": PageAction("move", _fleet_report, computes=True),
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),
 }

@@ -21,6 +21,7 @@ from ..live.keys import Asker, Keys
 from ..roles import Role, may
 from . import shelf
 from .actions import ACTIONS, Bench, known_axis
+from .fleet_tab import fleet_state, store_of
 from .jobs import Job, Jobs
 from .served_axis import CALLS, ServedAxis, scope_address
 
@@ -37,10 +38,13 @@ class Workbench:
 
     def __init__(
         self, directory: Path, axis: Path | None, facts: Path | None, given: tuple[Path, ...],
-        sockets: Path | None = None,
+        sockets: Path | None = None, fleet: str | None = None,
     ) -> None:  # fmt: skip
-        """`sockets`: directory of the daemon's sockets; None: looked for by the name of the axis."""
-        self.directory, self._sockets = directory, sockets
+        """`sockets`: directory of the daemon's sockets; None: looked for by the name of the axis.
+
+        `fleet`: store of records; None: the one of the axis' daemon, where its file names one.
+        """
+        self.directory, self._sockets, self._fleet = directory, sockets, fleet
         self.served = ServedAxis()
         self.services = Jobs()  # a daemon that was started here
         self._first = axis
@@ -81,6 +85,17 @@ class Workbench:
             "pages": shelf.pages(self.directory),
             "jobs": [job.as_object() for job in self.jobs.all()],
         }
+
+    def fleet(self) -> dict[str, Any]:
+        """What the Fleet tab shows: the store's address, and with `error` why it cannot be read."""
+        store = store_of(self._axis, self._fleet)
+        if store is None:
+            return {"store": None}
+        shown = {"store": as_typed(store)}
+        try:
+            return shown | fleet_state(store, self._axis)
+        except (DocumentError, OSError) as error:
+            return shown | {"error": str(error)}
 
     def _axis_facts(self) -> dict[str, Any] | None:
         """The axis file in use, in words; with `error` where it cannot be read."""
@@ -164,7 +179,9 @@ class Workbench:
         if daemon is not None and action.beside:
             raise DocumentError(f"a daemon has this axis already ({daemon[0]})")
         served = None if daemon is None else daemon[0]
-        order = action.make(Bench(self.directory, self._axis, self._facts, self._given, served, asker.text), wish)
+        fleet = store_of(self._axis, self._fleet)
+        bench = Bench(self.directory, self._axis, self._facts, self._given, served, asker.text, fleet)
+        order = action.make(bench, wish)
         jobs = self.services if action.beside else self.jobs
         job = jobs.start(name, order.title, order.words, order.out, self._ended, action.computes)
         self._told(asker, name, {"line": job.as_object()["line"]})

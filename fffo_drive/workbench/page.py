@@ -10,7 +10,7 @@ from ..report import palette
 from ..report.page import ASSETS as REPORT_ASSETS
 
 ASSETS = Path(__file__).parent / "assets"
-SCRIPTS = ("plots.js", "workbench.js", "axis.js", "checks.js")
+SCRIPTS = ("plots.js", "workbench.js", "axis.js", "checks.js", "fleet.js")
 
 
 @cache

@@ -89,6 +89,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, page().encode(), headers())
         elif rest == "state":
             self._json(HTTPStatus.OK, self.workbench.state(asker))
+        elif rest == "fleet":
+            self._asked(self.workbench.fleet)
         elif rest == "axis/live":
             self._live()
         elif rest == "axis/info":

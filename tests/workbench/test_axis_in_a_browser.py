@@ -8,16 +8,13 @@ import time
 
 import pytest
 import yaml
-from commissioning.test_record import record_for
 from live.served import Served
-from workbench.test_workbench_in_a_browser import CONFIGS, SERIOUS, Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import COMPILING_S, CONFIGS, SERIOUS, Shown, cache_of_a_user  # noqa: F401
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.commissioning.record import write_record
+from fffo_drive.commissioning.record import read_record
 from fffo_drive.config.axis import read_axis
-from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.recording.reader import read_run
-from fffo_drive.workbench import actions
 from fffo_drive.workbench.bench import AUDIT_NAME, Workbench
 from fffo_drive.workflows.simulated_process import SimulatedProcess
 
@@ -278,41 +275,63 @@ def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_s
     assert shown.page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]
 
 
+# what a shared machine needs to be commissioned: a plant that SYNC steps, a slow loop, and patience
+PATIENT_LINES = {
+    "rated_current_a: 8.3\n": "  heartbeat_timeout_ms: 5000\n  command_timeout_ms: 5000\n",
+    "following_error_s: 0.2\n": "  feedback_missing_ticks: 4000\n  status_missing_ticks: 8000\n"
+    "  heartbeat_timeout_s: 10\nloop: {rate_hz: 500, cutoff_share: 0.9}\n",
+}
+
+
 @pytest.fixture
 def uncommissioned(tmp_path):
-    """An axis on a bus without a drive, and a record for it; its commissioning is that of a drive in process."""
+    """An axis file without a record, and its drive on a bus."""
     shutil.copytree(CONFIGS, tmp_path / "configs")
-    axis = tmp_path / "configs" / "axis_canopen.yaml"
-    drive = SimulatedDrive()
-    write_record(axis.with_name("canopen.commissioning.yaml"), record_for(axis, drive.connect()))
-    drive.close()
-    return axis
+    axis, bus = tmp_path / "configs" / "axis_canopen.yaml", f"loopback:{free_loopback_port()}"
+    text = axis.read_text().replace("loopback:29500", bus)
+    for line, more in PATIENT_LINES.items():
+        assert text.count(line) == 1
+        text = text.replace(line, line + more)
+    axis.write_text(text)
+    drive = yaml.safe_load((CONFIGS / "simulated_drive.yaml").read_text())
+    drive |= {"step_by_sync": True, "sync_loss_tolerance_ms": 60_000, "realtime_priority": 0}
+    file = axis.with_name("drive.yaml")
+    file.write_text(yaml.safe_dump(drive, sort_keys=False))
+    with SimulatedProcess(file, bus):
+        yield axis
 
 
-def test_commissioning_shows_each_check_and_names_its_record_when_somebody_agrees(
-    uncommissioned, chromium, tmp_path, monkeypatch
+def test_an_axis_on_a_bus_is_commissioned_check_by_check_and_its_record_named_when_somebody_agrees(
+    uncommissioned, chromium, tmp_path
 ):
-    simulated = uncommissioned.with_name("axis_simulated.yaml")
-    words = ("commission", str(simulated), "--out", str(tmp_path / "record.yaml"))
-    action = actions.ACTIONS["commission"]._replace(make=lambda *_: actions.CommandLine("commission", words))
-    monkeypatch.setitem(actions.ACTIONS, "commission", action)
     shown = Shown(chromium, Workbench(tmp_path / "out", uncommissioned, None, ()))
     before = uncommissioned.read_text()
+    record = uncommissioned.with_name("canopen.commissioning.yaml")
     assert shown.page.text_content("#next") == "Next: commission the axis"
     shown.page.click("#commission")
     assert "will move" in shown.page.text_content("#ask-text")
-    shown.page.click("#ask-yes")
+    shown.page.click("#ask-no")
+    assert shown.jobs() == 0  # nothing moves that nobody agreed to
+    shown.page.focus("#commission")
+    shown.page.keyboard.press("Enter")
+    shown.page.keyboard.press("Shift+Tab")  # from "Do not", which has the focus
+    shown.page.keyboard.press("Enter")
+    shown.until("document.querySelectorAll('#checks-list details').length > 0", COMPILING_S)
+    assert shown.job["state"] == "running"  # each check is there as it comes
     shown.until("document.querySelectorAll('#checks-list details').length === 17")
     shown.until("document.querySelector('#ask').open")
     assert "Name its record in" in shown.page.text_content("#ask-text")
     assert uncommissioned.read_text() == before
+    assert read_record(record).drive.product_code == 0x50455332
     shown.page.click("#ask-yes")
     shown.until("fffoWorkbench.state.axis.commissioning === ''")
-    assert read_axis(uncommissioned).commissioning == "canopen.commissioning.yaml"
-    assert uncommissioned.read_text().replace("commissioning: canopen.commissioning.yaml\n", "", 1) == before
-    check = shown.page.locator("#check-torque_sign")
-    check.locator("summary").click()
-    check.locator(".uplot canvas").first.wait_for()
+    assert read_axis(uncommissioned).commissioning == record.name
+    assert uncommissioned.read_text().replace(f"commissioning: {record.name}\n", "", 1) == before
+    moved = [check.name for check in read_record(record).checks if check.name != "standstill"]
+    for name in moved:
+        check = shown.page.locator(f"#check-{name}")
+        check.evaluate("(fold) => { fold.open = true; }")
+        check.locator(".uplot canvas").first.wait_for()
     assert shown.page.text_content("#checks-verdict").startswith("passed: ")
     shown.close()
 

@@ -50,12 +50,14 @@ def with_results(bench):
 def test_every_action_is_a_line_that_its_command_understands(workbench):
     from fffo_drive.cli import parser_of
 
-    bench = with_results(workbench)
+    bench = with_results(workbench)._replace(fleet="s3://bucket/store")
     run, model = str(bench.directory / "runs" / "one.mcap"), str(bench.directory / "diagnose_1" / "model.yaml")
     wishes = {
         "record": {"motion": "recipe", "toggle": "off"}, "circle": {"quick": True}, "identify": {"fit": [run]},
         "diagnose": {"fit": [run], "held_out": [run]}, "compare": {"fit": [run]}, "roll_back": {},
         "tune": {"model": model}, "adopt": {"model": model, "dry_run": True},
+        "fleet_add": {"fit": [run]}, "fleet_work": {},
+        "fleet_report": {"alarms_per_drive_year": 0.01, "serial": "-odd"},
     }  # fmt: skip
     assert set(wishes) == set(ACTIONS) - {"commission", "serve", "accept"}
     for name, wish in wishes.items():
@@ -77,6 +79,7 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         ("identify", {"fit": ["/etc/passwd"]}, "no recording of this workbench"),
         ("tune", {"model": "/etc/passwd"}, "choose a model"),
         ("adopt", {}, "choose a model"),
+        ("fleet_work", {}, "give one with --fleet"),
         ("commission", {}, "needs no commissioning record"),
         ("serve", {}, "a simulated drive in process is not served"),
     ],

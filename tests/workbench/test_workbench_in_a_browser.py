@@ -19,6 +19,7 @@ from fffo_drive.workbench.server import WorkbenchServer
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PATIENCE_S = 120.0
+COMPILING_S = 600.0  # the first start of a loop, or a diagnosis, on a busy machine
 SCREEN = {"width": 1280, "height": 800}
 SERIOUS = ("serious", "critical")
 
@@ -37,9 +38,9 @@ class Shown:
         self.page.goto(self.server.url(role))
         self.until("fffoWorkbench.state")
 
-    def until(self, expression):
+    def until(self, expression, patience_s=PATIENCE_S):
         """Wait until it is so: the page's own policy forbids what playwright would do for this."""
-        deadline_s = time.monotonic() + PATIENCE_S
+        deadline_s = time.monotonic() + patience_s
         while not (value := self.page.evaluate(expression)):
             assert time.monotonic() < deadline_s, f"never: {expression}; {self.job}"
             time.sleep(0.1)
@@ -52,25 +53,45 @@ class Shown:
     def jobs(self):
         return self.page.evaluate("fffoWorkbench.state.jobs.length")
 
+    by_key = False  # no mouse
+
     def do(self, button, by_key=False):
         """Press a button, and wait for its job to end well."""
         before = self.jobs()
         self.until(f"!document.querySelector('{button}').disabled")
-        if by_key:
+        if by_key or self.by_key:
             self.page.focus(button)
             self.page.keyboard.press("Enter")
         else:
             self.page.click(button)
-        self.until(f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'")
+        ended = f"fffoWorkbench.state.jobs.length > {before} && fffoWorkbench.state.jobs[0].state !== 'running'"
+        self.until(ended, COMPILING_S)
         assert self.job["state"] == "done", "\n".join(self.job["output"])
         return self.job
 
     def record(self, motion, **how):
-        self.page.select_option("#motion", motion)
+        self.choose("#motion", motion)
         return self.do("#record", **how)
 
+    def choose(self, select, value):
+        if not self.by_key:
+            self.page.select_option(select, value)
+            return
+        options = self.page.locator(f"{select} option").evaluate_all("(all) => all.map((one) => one.value)")
+        self.page.focus(select)
+        self.page.keyboard.press("Home")
+        for _ in range(options.index(value)):
+            self.page.keyboard.press("ArrowDown")
+        assert self.page.input_value(select) == value
+
     def tick(self, number, column, on=True):
-        self.page.locator("#runs tbody tr").nth(number).locator("input").nth(column).set_checked(on)
+        box = self.page.locator("#runs tbody tr").nth(number).locator("input").nth(column)
+        if not self.by_key:
+            box.set_checked(on)
+        elif box.is_checked() != on:
+            box.focus()
+            self.page.keyboard.press("Space")
+            assert box.is_checked() == on
 
     def close(self):
         self.context.close()
@@ -148,7 +169,10 @@ def test_a_motion_is_cancelled_from_the_page(shown):
 
 
 @pytest.mark.long
-def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_line(shown):
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("by_key", [False, True], ids=["mouse", "keys"])
+def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_line(shown, by_key):
+    shown.by_key = by_key
     for motion in ("profile", "identify", "recipe"):
         shown.record(motion)
     assert shown.page.text_content("#next") == "Next: tick the runs, hold one out, diagnose"
@@ -172,7 +196,9 @@ def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_lin
 
 
 @pytest.mark.long
-def test_a_file_of_somebody_else_is_taken_in_and_diagnosed(shown, tmp_path, chromium):
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("by_key", [False, True], ids=["mouse", "keys"])
+def test_a_file_of_somebody_else_is_taken_in_and_diagnosed(shown, tmp_path, chromium, by_key):
     shown.record("recipe")
     run = read_run(next((tmp_path / "out" / "runs").glob("*.mcap")))
     columns = {name: np.asarray(run.columns[name]) for name in ("time_s", "position_rev", "current_command_a")}
@@ -184,7 +210,14 @@ def test_a_file_of_somebody_else_is_taken_in_and_diagnosed(shown, tmp_path, chro
     facts = tmp_path / "facts.yaml"
     facts.write_text("name: their axis\ntorque_constant_nm_per_a: 0.148\nresolver_bits: 15\nabsolute_angle: true\n")
     other = Shown(chromium, Workbench(tmp_path / "other", None, None, ()))
-    other.page.set_input_files("#take", [str(facts), str(foreign)])
+    other.by_key = by_key
+    with other.page.expect_file_chooser() as chooser:
+        if by_key:
+            other.page.focus("#take")
+            other.page.keyboard.press("Enter")
+        else:
+            other.page.click("#take")
+    chooser.value.set_files([str(facts), str(foreign)])
     other.until("fffoWorkbench.state.runs.length === 1")
     assert other.page.is_disabled("#record")
     other.do("#diagnose")

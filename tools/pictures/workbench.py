@@ -11,12 +11,14 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests")]
 
+from fleet.fleet_rig import TRUTH, write_run  # noqa: E402  # of the tests: axes whose every number is known
 from headless import chromium  # noqa: E402
 from playwright.sync_api import Browser, Page  # noqa: E402
 
 from fffo_drive.can.link import free_loopback_port  # noqa: E402
+from fffo_drive.cli import main as command  # noqa: E402
 from fffo_drive.workbench.bench import Workbench  # noqa: E402
 from fffo_drive.workbench.server import WorkbenchServer  # noqa: E402
 from fffo_drive.workflows.simulated_process import SimulatedProcess  # noqa: E402
@@ -24,6 +26,10 @@ from fffo_drive.workflows.simulated_process import SimulatedProcess  # noqa: E40
 PICTURE = Path(__file__).with_suffix(".png")
 REPORT = PICTURE.with_name("report.png")
 AXIS = PICTURE.with_name("workbench_axis.png")
+FLEET = PICTURE.with_name("workbench_fleet.png")
+FLEET_DRIVES, FLEET_WEEKS = 6, 12  # of the fleet's picture
+MORE_FRICTION = {2: (1.5, 0), 4: (1.3, 8)}  # drive: times the Coulomb friction of the others, from that week on
+FIRST_WEEK_S, WEEK_S = 1_772_409_600, 604_800  # 2026-03-02, UTC
 SCREEN, TALL = {"width": 1280, "height": 800}, {"width": 1280, "height": 1180}
 PATIENCE_S = 180.0  # a first start compiles
 AT_WORK = "fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
@@ -78,8 +84,39 @@ def try_a_gain(browser: Browser, place: Path) -> None:
             daemon.wait()
 
 
+def a_fleet(browser: Browser, place: Path) -> None:
+    """The store of a few drives: one with more friction than the others, one that changes."""
+    facts = place / "facts.yaml"
+    facts.write_text("torque_constant_nm_per_a: 0.1\nposition_lsb_rev: 1.0e-6\nabsolute_angle: true\n")
+    for drive in range(FLEET_DRIVES):
+        runs = place / f"drive{drive}"
+        runs.mkdir()
+        factor, since = MORE_FRICTION.get(drive, (1.0, 0))
+        for week in range(FLEET_WEEKS):
+            own = {
+                name: value * (1.0 + 0.01 * ((7 * drive + 3 * k) % 5 - 2))
+                for k, (name, value) in enumerate(TRUTH.items())
+            }
+            own["coulomb_nm"] *= factor if week >= since else 1.0
+            path = write_run(runs / f"run{week}.csv", FLEET_WEEKS * drive + week, own)
+            os.utime(path, (FIRST_WEEK_S + WEEK_S * week,) * 2)
+        words = ["--drive", str(facts), "--serial", f"SN{drive}", "--model", "M1", "--from", str(runs)]
+        command(["fleet", "add", str(place / "plant"), *words])
+    server = WorkbenchServer(Workbench(place / "runs" / "fleet", None, None, (), None, str(place / "plant")))
+    server.start()
+    page = browser.new_page(viewport=TALL)
+    page.goto(server.url("tune"))
+    page.click("#tab-fleet")
+    do(page, "#fleet-work")
+    do(page, "#fleet-report")
+    page.frame_locator("#fleet-viewer").locator("figure canvas").first.wait_for()
+    until(page, "fffoFleet.state.waiting === 0")
+    page.screenshot(path=FLEET, animations="disabled")
+    server.close()
+
+
 def main() -> None:
-    """Record three runs, diagnose, show; then the axis."""
+    """Record three runs, diagnose, show; then the axis, and a fleet."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
         os.chdir(place)  # paths are shown as they are typed there
         shutil.copytree(ROOT / "configs", Path(place) / "configs")
@@ -104,7 +141,8 @@ def main() -> None:
         report.screenshot(path=REPORT, animations="disabled")
         server.close()
         try_a_gain(browser, Path(place))
-    print(PICTURE, REPORT, AXIS, sep="\n")
+        a_fleet(browser, Path(place))
+    print(PICTURE, REPORT, AXIS, FLEET, sep="\n")
 
 
 if __name__ == "__main__":

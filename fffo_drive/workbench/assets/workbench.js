@@ -3,12 +3,13 @@
   const $ = (id) => document.getElementById(id);
   const BUSY_MS = 1000, IDLE_MS = 2000;
   const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
+  const FLEET = ["fleet_add", "fleet_work", "fleet_report"];
   const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
   const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
-  const SAYS = ["adopt", "roll_back", "commission", "accept"]; // what they print is the result
+  const SAYS = ["adopt", "roll_back", "commission", "accept", "fleet_add", "fleet_work"]; // what they print is the result
   const listeners = [];
   let state = null, timer = 0;
-  window.fffoWorkbench = { $, ask, confirmed, element, fill, look, options, question, tell, get state() { return state; }, onState(listener) { listeners.push(listener); } };
+  window.fffoWorkbench = { $, ask, confirmed, element, enable, fill, look, options, question, tell, get state() { return state; }, onState(listener) { listeners.push(listener); } };
 
   async function ask(what, body, raw) {
     const answer = await fetch(what, body === undefined ? {} : { method: "POST", body: raw ? body : JSON.stringify(body) });
@@ -37,10 +38,14 @@
     pages();
     job();
     for (const listener of listeners) listener(state);
-    for (const button of document.querySelectorAll("[data-act]")) button.disabled = !possible(button.dataset.act);
+    enable();
     const step = next();
     $("next").textContent = step ? step.text : "";
     for (const section of document.querySelectorAll(".steps section")) section.classList.toggle("now", Boolean(step) && section.getAttribute("aria-labelledby") === STEP_OF[step.act]);
+  }
+
+  function enable() {
+    for (const button of document.querySelectorAll("[data-act]")) button.disabled = !possible(button.dataset.act);
   }
 
   function possible(act) {
@@ -48,7 +53,8 @@
     if (["commission", "accept", "record", "circle", "roll_back", "adopt"].includes(act) && (!state.axis || state.axis.error)) return false;
     if (["commission", "circle"].includes(act) && state.daemon) return false; // it opens the bus itself
     if (act === "commission") return state.axis.on_bus;
-    if (["identify", "diagnose", "compare"].includes(act)) return chosen.use.size > 0;
+    if (FLEET.includes(act) && !(window.fffoFleet.state && (act === "fleet_add" ? window.fffoFleet.state.store : window.fffoFleet.state.runs))) return false;
+    if (["identify", "diagnose", "compare", "fleet_add"].includes(act)) return chosen.use.size > 0;
     if (["tune", "adopt"].includes(act)) return Boolean($("model").value);
     return true;
   }
@@ -56,19 +62,19 @@
   // what somebody who is new here would do next
   function next() {
     if (running()) return null;
-    const kinds = state.pages.map((page) => page.kind);
+    const results = axisPages(), kinds = results.map((page) => page.kind);
     if (state.axis && state.axis.commissioning && state.daemon) return { act: "", text: "Next: stop the daemon, then commission the axis" };
     if (state.axis && state.axis.commissioning) return { act: "commission", text: "Next: commission the axis" };
     if (!state.runs.length) return { act: "record", text: "Next: record a run, or add a file" };
     if (kinds[0] === "diagnose") {
-      const page = state.pages[0];
+      const page = results[0];
       return page.next_step === "adopt it" && state.axis ? { act: "adopt", text: "Next: show the gates, and adopt what was found" } : { act: "", text: `Next: ${page.next_step}` };
     }
     if (!kinds.includes("diagnose") && !kinds.includes("close-the-loop")) {
       if (state.runs.length < 3 && state.axis) return { act: "record", text: "Next: record profile, identification current and recipe" };
       return { act: "diagnose", text: "Next: tick the runs, hold one out, diagnose" };
     }
-    return state.pages.length ? { act: "", text: `Next: ${state.pages[0].next_step}` } : null;
+    return results.length ? { act: "", text: `Next: ${results[0].next_step}` } : null;
   }
 
   function axis() {
@@ -105,13 +111,16 @@
     }));
   }
 
+  const axisPages = () => state.pages.filter((page) => page.kind !== "fleet"); // those have their tab
+
   function pages() {
-    $("no-pages").hidden = state.pages.length > 0;
+    const results = axisPages();
+    $("no-pages").hidden = results.length > 0;
     options($("model"), state.pages.filter((page) => page.model).map((page) => [page.model, `${page.name}: ${page.finding}`]), $("model").value);
-    const body = $("pages").tBodies[0], key = JSON.stringify(state.pages) + chosen.page;
+    const body = $("pages").tBodies[0], key = JSON.stringify(results) + chosen.page;
     if (body.dataset.key === key) return;
     body.dataset.key = key;
-    fill(body, state.pages.map((page) => {
+    fill(body, results.map((page) => {
       const row = document.createElement("tr"), button = element("button", page.name);
       button.type = "button";
       button.onclick = () => open(page);
@@ -152,7 +161,8 @@
     const act = button.dataset.act;
     if (act === "record") return { motion: $("motion").value, toggle: $("toggle").value };
     if (act === "circle") return { quick: $("quick").checked };
-    if (act === "identify" || act === "compare") return { fit: [...chosen.use] };
+    if (act === "identify" || act === "compare" || act === "fleet_add") return { fit: [...chosen.use] };
+    if (act === "fleet_report") return { alarms_per_drive_year: Number($("fleet-rate").value), serial: $("fleet-serial").value.trim() };
     if (act === "diagnose") return { fit: [...chosen.use], held_out: [...chosen.hold] };
     if (act === "tune") return { model: $("model").value };
     if (act === "adopt") return { model: $("model").value, dry_run: Boolean(button.dataset.dry) };
@@ -221,8 +231,11 @@
       const on = one === tab;
       one.setAttribute("aria-selected", String(on));
       one.tabIndex = on ? 0 : -1;
-      $(one.getAttribute("aria-controls")).hidden = !on;
+      const panel = $(one.getAttribute("aria-controls")), place = panel.querySelector("[data-jobs]");
+      panel.hidden = !on;
+      if (on && place) place.prepend($("job")); // one job runs at a time, seen where it is asked for
     }
+    look();
   }
   for (const tab of tabs) {
     tab.onclick = () => turnTo(tab);
