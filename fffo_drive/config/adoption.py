@@ -22,13 +22,12 @@ from ..formats import kind_of
 from ..model.effects.law import STRENGTH
 from ..model.effects.registry import law_of
 from ..model.parameters import EffectModel, ModelFile, content_hash, effect_errors, read_model
-from ..units import TWO_PI, name_on, text_on, unit_in
+from ..units import NORMAL_95, TWO_PI, name_on, text_on, unit_in
 from .axis import AxisFile, beside, build_profile, read_axis
 from .axis_text import replace_file, with_line
 from .checks import law_problems
 from .effects import effect_limits, effect_problems, services, slope_margin
 
-CONFIDENCE_SDS = 1.96
 HISTORY_SUFFIX = ".adoptions.yaml"
 DISABLED = "drive disabled"
 SAME_AXIS = "same axis"
@@ -128,7 +127,7 @@ def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
         return Gate(name, False, "no standard deviation: the strengths were not fitted, or are at a bound")
     known = [(value, sd) for _, value, sd in told if sd is not None]
     distance = math.sqrt(sum((value / sd) ** 2 for value, sd in known if sd > 0.0))
-    needed = CONFIDENCE_SDS * math.sqrt(len(known))
+    needed = NORMAL_95 * math.sqrt(len(known))
     first, value, sd = told[0]
     text = f"{first} = {value:.3g}" + (f" +- {sd:.2g}" if sd is not None else "")
     return Gate(name, distance > needed, f"{text}; {distance:.1f} standard deviations from zero, {needed:.1f} needed")

@@ -1,1 +1,1 @@
-"""What a model lacks: the residual traced to effects, with the proof on held-out runs."""
+"""Find the effects that a model is missing: attribute its residual to effects and verify them on held-out runs."""

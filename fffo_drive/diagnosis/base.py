@@ -1,9 +1,9 @@
-"""The base model in torque: its residual at the rows, and how it changes with each of its parameters.
+"""The base model in torque: its residual at the rows, and the sensitivity of that to each base parameter.
 
-    r = Kt u(t - Td) - J a - F(2SEP along the measured path) - sensor lag
+r = Kt u(t - Td) - J a - F(2SEP along the measured path) - sensor lag
 
-Friction is evaluated along the measured path and not along an observer's: an observer that lacks an effect leans
-against it with a wrong velocity, and near the Stribeck speed that is a wrong friction.
+Friction is evaluated along the measured path and not along an observer's path. An observer without the missing effect
+compensates for it with a wrong velocity, and near the Stribeck speed a wrong velocity gives a wrong friction.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from .rows import DiagnosisRows, DiagnosisStretch, second_difference
 
 Floats = npt.NDArray[np.float64]
 
-BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # what is refitted with every effect; no offset: that is an effect
-RIGID = ("inertia_nm_s2_per_rev", "delay_s", "viscous_nm_per_rps", "coulomb_nm")  # what a rigid base has of it
+BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # refitted with every effect; a torque offset is an effect
+RIGID = ("inertia_nm_s2_per_rev", "delay_s", "viscous_nm_per_rps", "coulomb_nm")  # parameters of a rigid base
 NAMES = PARAMETERS
-# how far a parameter may be from its start where the data say nothing of it: standard deviation, by its logarithm where
-# it is positive, in s and s2 where it is not
+# Prior standard deviation of each parameter about its start value: of the logarithm for positive parameters,
+# in s and s2 for the others.
 PRIOR_SD = {"delay_s": 0.003, "stribeck_exponent": 1.0, "sensor_lag_s2": 1e-4}
 PRIOR_LOG_SD = 2.0
-RELATIVE_STEP = 0.005  # of the numeric sensitivities: of a positive parameter, by its logarithm
+RELATIVE_STEP = 0.005  # step of the numeric derivatives, in the logarithm of a positive parameter
 EXPONENT_STEP = 0.005
 BALANCE_HZ = 30.0
 
@@ -67,7 +67,7 @@ def delayed(values: Floats, delay_samples: float) -> Floats:
     """
     begin = -0.5 - delay_samples
     first = int(np.floor(begin))
-    share = 1.0 - (begin - first)  # of the first held value
+    share = 1.0 - (begin - first)  # weight of the first held value
     padded = np.concatenate([np.zeros(max(0, -first) + 1), values, np.full(2, values[-1])])
     offset = max(0, -first) + 1 + first
     n = values.size
@@ -122,7 +122,7 @@ def population_prior(against: AgainstPopulation | None, start: Floats) -> BasePr
 
 
 def distance(physical: Floats, start: Floats) -> Floats:
-    """How far parameters are from others, in the coordinates of BASE. (len(BASE),)"""
+    """Distance between two sets of parameters, in the coordinates of BASE. (len(BASE),)"""
     pairs = [(name, _value(physical, name), _value(start, name)) for name in BASE]
     return np.array([np.log(new / old) if name in LOGARITHMIC else new - old for name, new, old in pairs])
 
@@ -140,7 +140,7 @@ def _value(physical: Floats, name: str) -> float:
 
 
 def moved(physical: Floats, name: str, step: float) -> Floats:
-    """Parameters with one coordinate moved: positive ones by their logarithm, others by themselves."""
+    """Parameters with one coordinate moved: a positive one by its logarithm, any other by its value."""
     changed = physical.copy()
     k = NAMES.index(name)
     changed[k] = physical[k] * np.exp(step) if name in LOGARITHMIC else physical[k] + step
@@ -148,13 +148,15 @@ def moved(physical: Floats, name: str, step: float) -> Floats:
 
 
 def step_of(name: str, period_s: float) -> float:
-    """Size of a numeric step, in the coordinate of `moved`."""
+    """Size of a numeric step, in the coordinate that `moved` uses."""
     sizes = {"delay_s": 0.1 * period_s, "stribeck_exponent": EXPONENT_STEP, "sensor_lag_s2": period_s * period_s}
     return sizes.get(name, RELATIVE_STEP)
 
 
 def sensitivities(stretches: Sequence[DiagnosisStretch], physical: Floats, rows: DiagnosisRows) -> Floats:
-    """d(what the base model explains)/d(coordinate) of BASE at the rows: minus that of the residual. (m, len(BASE))"""
+    """Derivative of the modelled torque (minus the residual's) by each coordinate of BASE at the rows. (m,
+    len(BASE))
+    """
     period_s = rows.filter.period_s
     friction = [_friction(stretch, physical) for stretch in stretches]
     matrix = np.empty((rows.time_s.size, len(BASE)))
@@ -169,7 +171,7 @@ def sensitivities(stretches: Sequence[DiagnosisStretch], physical: Floats, rows:
             step = step_of(name, period_s)
             high = moved(physical, name, step)
             if name == "delay_s":
-                # the torque is taken away from the residual: the sign turns
+                # the modelled torque is subtracted in the residual, hence the sign
                 parts = [rows.filter.rows(_torque(s, physical) - _torque(s, high)) for s in stretches]
             else:
                 pairs = zip(stretches, friction, strict=True)
@@ -190,12 +192,12 @@ def _friction(stretch: DiagnosisStretch, physical: Floats) -> Floats:
 
 
 _PATHS: OrderedDict[tuple[int, FrictionConfig], tuple[DiagnosisStretch, Floats]] = OrderedDict()
-PATHS_KEPT_BYTES = 100_000_000  # of the friction computed last: fits begin where others ended
+PATHS_KEPT_BYTES = 100_000_000  # memory for recently computed friction paths: a fit often starts where another ended
 _KEEPING = Lock()
 
 
 def _friction_path(stretch: DiagnosisStretch, axis: AxisConfig) -> Floats:
-    """Torque Nm, travel since reversal rev and direction along a stretch. (3, n), not to be changed."""
+    """Torque in Nm, travel since reversal in rev, and direction along a stretch. (3, n), read-only."""
     key = (id(stretch), axis.friction)
     known = _PATHS.get(key)
     if known is not None and known[0] is stretch:
@@ -211,7 +213,7 @@ def _friction_path(stretch: DiagnosisStretch, axis: AxisConfig) -> Floats:
 
 
 def balanced(stretches: Sequence[DiagnosisStretch], physical: Floats) -> list[DiagnosisStretch]:
-    """The stretches with the torque that friction balances at rest, by these parameters."""
+    """The stretches with the torque that friction balances at rest, computed with these parameters."""
     found = []
     for stretch in stretches:
         axis, _ = axis_of(physical, stretch.torque_constant_nm_per_a)
@@ -225,5 +227,5 @@ def balanced(stretches: Sequence[DiagnosisStretch], physical: Floats) -> list[Di
 
 
 def axis_config(physical: Floats, torque_constant_nm_per_a: float) -> AxisConfig:
-    """Constants of the axis without the nuisances."""
+    """Axis constants without the nuisance parameters."""
     return axis_of(physical, torque_constant_nm_per_a)[0]

@@ -1,4 +1,4 @@
-"""Where a residual lives: what a free curve over each axis, and a table over each pair of axes, explains of it."""
+"""Localise a residual: how much of it a free curve over each axis, and a table over each pair of axes, explains."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 def channels(
     data: Data, base: tuple[Fitted, Floats], fitted: tuple[Fitted, Floats], rate: float
 ) -> tuple[ResidualChannel, ...]:
-    """The best curve of each axis, then each pair beyond its two axes. Models come with their sensitivities."""
+    """The best curve over each axis, then each pair beyond its two axes. Models come with their sensitivities."""
     scenes = consistent_scenes(data, base[0].physical, base[0].effects)
     before, after = (evidence_of(data, *model) for model in (base, fitted))
     rows = int(data.used.size)
@@ -42,7 +42,7 @@ def channels(
 
 
 def _explained(evidence: Evidence, data: Data, curve: Curve) -> tuple[float, float]:
-    """Share of the squared residual, and its chance."""
+    """Explained share of the squared residual, and its p-value."""
     known = evidence if curve.beside is None else beside(evidence, data.white(curve.beside))
     found = score(known, data.white(curve.columns))
     return found.explained / max(evidence.energy, 1e-300), found.p

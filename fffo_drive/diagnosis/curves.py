@@ -1,7 +1,7 @@
-"""What has no name: free curves over one axis, tables over two, springs along the travel.
+"""Non-parametric effects: free curves over one axis, tables over two axes, springs along the travel.
 
-Each is a table of the library's `lookup` law: what is found here is refitted, written to a model file and, over an axis
-that a feed-forward knows, compensated like any other effect. Knots lie where the data are.
+Each is a table of the library's `lookup` law, so it is refitted, written to a model file and (over an axis that a
+feed-forward knows) compensated like any other effect. Knots are placed where the data are.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ Floats = npt.NDArray[np.float64]
 
 FAR = 1e6
 CURVE_KNOTS = 12
-FINE_KNOTS = 22  # of an axis on which things happen at all scales, and of an angle
-MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # what meets again every so many turns
-PERIODS = 3.0  # that a motion passes at least, for an angle to be an axis
+FINE_KNOTS = 22  # knots on an axis with structure at every scale, and on an angle
+MOTOR_PERIODS_REV = (1.0, 2.0, 3.0, 4.0, 5.0)  # periods at which the same parts of the machine meet again
+PERIODS = 3.0  # a motion must cover at least so many periods before an angle is used as an axis
 ANGLES = ("motor_angle", "output_angle")
 SCALELESS = ("dwell", "travel_since_reversal")
-LEAST_REACH_REV = 0.05  # of what is wound up: beyond presliding and what is near it
-COARSE = 5  # knots of each axis of a coarse table
-LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # of the rows below each level of a fine table
-INNER = (0.002, 0.998)  # quantiles between which knots lie
+LEAST_REACH_REV = 0.05  # shortest travel that winds up a spring: longer than presliding
+COARSE = 5  # knots on each axis of a coarse table
+LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # a fine table has a level at each of these quantiles of the rows
+INNER = (0.002, 0.998)  # quantiles between which knots are placed
 
 
 class CurveAxis(NamedTuple):
-    """One axis of the search."""
+    """One axis of the search for curves."""
 
     word: str
-    kind: float  # of the lookup
+    kind: float  # kind of the lookup law
     scale: float  # period of an angle in rev, or time constant of a memory in s
     of_current: float = 0.0  # a memory of the squared current, not of the speed
 
 
-SPEED = CurveAxis("memory", FRICTION, 0.0)  # a memory without a length
-TABLE_AXES = (  # the finer of a pair first
+SPEED = CurveAxis("memory", FRICTION, 0.0)  # a memory of zero length
+TABLE_AXES = (  # in each pair the axis with the finer knots is first
     CurveAxis("motor_angle", PLAIN, 1.0), CurveAxis("output_angle", PLAIN, 0.0), CurveAxis("velocity", PLAIN, 0.0),
     CurveAxis("travel_since_reversal", FRICTION, 0.0), CurveAxis("time", FRICTION, 0.0),
     CurveAxis("current", PLAIN, 0.0), CurveAxis("memory", FRICTION, 3.0), CurveAxis("acceleration", PLAIN, 0.0),
@@ -66,20 +66,20 @@ OVER_SPEED = ("motor_angle", "output_angle", "travel_since_reversal", "time", "m
 
 
 class CurvePair(NamedTuple):
-    """A table over two axes; the first is the finer."""
+    """A table over two axes; the first has the finer knots."""
 
     along: CurveAxis
     across: CurveAxis
 
     @property
     def name(self) -> str:
-        """As a channel is called."""
+        """Name of its residual channel."""
         drag = " (drag)" if self.along.kind == BRAKE else ""
         return f"{self.along.word} x {across_word(self.shapes)}{drag}"
 
     @property
     def shapes(self) -> dict[str, float]:
-        """The axes as the law of its table takes them."""
+        """The two axes as shapes of the lookup law."""
         return {
             "kind": self.along.kind, "scale": self.along.scale,
             "across": code_of(self.across.word), "across_scale": self.across.scale,
@@ -87,17 +87,17 @@ class CurvePair(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """A curve, or a table with what its axes give one by one, at the rows."""
+    """A curve or a table at the rows; a table with the curves over each of its axes alone."""
 
     name: str  # unknown:AXIS
     shapes: dict[str, float]
     columns: Floats  # (m, k)
-    beside: Floats | None = None  # (m, j) of a table: its two curves
+    beside: Floats | None = None  # (m, j) of a table: the curves over its two axes
     pair: CurvePair | None = None
 
 
 def axes_of(turns: float) -> list[CurveAxis]:
-    """All axes that a motion over so many turns allows."""
+    """All axes that a motion over this many turns supports."""
     found = [
         CurveAxis("time", FRICTION, 0.0), CurveAxis("velocity", PLAIN, 0.0), CurveAxis("acceleration", PLAIN, 0.0),
         CurveAxis("current", PLAIN, 0.0), CurveAxis("dwell", FRICTION, 0.0),
@@ -115,9 +115,8 @@ def axes_of(turns: float) -> list[CurveAxis]:
 
 
 def curves(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
-    """A curve over every axis, and springs along the travel.
-
-    Thinned, not filtered, to the rows: a curve changes slowly.
+    """A curve over every axis, and springs along the travel. Sampled at the rows without a filter: they change
+    slowly.
     """
     for axis in axes_of(rows.turns):
         knots = knots_of(_moving(scenes, abscissa(scenes, axis)), axis)
@@ -139,7 +138,7 @@ def _springs(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
 
 
 def pairs_of(turns: float) -> list[CurvePair]:
-    """All pairs that are tried: torque over the velocity, friction and drag over its size, either over the others."""
+    """All pairs that are searched: torque with velocity as one axis, friction and drag with speed as one axis."""
     axes = {axis.word: axis for axis in TABLE_AXES if axis.word != "motor_angle" or turns > PERIODS}
     found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
     found += [CurvePair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
@@ -152,7 +151,7 @@ def _pair(first: CurveAxis, second: CurveAxis) -> CurvePair:
 
 
 def coarse_tables(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
-    """A coarse table of every pair over which the data move."""
+    """A coarse table over every pair that the data cover."""
     hat: dict[tuple[str, float], Floats | None] = {}
     for pair in pairs_of(rows.turns):
         for axis in pair:
@@ -169,7 +168,7 @@ def coarse_tables(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curv
 
 
 def fine_table(rows: DiagnosisRows, scenes: Sequence[Scene], pair: CurvePair) -> Curve | None:
-    """A fine table over a pair, as the lookup law has it."""
+    """A fine table over a pair, as the lookup law stores it."""
     places = [abscissa(scenes, axis) for axis in pair]
     knots = knots_of(_moving(scenes, places[0]), pair.along)
     if knots.size > KNOTS:
@@ -186,7 +185,7 @@ def fine_table(rows: DiagnosisRows, scenes: Sequence[Scene], pair: CurvePair) ->
 
 
 def kind_of_curve(curve: Curve) -> str:
-    """What a search without a kind of curve leaves out: the channel of a table, `kind(axis)` of a curve."""
+    """Name by which `without` leaves out a kind: the channel of a table, `kind(axis)` of a curve."""
     if curve.pair is not None:
         return curve.pair.name
     kinds = {PLAIN: "torque", FRICTION: "friction", VISCOUS: "viscous", WOUND: "wound", BRAKE: "drag"}
@@ -205,7 +204,7 @@ def _shapes(kind: float, knots: Floats) -> dict[str, float]:
 
 
 def knots_of(places: Floats, axis: CurveAxis) -> Floats:
-    """Knots where the data are: between even steps of the range and even shares of the samples."""
+    """Knots where the data are: a compromise between equal steps of the range and equal numbers of samples."""
     if not places.size:
         return np.zeros(0)
     low, high = (float(x) for x in np.quantile(places, INNER))
@@ -227,7 +226,7 @@ def knots_of(places: Floats, axis: CurveAxis) -> Floats:
 
 
 def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[CurveAxis, Floats]]:
-    """The axes of a curve or a table, and the knots on each."""
+    """The axes of a curve or table, with the knots on each."""
     knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
     own = CurveAxis(axis_of_effect(name), shapes["kind"], shapes.get("scale", 0.0), shapes.get("of_current", 0.0))
     found = [(own, knots)]
@@ -238,8 +237,8 @@ def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[CurveAxi
 
 
 def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_: Filter) -> Floats:
-    """What each value of a curve or table gives, per unit of it, at the rows of a scene. (m, values)"""
-    if shapes["kind"] == WOUND:  # springs, each with a state of its own
+    """Torque per unit of each value of a curve or table, at the rows of a scene. (m, values)"""
+    if shapes["kind"] == WOUND:  # each spring has a state of its own
         units = (load_along(scene, name, {**shapes, f"y{k:02d}": 1.0}) for k in range(values_of(shapes)))
         return np.stack([filter_.rows(unit) for unit in units], axis=1)
     weight = factor(scene, shapes["kind"])
@@ -249,12 +248,15 @@ def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_:
 
 
 def hats(places: Floats, knots: Floats, beyond: float | None = None) -> Floats:
-    """Straight lines between knots, one column a knot; beyond the last its end holds, or `beyond` stands. (n, k)"""
+    """Linear interpolation weights, one column per knot. (n, k)
+
+    Beyond the last knot its value holds, or `beyond` where given.
+    """
     return np.stack([np.interp(places, knots, unit, right=beyond) for unit in np.eye(knots.size)], axis=1)
 
 
 def factor(scene: Scene, kind: float) -> Floats:
-    """What a curve of a kind is times, along a scene; zero at rest. (l,)"""
+    """Factor by which a kind of curve is multiplied along a scene; zero at rest. (l,)"""
     if kind == FRICTION:
         return grip(scene) * scene.moving
     if kind == BRAKE:
@@ -263,14 +265,14 @@ def factor(scene: Scene, kind: float) -> Floats:
 
 
 def grip(scene: Scene) -> Floats:
-    """How far presliding is crossed, and which way: -1 to 1, as the laws see it. (l,)"""
+    """Fraction of presliding that is passed, with the direction: -1 to 1, as the laws see it. (l,)"""
     friction = scene.axis.friction
     contact = scene.motion[:, slots.FRICTION_NM] - friction.viscous_nm_per_rps * scene.motion[:, slots.VELOCITY_RPS]
     return np.asarray(np.clip(contact / friction.coulomb_nm, -1.0, 1.0))
 
 
 def abscissa(scenes: Sequence[Scene], axis: CurveAxis) -> list[Floats]:
-    """Where on an axis the motion is, stretch by stretch: the lookup's own, from a curve that is the identity."""
+    """Coordinate of the motion on an axis, stretch by stretch, from a lookup whose curve is the identity."""
     identity = {
         "kind": PLAIN, "scale": axis.scale, "of_current": axis.of_current, "count": 2.0,
         "x00": -FAR, "x01": FAR, "y00": -FAR, "y01": FAR,

@@ -1,4 +1,4 @@
-"""The diagnosis of an axis: runs first, base fit, search, proof, rest, verdict."""
+"""The diagnosis of an axis: check each run, fit the base, search, prove on held-out runs, examine the rest, judge."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ from .steady import least_steady
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-# that can be ablated
+# mechanisms that an ablation can switch off
 MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
-LEAST_BESIDE = 0.5  # of what is left and could be explained, that a finding explains, or it may be a part of it
-ACTING_SHARE = 0.5  # of the largest torque of an effect: where it acts
-LEAST_ACTING_S = 2.0  # of held-out motion in an effect's regime, for errors of its own
-DELAY_TOLERANCE_S = 0.0015  # beyond the declared delay, from which on it is noted
+LEAST_BESIDE = 0.5  # a finding that explains less than this share of the explainable rest may be part of another effect
+ACTING_SHARE = 0.5  # an effect acts where its torque is above this share of its maximum
+LEAST_ACTING_S = 2.0  # held-out motion in an effect's regime that error figures of its own need
+DELAY_TOLERANCE_S = 0.0015  # a fitted delay further than this from the declared one is reported
 SHOWN_TRIALS = 30
 
 
@@ -57,23 +57,23 @@ def prepared(
     records: Sequence[Record], facts: DriveFacts, model: ModelFile | None, filter_: Filter,
     prior: AgainstPopulation | None = None,
 ) -> Data:  # fmt: skip
-    """Data as the fits begin."""
+    """Data at the start of the fits."""
     stretches = stretches_of(records, filter_)
     if not stretches:
-        raise DataError("no run has a stretch without a gap that is long enough")
+        raise DataError("no run has a long enough stretch without a gap")
     rows = rows_of(stretches, filter_)
     data = starting_data(facts, stretches, rows, len(records), None if model is None else physical_of(model))
     return data if prior is None else data._replace(prior=population_prior(prior, data.start))
 
 
 def filter_for(records: Sequence[Record], facts: DriveFacts, settings: DiagnosisSettings) -> Filter:
-    """The filter that all signals share."""
+    """The filter shared by all signals."""
     cutoff_hz = settings.cutoff_hz or cutoff_of(records, facts.units == "rotary")
     return make_filter(records[0].period_s, cutoff_hz)
 
 
 def physical_of(model: ModelFile) -> Floats:
-    """Base parameters of a model file, as the fits have them: the delay without the sensor's share."""
+    """Base parameters of a model file, in the form that the fits use: the delay without the sensor's part."""
     f = model.friction
     values = {
         "inertia_nm_s2_per_rev": inertia_nm_s2_per_rev(model.inertia_kg_m2.value),
@@ -88,12 +88,11 @@ def diagnose(
     settings: DiagnosisSettings | None = None, progress: Progress | None = None,
     prior: AgainstPopulation | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """Find what the base model of an axis lacks. Effects are chosen on `fit` alone; `held_out` is for the proof.
+    """Find the effects that the base model of an axis is missing.
 
-    `prior`: what drives of its model are, for what the runs determine poorly of the base model. It decides no finding:
-    the base is projected out of every effect's evidence, wherever it stands.
-
-    Raises DataError where the runs cannot carry a fit.
+    Effects are selected on `fit` alone; `held_out` serves the proof. `prior`: the population of the drive's model, for
+    base parameters that the runs determine poorly. It decides no finding: the base is projected out of every effect's
+    evidence, whatever its values. Raises DataError where the runs cannot carry a fit.
     """
     begin = time.monotonic()
     settings = settings or DiagnosisSettings()
@@ -104,7 +103,7 @@ def diagnose(
 
     records = one_rate([*fit, *held_out])
     fit, held_out = records[: len(fit)], records[len(fit) :]
-    with threadpool_limits(1):  # small matrices: the threads here are over candidates
+    with threadpool_limits(1):  # the matrices are small: threads are spent on candidates instead
         tell(0.0, "runs")
         look = runs_look(fit)
         tell(0.02, "base model")
@@ -123,7 +122,7 @@ def diagnose(
 
 
 def runs_look(records: Sequence[Record]) -> RunsLook | None:
-    """Each run by itself; None where none of them slides long enough."""
+    """Diagnosis of each single run; None where none of them slides long enough."""
     try:
         return look_at_runs(records)
     except DataError:
@@ -134,11 +133,11 @@ def assemble(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection, repeats: Ceiling,
     rest: Rest | None, settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
 ) -> Diagnosis:  # fmt: skip
-    """Everything that is said about a selection."""
+    """Assemble the report of a selection."""
     data, base, fitted = selected.data, selected.base, selected.fitted
     proof = Proof(held_out, data.rows.filter, base, selected.ladder, fitted) if held_out else None
     worse = proof.worse() if proof is not None else ""
-    if worse:  # the base stays, and what it leaves is left
+    if worse:  # the base model stays in force, so its residual is what remains
         axes = tuple(dict.fromkeys(axis_of_effect(effect.name) for effect in fitted.effects))
         rest = rest_of(data, base, ceiling(data, base, base)) or refused_rest(data, base, fitted, axes[:2])
     base_matrix = jacobian(data, base)
@@ -146,7 +145,7 @@ def assemble(
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
     own = [replace(one, doubt=doubt(selected, number, one, rest)) for number, one in enumerate(own)]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
-    # what the first rungs of the ladder found stands first, then what takes away most, then the friction's own form
+    # first the effects of the first rungs, then by explained share, the friction's own form last
     findings = ranked(
         findings,
         key=lambda f: (float(f.is_form) if f.accepted else 4.0) - f.explained_fraction
@@ -194,17 +193,17 @@ def assemble(
 def verdict_of(
     accepted: Sequence[Finding], worse: str, rest: Rest | None, remarks: Sequence[str]
 ) -> tuple[VerdictWord, str]:
-    """The verdict and its sentence; what is left is never silent."""
+    """The verdict and its sentence; an unexplained rest is always mentioned."""
     left = f" Not explained: {rest.sentence}." if rest is not None else ""
     forms = ", ".join(f.name for f in accepted if f.is_form)
     form = f" The friction is not that of a single surface: {forms}." if forms else ""
     if worse:
-        return "nothing_carries_over", f"Nothing that carries over was found: on the held-out runs {worse}.{left}"
+        return "nothing_carries_over", f"No finding carries over: on the held-out runs {worse}.{left}"
     if remarks:
         return "unexplained", f"{remarks[0]}{left}"
     effects = [f for f in accepted if not (f.is_form or f.doubt)]
     doubted = [f"{f.name} ({f.place})" if law_of(f.name).wave else f.name for f in accepted if f.doubt]
-    beside = f" In the model, but in doubt as a cause: {', '.join(dict.fromkeys(doubted))}." if doubted else ""
+    beside = f" In the model, but uncertain as a cause: {', '.join(dict.fromkeys(doubted))}." if doubted else ""
     if effects:
         shown = [f for f in effects if f.held_out_gain is None or f.held_out_gain[0] > 0.0] or effects
         names = ", ".join(
@@ -212,32 +211,32 @@ def verdict_of(
         )
         return "effects_found", f"The model lacks: {names}.{beside}{form}{left}"
     if rest is not None:
-        text = f"Something is left that no effect of the library explains: {rest.sentence}."
+        text = f"Part of the residual is explained by no effect of the library: {rest.sentence}."
         return "unexplained", f"{text}{beside}{form}"
     if doubted:
-        return "unexplained", f"Something is there that no effect of the library describes.{beside}{form}"
+        return "unexplained", f"There is an effect that the library does not describe.{beside}{form}"
     if form:
         return "no_effect_found", f"No effect found.{form}"
-    return "no_effect_found", "No effect found: nothing is left that these data could show."
+    return "no_effect_found", "No effect found: these data show no unexplained residual."
 
 
 def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None) -> str:
-    """Why a finding may not be what its name says; empty where nothing speaks against it, and of a form."""
+    """Why a finding may not be what its name says; empty where nothing contradicts it, and for a form of friction."""
     if finding.is_form:
         return ""
     split = least_steady(selected.data, selected.fitted, selected.matrix, number)
     if split.is_uneven:
         return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
     law, share = law_of(finding.name), finding.explained_fraction
-    # a wave by its order, a voltage limit by the measured current, whatever else is there
+    # a wave is identified by its order, a voltage limit by the measured current, whatever else remains
     told_apart = law.wave or law.needs_current
     if rest is not None and not told_apart and share < LEAST_BESIDE * rest.share * (1.0 - share):
-        return "it takes away little beside what nothing here explains, and may be a part of that"
+        return "it explains little compared with the unexplained rest, and may be part of that"
     return ""
 
 
 def contradictions(selected: Selection, fit: Sequence[Record]) -> list[str]:
-    """What the search says of runs that no one model can hold for."""
+    """Objections against runs that no single model can fit."""
     if not selected.inertia_ratios:
         return []
     first = selected.inertia_ratios[0]
@@ -252,18 +251,18 @@ def cautions(
     selected: Selection, facts: DriveFacts, look: RunsLook | None, remarks: Sequence[str],
     held_out: Sequence[Record], fitted: Fitted,
 ) -> list[str]:  # fmt: skip
-    """What a reader has to be told beside the verdict, one sentence each."""
+    """Remarks that a reader needs beside the verdict, one sentence each."""
     found = list(remarks)
     found += [remark.text for remark in look.remarks if remark.kind != "repeated_reference"] if look else []
     if not held_out:
         found.append("no held-out run: the errors before and after are those of the fit runs")
     if any(e.per_run for e in fitted.effects) and not facts.absolute_angle:
-        found.append("a periodic effect has another datum in each run: it cannot be compensated without a homed angle")
+        found.append("a periodic effect differs in datum between runs: it cannot be compensated without a homed angle")
     delay_s = float(fitted.physical[NAMES.index("delay_s")])
     if facts.nominal_delay_s is not None and delay_s > facts.nominal_delay_s + DELAY_TOLERANCE_S:
         found.append(
-            f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * facts.nominal_delay_s:.2f} ms are declared "
-            "(nominal_delay_s): the base model has it, so that it is no effect"
+            f"the fitted delay is {1e3 * delay_s:.2f} ms, {1e3 * facts.nominal_delay_s:.2f} ms were declared "
+            "(nominal_delay_s); the base model includes the delay, so it is not reported as an effect"
         )
     return found
 
@@ -279,9 +278,9 @@ def _finding(
     friction = np.concatenate([data.rows.laws.rows(s.motion[:, 6]) for s in scenes])[used]
     before, after, unseen = _held_out(proof, number)
     reason = (
-        f"explains {100.0 * note.share:.1f} % of the squared residual that the other effects leave; on rows that were "
-        f"not fitted it gains {note.gain.value:.0f} nats (sd {note.gain.sd:.0f}); noise and an effect of "
-        f"{100.0 * NEGLIGIBLE:g} % of the torque would look like this in such a search with probability {note.p:.2g}"
+        f"explains {100.0 * note.share:.1f} % of the squared residual that the other effects leave, and gains "
+        f"{note.gain.value:.0f} nats (sd {note.gain.sd:.0f}) on rows outside the fit; the same search would find as "
+        f"much in noise and an effect of {100.0 * NEGLIGIBLE:g} % of the torque with probability {note.p:.2g}"
     )
     across = across_word(effect.shapes)
     if across:
@@ -323,7 +322,7 @@ def _rival(note: Accepted, name: str, gain: float) -> Rival:
 def _held_out(
     proof: Proof | None, number: int
 ) -> tuple[ErrorFigures | None, ErrorFigures | None, tuple[float, float] | None]:
-    """Errors before and after where one effect acts, and its gain given the others, on the held-out runs."""
+    """Errors before and after where one effect acts, and its gain given the others, on held-out runs."""
     if proof is None:
         return None, None, None
     own: Gain = proof.gain_of(number)
@@ -386,7 +385,7 @@ def _tried(selected: Selection) -> list[dict[str, Any]]:
 def model_file(
     records: Sequence[Record], facts: DriveFacts, fitted: Fitted, sd: Floats, data: Data, findings: Sequence[Finding]
 ) -> ModelFile:
-    """A model as the controller runs it, with its effects; `findings` of each of them."""
+    """A model file with its effects, for the controller; `findings` has the evidence of each effect."""
     value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
     spread = {name: float(sd[k]) * (value[name] if name in LOGARITHMIC else 1.0) for k, name in enumerate(BASE)}
 

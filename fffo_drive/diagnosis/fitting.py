@@ -1,6 +1,6 @@
-"""Fit of everything together: base parameters, strengths and shapes of all effects, on the rows in torque.
+"""Joint fit: base parameters with strengths and shapes of all effects, on the rows in torque.
 
-Gauss-Newton with damping on residuals of unit variance, Huber's loss, a wide prior on what the data do not determine.
+Damped Gauss-Newton on residuals of unit variance, with Huber's loss and a wide prior on what the data do not determine.
 """
 
 from __future__ import annotations
@@ -42,27 +42,27 @@ from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-LOOKUP = "lookup"  # a free curve: its knots stay
-CURVE_PRIOR = 1e-3  # of the squared norm of a curve's column
-CONVERGED = 3e-4  # relative fall of the loss at which a fit is done
-STEADY = 0.02  # ... and at which the sensitivities serve again
-STEEPEST = 5.0  # Fs over Fc at most
-LARGEST_GROWTH = 0.02  # of the plain squared residual, that an effect may cost
-LARGEST_LOG = 0.5  # of a positive parameter in one step
-SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # limits of the classes of noise, in shares of the top speed
-HIDDEN = 0.1  # of the most that what is too small to be told can bend a number by, as an sd (calibration.md)
-PRESLIDING_LENGTHS = 4.0  # presliding, a class of its own, is over after so many 1/K of travel
+LOOKUP = "lookup"  # a free curve: its knots are fixed
+CURVE_PRIOR = 1e-3  # prior weight, as a share of the squared norm of a curve's column
+CONVERGED = 3e-4  # relative decrease of the loss that ends a fit
+STEADY = 0.02  # ... and below which the sensitivities are reused
+STEEPEST = 5.0  # largest Fs over Fc
+LARGEST_GROWTH = 0.02  # largest growth of the plain squared residual that an effect may cause
+LARGEST_LOG = 0.5  # largest step of the logarithm of a positive parameter
+SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # bounds of the speed classes of noise, in shares of the top speed
+HIDDEN = 0.1  # sd of the bias from undetectably small effects, as a share of its maximum (calibration.md)
+PRESLIDING_LENGTHS = 4.0  # presliding, a noise class of its own, ends after this many 1/K of travel
 
 
 class Data(NamedTuple):
-    """What a fit is made on."""
+    """The data of a fit."""
 
     stretches: Sequence[DiagnosisStretch]
     rows: DiagnosisRows
-    weight: Floats  # (m,) one over the level of noise; 0: not kept
+    weight: Floats  # (m,) inverse noise level; 0: not kept
     runs: int
-    start: Floats  # base parameters where the fits begin
-    free: tuple[str, ...] = BASE  # of the base parameters: all, or those of a rigid base
+    start: Floats  # start of the fits, in base parameters
+    free: tuple[str, ...] = BASE  # the fitted base parameters: all, or those of a rigid base
     prior: BasePrior | None = None  # None: a wide one around the start
 
     @property
@@ -76,7 +76,7 @@ class Data(NamedTuple):
         return Folds(*(part[self.used] for part in self.rows.folds))
 
     def white(self, values: Floats) -> Floats:
-        """Values (m,) or (m, k) at the rows that count, at unit variance. (q,) or (q, k)"""
+        """Values (m,) or (m, k) at the rows that count, scaled to unit variance. (q,) or (q, k)"""
         used = self.used
         weight = self.weight[used]
         return np.asarray(values[used] * (weight if values.ndim == 1 else weight[:, None]))
@@ -93,35 +93,38 @@ class Fitted(NamedTuple):
 
     @property
     def energy(self) -> float:
-        """Sum of squares of the white residual, outliers pulled in."""
+        """Sum of squares of the white residual, with outliers pulled in."""
         return float(np.sum(clipped(self.white) ** 2))
 
 
 class Slot(NamedTuple):
-    """One number of an effect that is fitted."""
+    """One fitted number of an effect."""
 
     effect: int
     name: str
-    run: int  # -1: no datum per run
+    run: int  # -1: the same in all runs
     step: float  # of the numeric derivative
     logarithmic: bool
-    periods_per_turn: bool  # an order
+    periods_per_turn: bool  # the number is an order
 
 
 def share_gone(before: Fitted, after: Fitted) -> float:
-    """Share of the loss that is gone: of the squared white residual, outliers counted as `huber` does; what serves the
-    bulk of the rows at the cost of the outliers takes nothing away. At most 1."""
+    """Share of the loss that is removed, at most 1.
+
+    The loss is the squared white residual with outliers as in `huber`: an effect that improves the bulk of the rows at
+    the cost of the outliers removes nothing.
+    """
     plain = float(after.white @ after.white) / max(float(before.white @ before.white), 1e-300)
     return 0.0 if plain > 1.0 + LARGEST_GROWTH else 1.0 - after.loss / max(before.loss, 1e-300)
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:
-    """Torque of effects, at least one, along each stretch at full rate."""
+    """Torque of the effects (at least one) along each stretch at full rate."""
     return [np.sum([load_along(s, one.name, one.values(s.stretch.run)) for one in effects], axis=0) for s in scenes]
 
 
 def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:
-    """Residual of a model on the rows, and the scenes that its effects see."""
+    """Residual of a model at the rows, and the scenes of its effects."""
     models = models_along(data.stretches, physical)
     residual = residual_rows(data.stretches, physical, data.rows, models)
     scenes = _scenes(data, physical, effects, models)
@@ -140,7 +143,7 @@ def torque_of(data: Data, scenes: Sequence[Scene], effects: Sequence[Effect]) ->
 
 
 def with_levels(data: Data, fitted: Fitted) -> Data:
-    """The data with the levels of noise of this model's residual: by speed, presliding apart."""
+    """The data with noise levels from this model's residual, by speed class; presliding is a class of its own."""
     speed = np.abs(data.rows.velocity_rps)
     top = max(float(np.quantile(speed, 0.99)), 1e-12)
     classes = np.searchsorted(np.array([share * top for share in SPEED_CLASSES]), speed) + 1
@@ -150,7 +153,7 @@ def with_levels(data: Data, fitted: Fitted) -> Data:
 
 
 def jacobian(data: Data, fitted: Fitted) -> Floats:
-    """White sensitivities of everything that is fitted: base, then the numbers of the effects. (q, p)"""
+    """White sensitivities of everything that is fitted: the base, then the numbers of the effects. (q, p)"""
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     numbers = slots_of(fitted.effects, data.rows.turns)
     own = effect_jacobian(data, fitted.effects, numbers, scenes)
@@ -159,7 +162,7 @@ def jacobian(data: Data, fitted: Fitted) -> Floats:
 
 
 def _free(data: Data, matrix: Floats) -> Floats:
-    """Sensitivities (m, len(BASE)) with zeros for what is not fitted. Of a rigid base Fs moves with Fc."""
+    """Sensitivities (m, len(BASE)), zero for parameters that are not fitted. In a rigid base Fs moves with Fc."""
     found = matrix * np.array([name in data.free for name in BASE])
     if "static_nm" not in data.free:
         found[:, BASE.index("coulomb_nm")] += matrix[:, BASE.index("static_nm")]
@@ -167,7 +170,7 @@ def _free(data: Data, matrix: Floats) -> Floats:
 
 
 def consistent_scenes(data: Data, physical: Floats, effects: Sequence[Effect]) -> list[Scene]:
-    """Scenes whose torque has the effects in it, apart from those that answer to torque themselves."""
+    """Scenes whose torque includes the effects, except those that respond to torque themselves."""
     return _scenes(data, physical, effects, models_along(data.stretches, physical))
 
 
@@ -180,7 +183,7 @@ def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Seq
 
 
 def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
-    """The data with the torque that friction balances at rest: motor torque less inertia and effects."""
+    """The data with the torque that friction balances at rest: motor torque minus inertia and effects."""
     data = data._replace(stretches=balanced(data.stretches, physical))
     acting = [effect for effect in effects if not law_of(effect.name).level and not law_of(effect.name).joint]
     if not acting:
@@ -202,12 +205,12 @@ def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
 
 
 def on_command(effect: Effect | Term) -> bool:
-    """Whether it acts on the command itself."""
+    """Whether a law acts on the command itself."""
     return law_of(effect.name).acts_on == "command"
 
 
 def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> list[Slot]:
-    """Every number of the effects that is fitted."""
+    """Every fitted number of the effects."""
     found = []
     for number, effect in enumerate(effects):
         law = law_of(effect.name)
@@ -242,7 +245,7 @@ def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:
 
 
 def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slot], scenes: Sequence[Scene]) -> Floats:
-    """d(torque of the effects)/d(each number) at the rows. (m, slots)"""
+    """Derivative of the effects' torque by each number, at the rows. (m, slots)"""
     rows = data.rows
     matrix = np.zeros((rows.time_s.size, len(numbers)))
     base: dict[int, Floats] = {}
@@ -318,13 +321,13 @@ def fit(
 
 
 def _penalty(fitted: Fitted, centre: Floats, precision: Floats) -> float:
-    """Of the prior, in nats a row."""
+    """Penalty of the prior, in nats per row."""
     away = distance(fitted.physical, centre)[: precision.shape[0]]
     return 0.5 * float(away @ precision @ away) / max(1, fitted.white.size)
 
 
 def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Sequence[Slot], first: int) -> None:
-    """Values of free curves are of the size of the friction, and drawn towards nothing where the motion hardly goes."""
+    """Prior of free curves: values of the size of the friction, shrunk to zero where the motion hardly goes."""
     for place, slot in enumerate(numbers, first):
         effect = fitted.effects[slot.effect]
         if law_of(effect.name).name == LOOKUP:
@@ -335,9 +338,9 @@ def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Seq
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
-    """Sensitivities of the base with effects on it. (m, len(BASE))
+    """Sensitivities of the base in the presence of effects. (m, len(BASE))
 
-    A change of level grows with the level, and what acts on the command comes as late as the torque does.
+    The effect of a level changes with the level, and an effect on the command is delayed as the torque is.
     """
     matrix = sensitivities(data.stretches, physical, data.rows)
     delay = BASE.index("delay_s")
@@ -354,7 +357,7 @@ def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]
 def _load_slopes(
     data: Data, physical: Floats, effects: Sequence[Effect], carried: Sequence[Effect], columns: Sequence[int]
 ) -> Floats:
-    """d(torque of the `carried` effects)/d(each of these coordinates of BASE). (m, columns)"""
+    """Derivative of the `carried` effects' torque by each of these coordinates of BASE. (m, columns)"""
     before = torque_of(data, consistent_scenes(data, physical, effects), carried)
 
     def slope(k: int) -> Floats:
@@ -390,7 +393,7 @@ def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Float
     if "static_nm" not in free:
         found[static] = physical[static] * found[coulomb] / physical[coulomb]
     found[static] = max(found[static], found[coulomb])
-    # by its logarithm it would never come back from zero
+    # in its logarithm it could never leave zero again
     found[coulomb] = max(found[coulomb], found[static] / STEEPEST)
     return found
 
@@ -398,8 +401,8 @@ def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Float
 def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None, negligible_nm: float = 0.0) -> Floats:
     """Standard deviations of BASE in its coordinates, then of the effects' numbers. (p,)
 
-    From noise by the sandwich over blocks; and from an effect of this rms torque that is too small to be told: its
-    part is HIDDEN of the most that it can bend a number by.
+    Noise enters by the sandwich estimate over blocks. An undetected effect of this rms torque adds HIDDEN times the
+    largest bias that it can cause in a number.
     """
     matrix = jacobian(data, fitted) if matrix is None else matrix
     norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", matrix, matrix)), 1e-300)

@@ -1,7 +1,8 @@
-"""What a machine cannot be: an axis that shrinks, a shape at a bound, a lag that the measured current does not show.
+"""Physical plausibility: reject an axis that shrinks, a shape at a bound, a lag that the measured current does not
+show.
 
-A law that acts on the command, or a spring, may swallow half of the command; inertia and friction then shrink with it,
-and the residual falls on any run. The axis of the ladder's first rungs is therefore the reference.
+A law that acts on the command, or a spring, can absorb half of the command; inertia and friction then shrink with it
+and the residual falls on any run. The axis from the ladder's first rungs is therefore the reference.
 """
 
 from __future__ import annotations
@@ -20,51 +21,52 @@ from .scenes import Effect, load_along
 
 Floats = npt.NDArray[np.float64]
 
-NEGLIGIBLE = 0.0025  # of the torque that the axis needs, rms: a sensor leaves as much (ablation_diagnosis_wide.md)
-INERTIA_FACTOR = 1.5  # by which an effect may change what the first rungs say of the inertia ...
-NEEDED_SHARE = 0.6  # ... and of the torque that they need, that must still be needed
-DETERMINED_SD = 0.3  # of the logarithm of the inertia, above which the data do not determine it
-AT_BOUND = 0.01  # of the plausible range: a shape that ends so near a bound is none of a machine ...
-BEYOND = 0.1  # ... and a strength may be beyond by so much, for its noise
-SHOWN_SHARE = 0.5  # of what the measured current is short of its command, that an effect has to account for
-LONGEST_SAMPLES = 20  # between command and measured current
-FINENESS = 2  # delays tried a sample
+NEGLIGIBLE = 0.0025  # rms share of the needed torque; a sensor leaves as much (ablation_diagnosis_wide.md)
+INERTIA_FACTOR = 1.5  # largest factor by which an effect may change the inertia of the first rungs ...
+NEEDED_SHARE = 0.6  # ... and the smallest share of their needed torque that must remain needed
+DETERMINED_SD = 0.3  # sd of the logarithm of the inertia above which the data do not determine it
+AT_BOUND = 0.01  # share of the plausible range: a shape this near a bound is implausible ...
+BEYOND = 0.1  # ... and a strength may exceed the range by this share, for noise
+SHOWN_SHARE = 0.5  # share of the current's shortfall against its command that an effect must account for
+LONGEST_SAMPLES = 20  # longest delay between command and measured current
+FINENESS = 2  # delays tried per sample
 
 
 class ReferenceAxis(NamedTuple):
-    """The axis by the first rungs of the ladder."""
+    """The axis as fitted by the first rungs of the ladder."""
 
     inertia_nm_s2_per_rev: float
     inertia_sd: float  # of its logarithm
-    needed_nm: float  # rms torque: J a, friction, and what these rungs have found
+    needed_nm: float  # rms torque: J a, friction, and the effects of these rungs
 
     @property
     def inertia_is_determined(self) -> bool:
-        """Whether the data say how large it is."""
+        """Whether the data determine the inertia."""
         return self.inertia_sd < DETERMINED_SD
 
     @property
     def negligible_nm(self) -> float:
-        """Rms torque of what is too small to be an effect, and of what may hide behind every parameter."""
+        """Rms torque below which an effect is negligible, and which any parameter may hide."""
         return NEGLIGIBLE * self.needed_nm
 
     def and_then(self, later: ReferenceAxis) -> ReferenceAxis:
-        """The axis of later rungs: what they changed of the inertia, the data do not determine."""
+        """The axis of later rungs: where they changed the inertia, the data do not determine it."""
         change = abs(float(np.log(later.inertia_nm_s2_per_rev / self.inertia_nm_s2_per_rev)))
         return later._replace(inertia_sd=max(later.inertia_sd, change))
 
     @classmethod
     def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> ReferenceAxis:
-        """From a fit of the first rungs."""
+        """The axis of a fit of the first rungs."""
         sd = standard_deviations(data, fitted, matrix)[BASE.index("inertia_nm_s2_per_rev")]
         inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
         return cls(inertia, float(sd), needed_rms_nm(data, fitted))
 
 
 def needed_rows(data: Data, fitted: Fitted) -> Floats:
-    """Torque that the axis needs by a model: J a, friction, and effects that do not act on the command. (m,)
+    """Torque that the axis needs according to a model: J a, friction, and effects that do not act on the command.
+    (m,)
 
-    What acts on the command and is shown by the measured current is asked for as well: it is no axis that shrinks.
+    An effect on the command that the measured current confirms counts as needed: there the axis does not shrink.
     """
     models = models_along(data.stretches, fitted.physical)
     inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
@@ -89,7 +91,7 @@ def needed_rms_nm(data: Data, fitted: Fitted) -> float:
 
 
 def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
-    """Why the last effect of a model is not believed; empty where nothing speaks against it."""
+    """Why the last effect of a model is rejected; empty where nothing contradicts it."""
     effect = fitted.effects[-1]
     reason = misshapen(data, fitted, reference, ablate)
     if reason:
@@ -97,35 +99,35 @@ def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablat
     if law_of(effect.name).shown_by_current and "current" not in ablate:
         shown = shown_share(data, fitted, effect)
         if shown is None and law_of(effect.name).needs_current:
-            return "it acts on the command, which has the residual in it: a log with the measured current would decide"
+            return "it acts on the command, which contains the residual: a log with the measured current would decide"
         if shown is not None and shown < SHOWN_SHARE:
-            return f"the measured current does not show it ({100.0 * max(shown, 0.0):.0f} % of what it is short of)"
+            return f"the measured current does not confirm it ({100.0 * max(shown, 0.0):.0f} % of its shortfall)"
     return ""
 
 
 def misshapen(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
-    """Why no machine is like a model: an effect of a shape that none has, or an axis that shrinks."""
+    """Why a model is physically implausible (an implausible shape, or a shrunken axis); empty where it is not."""
     for effect in () if "shapes" in ablate else fitted.effects:
         reason = _shape_objection(data, effect)
         if not reason and law_of(effect.name).joint and reference is not None and not reference.inertia_is_determined:
-            reason = f"{effect.name} takes a share of an inertia that the data do not determine"
+            reason = f"{effect.name} uses part of an inertia that the data do not determine"
         if reason:
             return reason
     if "shrink" in ablate or all(law_of(effect.name).rung <= WAVE_RUNG for effect in fitted.effects):
-        return ""  # a constant, a weight or a wave swallows no command
+        return ""  # a constant, a weight or a wave cannot absorb the command
     return shrinking(data, fitted, reference)
 
 
 def shrinking(data: Data, fitted: Fitted, reference: ReferenceAxis | None) -> str:
-    """How a model buys its error with another axis than that of the first rungs; empty where it does not."""
+    """How a model lowers its error by changing the axis of the first rungs; empty where it does not."""
     if reference is None:
         return ""
     ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
     if reference.inertia_is_determined and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
-        return f"it buys its error with another axis: the inertia would be {ratio:.2g} times that without it"
+        return f"it lowers the error by changing the axis: the inertia would be {ratio:.2g} times as large"
     needed = needed_rms_nm(data, fitted) / reference.needed_nm
     if needed < NEEDED_SHARE:
-        return f"it buys its error by shrinking the axis: {100.0 * needed:.0f} % of the torque would be needed"
+        return f"it lowers the error by shrinking the axis: only {100.0 * needed:.0f} % of the torque would be needed"
     return ""
 
 
@@ -139,22 +141,22 @@ def _shape_objection(data: Data, effect: Effect) -> str:
         if parameter.plausible is None or parameter.name not in values:
             continue
         if law_of(effect.name).shown_by_current and measured and parameter.kind == SHAPE:
-            continue  # the current shows whether it is so
+            continue  # the measured current decides
         low, high = parameter.plausible
         value = values[parameter.name]
         begin, end, place = np.log([low, high, value]) if parameter.logarithmic else (low, high, value)
         spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (end - begin)
         if not begin - spare < place < end + spare:
             words = f"{effect.name} with {parameter.name} {value:.3g} {parameter.unit}"
-            return f"no machine is so: {words} is outside of {low:g} to {high:g}"
+            return f"implausible for a machine: {words} is outside {low:g} to {high:g}"
     return ""
 
 
 def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:
-    """Share of what the measured current is short of its command that an effect accounts for; None: not measured.
+    """Share of the current's shortfall against its command that an effect explains; None: current not measured.
 
-    1 for what acts on the command, 0 or less for others. The delay of the measurement is free on both sides: a delay
-    alone takes in much of a lag.
+    1 for laws that act on the command, 0 or less for others. The delay of the measurement is free on both sides,
+    because a delay alone can explain much of a lag.
     """
     if not _is_measured(data):
         return None
@@ -173,7 +175,7 @@ def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:
             assert stretch.measured_a is not None
             short_a = delayed(stretch.current_a, float(samples)) - stretch.measured_a
             short.append(data.rows.filter.rows(stretch.torque_constant_nm_per_a * short_a))
-            # the effect acts with the torque, the current is measured at a time of its own
+            # the effect acts with the torque; the current has a sampling time of its own
             at_s = time_s - samples * data.rows.filter.period_s + acts_s
             moved.append(data.rows.laws.rows(np.interp(at_s, time_s, load)))
         short_nm, moved_nm = np.concatenate(short)[kept], np.concatenate(moved)[kept]

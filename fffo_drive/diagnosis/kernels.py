@@ -1,4 +1,4 @@
-"""Kernels of the diagnosis: one filter for everything, the path that friction sees, and friction along it."""
+"""Kernels of the diagnosis: the shared filter, the path that friction sees, and friction along it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..model.friction import FrictionConfig, FrictionState, friction_step, stead
 Floats = npt.NDArray[np.float64]
 
 
-HELD_SHARE = 3.0  # of its own level, that friction holds at rest: an effect that the base lacks may have raised it
+HELD_SHARE = 3.0  # largest torque that friction holds at rest, in its own level: a missing effect may have raised it
 
 
 @njit
 def filter_rows(values: Floats, taps: Floats, step: int, output: Any) -> None:
     """A symmetric (zero-phase) filter, evaluated at every `step`-th sample: row j is centred on sample j*step.
 
-    `values` (n,), `taps` (2h+1,), `output` (rows,). Beyond the ends the values stay as they are there.
+    `values` (n,), `taps` (2h+1,), `output` (rows,). Beyond the ends the end values are repeated.
     """
     last = values.size - 1
     half = taps.size // 2
@@ -41,10 +41,10 @@ def wave_rows(
     position_rev: Floats, velocity_rps: Floats, factor: Floats, order: float, lag_rev: float, response: Floats,
     points_per_hz: float, output: Any,
 ) -> None:  # fmt: skip
-    """Cosine and sine of a wave of so many periods a turn, times `factor`, as a filter leaves them. `output` (m, 2).
+    """Cosine and sine of a wave of an order, times `factor`, after the filter. `output` (m, 2).
 
-    `response` of the filter at frequencies `1 / points_per_hz` apart, linear between them. What follows its level over
-    a travel of `lag_rev` times |factor| arrives smaller and later.
+    `response` of the filter at frequencies `1 / points_per_hz` apart, linear between them. A friction that follows its
+    level over a travel of `lag_rev` times |factor| gives a smaller, later wave.
     """
     last = response.size - 1
     for k in range(position_rev.size):
@@ -63,7 +63,7 @@ def wave_rows(
 
 @njit
 def play_path(position_rev: Floats, half_width_rev: float, output: Any) -> None:
-    """Position behind a play of +-`half_width_rev`: what noise does at rest is no motion. Shapes (n,)."""
+    """Position behind a play of +-`half_width_rev`: noise at rest is not motion. Shapes (n,)."""
     held = position_rev[0]
     for k in range(position_rev.size):
         if position_rev[k] > held + half_width_rev:
@@ -79,8 +79,8 @@ def friction_along(
 ) -> None:
     """2SEP friction along a path. `path_rev` (n,); `output` (n, 3): torque Nm, travel since reversal rev, direction.
 
-    Where `rest` (n,) is true, friction is what balances the other torques, `balance_nm` (n,): motions that no sensor
-    sees let it creep there. The next motion begins from it as after a reversal.
+    Where `rest` (n,) is true, friction balances the other torques, `balance_nm` (n,), since it creeps there by motions
+    too small for the sensor. The next motion starts from that value as after a reversal.
     """
     state = FrictionState(0.0, 0.0, 0.0, 0.0)
     limit_nm = HELD_SHARE * max(config.static_nm, config.coulomb_nm)

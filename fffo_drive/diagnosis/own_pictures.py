@@ -1,11 +1,12 @@
-"""The picture that a law asks for (`Law.figure`), beside the residual over its axis: one kind for many laws.
+"""The figure that a law declares (`Law.figure`), shown beside the residual over its axis. Several laws share one
+kind.
 
-order     amplitude of what is left over orders of the motor turn (or frequency), with the orders of effects marked
-friction  friction over velocity: measured, of the model without the effect and with it
-level     level of the friction over time: measured, and as the effect has it
-reversal  torque around reversals of the motion, over the time since
-transfer  torque that arrives at the shaft over the torque that was commanded
-limit     torque that arrives over speed, where much was commanded
+order      amplitude of the residual over orders of the motor turn (or frequency), with the orders of effects marked
+friction   friction over velocity: measured, and modelled without and with the effect
+level      friction level over time: measured, and modelled with the effect
+reversal   torque around reversals of the motion, over the time since
+transfer   torque that reaches the shaft over the commanded torque
+limit      torque that reaches the shaft over speed, where the command was large
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 SPECTRUM_POINTS = 480
-LEAST_ORDERS = 8.0  # of the motor turn that a spectrum shows
-BEYOND = 2.0  # times the order of the effect
+LEAST_ORDERS = 8.0  # orders of the motor turn that a spectrum shows at least
+BEYOND = 2.0  # the spectrum reaches this multiple of the effect's order
 CHUNK_ROWS = 8192
 BEFORE_REVERSAL_S, AFTER_REVERSAL_S = 0.1, 0.4
 MUCH = 0.7  # quantile of the commanded torque above which a limit may act
-LEAST_SPEED_SHARE = 0.02  # of the highest speed: slower rows tell no viscous level
+LEAST_SPEED_SHARE = 0.02  # share of the highest speed; slower rows do not determine a viscous level
 WITHOUT, WITH, SAYS = "measured", "model with the effect", "model without it"
 
 
 class _Seen(NamedTuple):
-    """A finding with all that its picture is made from; rows are (m,)."""
+    """A finding with the data of its figure; rows are (m,)."""
 
     data: Data
     scenes: Sequence[Scene]
@@ -50,11 +51,11 @@ class _Seen(NamedTuple):
     kept: Integers
 
     def along(self, place: int) -> Floats:
-        """A slot of the motion at the rows. (m,)"""
+        """One slot of the motion at the rows. (m,)"""
         return np.concatenate([self.data.rows.laws.rows(scene.motion[:, place]) for scene in self.scenes])
 
     def commanded_nm(self) -> Floats:
-        """Torque that the command asks for. (m,)"""
+        """Commanded torque. (m,)"""
         rows = self.data.rows
         return np.concatenate(
             [rows.laws.rows(s.commanded_thinned * s.axis.torque_constant_nm_per_a) for s in self.scenes]
@@ -63,7 +64,7 @@ class _Seen(NamedTuple):
     def curves(
         self, place: Floats, rows: Integers, drawn: dict[str, Floats], points: Sequence[str]
     ) -> list[FoundCurve]:
-        """Means over bins of `place`; those named in `points` with their intervals, the others as lines."""
+        """Bin means over `place`; those in `points` as points with intervals, the others as lines."""
         edges = bin_edges(place[rows])
         count = edges.size - 1
         bins = np.clip(np.searchsorted(edges, place[rows], side="right") - 1, 0, count - 1)
@@ -82,7 +83,7 @@ class _Seen(NamedTuple):
 
 
 def own_picture(data: Data, fitted: Fitted, number: int) -> Picture | None:
-    """The picture of the kind that the law of an effect asks for; None where it is the residual over its axis alone."""
+    """The figure that the law of an effect declares; None where that is the residual over its axis."""
     effect = fitted.effects[number]
     draw = _KINDS.get(law_of(effect.name).figure)
     if draw is None:
@@ -128,7 +129,7 @@ def _order(seen: _Seen) -> Picture | None:
         title=_title(seen, "spectrum over orders of the motor turn" if turns else "spectrum over frequency"),
         x_label="order, periods in a motor turn" if turns else "frequency",
         x_unit="" if turns else "Hz",
-        y_label="amplitude of what is left",
+        y_label="amplitude of the residual",
         y_unit="Nm",
         curves=(
             FoundCurve("without the effect", grid, before, kind="line"),
@@ -141,7 +142,7 @@ def _order(seen: _Seen) -> Picture | None:
 
 
 def _amplitudes(seen: _Seen, along: Floats, values: Floats, factor: Floats, grid: Floats) -> Floats:
-    """Amplitude of a wave times `factor` in `values`, by least squares at each order; runs by their squares. (g,)"""
+    """Amplitude of a wave times `factor` in `values`: least squares at each order, rms over the runs. (g,)"""
     total, weight = np.zeros(grid.size), 0.0
     for run in np.unique(seen.data.rows.run[seen.kept]):
         rows = seen.kept[seen.data.rows.run[seen.kept] == run]
@@ -153,7 +154,7 @@ def _amplitudes(seen: _Seen, along: Floats, values: Floats, factor: Floats, grid
         for begin in range(0, rows.size, CHUNK_ROWS):
             part = rows[begin : begin + CHUNK_ROWS]
             wave += np.exp(-2j * np.pi * np.outer(grid, along[part] - along[rows[0]])) @ centred[part]
-        # amplitude of what is multiplied by the factor, as a torque at the factor's rms
+        # amplitude as a torque, at the rms of the factor
         total += power * (2.0 * np.abs(wave) / power) ** 2
         weight += rows.size
     return np.asarray(np.sqrt(total / max(weight, 1.0)))
@@ -170,7 +171,7 @@ def _friction(seen: _Seen) -> Picture:
         y_unit="Nm",
         curves=tuple(seen.curves(seen.data.rows.velocity_rps, seen.kept, drawn, (WITHOUT,))),
         note="Motor torque less inertia and all other effects.",
-        says="Friction as it was measured, and of the model without and with the effect.",
+        says="Friction: measured, and modelled without and with the effect.",
     )
 
 
@@ -180,7 +181,7 @@ def _level(seen: _Seen) -> Picture:
     speed = rows.velocity_rps
     fast = np.abs(speed) > LEAST_SPEED_SHARE * np.abs(speed[seen.kept]).max()
     kept = seen.kept[fast[seen.kept]]
-    # by least squares in each bin: the mean of torque times speed over the mean of its square
+    # least squares in each bin: mean of torque times speed over mean squared speed
     carrier = speed / np.mean(speed[kept] ** 2) if viscous else np.sign(speed)
     base = axis.viscous_nm_per_rps if viscous else axis.coulomb_nm
     drawn = {
@@ -195,8 +196,8 @@ def _level(seen: _Seen) -> Picture:
         y_label="viscous friction" if viscous else "Coulomb friction",
         y_unit="Nm/rps" if viscous else "Nm",
         curves=tuple(seen.curves(rows.time_s, kept, drawn, (WITHOUT,))),
-        note="Runs follow one another on the clock of the log.",
-        says="Level of the friction as it was measured, and of the model without and with the effect.",
+        note="Runs in the order of the log's clock.",
+        says="Friction level: measured, and modelled without and with the effect.",
     )
 
 
@@ -217,7 +218,7 @@ def _reversal(seen: _Seen) -> Picture | None:
     drawn = {
         "without the effect": seen.before_nm * direction,
         "with it": seen.after_nm * direction,
-        "what the effect says": seen.load_nm * direction,
+        "torque of the effect": seen.load_nm * direction,
     }
     return Picture(
         title=_title(seen, "torque around reversals"),
@@ -227,7 +228,7 @@ def _reversal(seen: _Seen) -> Picture | None:
         y_unit="Nm",
         curves=tuple(seen.curves(since, kept, drawn, ("without the effect", "with it"))),
         note="All reversals of the fit runs.",
-        says="What is left around each reversal, without and with the effect: means with 95 % intervals.",
+        says="Residual around each reversal, without and with the effect: means with 95 % intervals.",
         marks=(PictureMark(0.0, "reversal"),),
     )
 
@@ -235,8 +236,8 @@ def _reversal(seen: _Seen) -> Picture | None:
 def _transfer(seen: _Seen) -> Picture:
     asked = seen.commanded_nm()
     return _arriving(
-        seen, "torque that arrives, over the torque that was commanded", asked, seen.kept, asked, np.ones(asked.size),
-        ("commanded torque", "Nm"), "Torque that arrives at the shaft, and what the model has of it.",
+        seen, "delivered torque over commanded torque", asked, seen.kept, asked, np.ones(asked.size),
+        ("commanded torque", "Nm"), "Torque delivered at the shaft, measured and modelled.",
     )  # fmt: skip
 
 
@@ -248,7 +249,7 @@ def _limit(seen: _Seen) -> Picture | None:
     much = motoring[np.abs(asked[motoring]) >= np.quantile(np.abs(asked[motoring]), MUCH)]
     return _arriving(
         seen, "torque over speed", np.abs(speed), much, asked, np.sign(asked), ("speed", "rps"),
-        f"Torque that arrives where more was commanded than in {100.0 * MUCH:g} % of the rows that drive the axis.",
+        f"Delivered torque in the {100.0 - 100.0 * MUCH:g} % of the driving rows with the largest commanded torque.",
     )  # fmt: skip
 
 
@@ -268,7 +269,7 @@ def _arriving(
         y_label="torque",
         y_unit="Nm",
         curves=tuple(seen.curves(place, rows, drawn, (WITHOUT,))),
-        note="Measured: from the motion, by inertia and friction.",
+        note="Measured: computed from the motion with inertia and friction.",
         says=says,
     )
 

@@ -1,4 +1,4 @@
-"""What a reader sees of a diagnosis: effects over their axis, residuals over time, where they live, what repeats."""
+"""Figures of a diagnosis: effects over their axis, residuals over time, residual channels, what repeats."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ..identification.criterion import clipped
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
+from ..units import NORMAL_95
 from .curves import ANGLES, CurveAxis, abscissa
 from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, FoundCurve, Picture, RunFigure
@@ -22,14 +23,13 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 BINS = 32
-LEAST_ROWS = 8  # of a bin that is shown
+LEAST_ROWS = 8  # fewest rows in a bin that is shown
 LEAST_WINDOWS = 2
-NORMAL_95 = 1.96
 ENVELOPE = 400
 REPEAT_S = 2.0
 REPEAT_STEP_S = 0.05
 LEAST_REPEATED_ROWS = 50
-LEAST_REPEATABLE = 0.05  # of the squared residual: below it nothing that repeats is left to be explained
+LEAST_REPEATABLE = 0.05  # of the squared residual; below it the repeatable part counts as explained
 MEMORY_S = 3.0
 SMALLEST_TRAVEL_REV = 1e-4
 UNITS = {
@@ -44,7 +44,7 @@ LOGARITHMIC = ("travel_since_reversal", "dwell")
 
 
 class _Place(NamedTuple):
-    """Where the rows are on the axis of a picture."""
+    """Coordinates of the rows on the axis of a figure."""
 
     values: Floats  # (m,)
     label: str
@@ -52,7 +52,9 @@ class _Place(NamedTuple):
 
 
 def picture(data: Data, fitted: Fitted, number: int) -> Picture:
-    """The residual over the axis of an effect, without it (its torque put back) and with it, and its own torque."""
+    """Residual over the axis of an effect, without the effect (its torque added back) and with it, and the effect's
+    torque.
+    """
     effect = fitted.effects[number]
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
     load = load_rows(data.rows, scenes, effect)
@@ -73,7 +75,7 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
                 FoundCurve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points")
             )
         says = binned(load[rows], bins, edges.size - 1)[shown]
-        curves.append(FoundCurve("what the effect says" + where, x, says, kind="line"))
+        curves.append(FoundCurve("torque of the effect" + where, x, says, kind="line"))
     return Picture(
         title=f"{law_of(effect.name).plain_name}, over {place.label}".capitalize(),
         x_label=place.label,
@@ -88,7 +90,7 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
 def _shares(
     scenes: Sequence[Scene], effect: Effect, load_nm: Floats, kept: Integers, step: int
 ) -> list[tuple[str, Integers]]:
-    """Rows that are shown together: all of a curve; of a table those near the two levels that differ most."""
+    """Rows shown together: all for a curve; for a table those near its two most different levels."""
     word = across_word(effect.shapes)
     if not word:
         return [("", kept)]
@@ -107,7 +109,7 @@ def _shares(
 
 
 def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> _Place:
-    """Rows on the axis over which a plot of this effect convinces; a wave is folded onto its period."""
+    """Coordinates of the rows on the axis of this effect; a wave is folded onto its period."""
     rows = data.rows
     law = law_of(name)
     folded = law.fold(law.filled(shapes))
@@ -124,7 +126,7 @@ def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, flo
 
 
 def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floats:
-    """Rows on an axis word. (m,)"""
+    """Rows on a named axis. (m,)"""
     rows = data.rows
     plain = {"velocity": rows.velocity_rps, "acceleration": rows.acceleration_rps2, "time": rows.time_s}
     if word in plain:
@@ -148,7 +150,7 @@ def _along(data: Data, scenes: Sequence[Scene], word: str, scale: float) -> Floa
 
 
 def bin_edges(values: Floats) -> Floats:
-    """Bins between even steps of the range and even shares of the rows."""
+    """Bin edges: a compromise between equal steps of the range and equal numbers of rows."""
     if not values.size:
         return np.array([0.0, 1.0])
     shares = np.linspace(0.0, 1.0, BINS + 1)
@@ -162,7 +164,7 @@ def binned(values: Floats, bins: Integers, count: int) -> Floats:
 
 
 def _pieces(bins: Integers, window: Integers) -> tuple[Integers, Integers]:
-    """Rows to pieces that share bin and window, and the bin of each piece."""
+    """Groups of rows that share bin and window, and the bin of each group."""
     keys, index = np.unique(bins.astype(np.int64) * (int(window.max()) + 1) + window, return_inverse=True)
     return index, keys // (int(window.max()) + 1)
 
@@ -177,7 +179,7 @@ def shown_bins(bins: Integers, window: Integers, count: int) -> npt.NDArray[np.b
 
 
 def interval(values: Floats, bins: Integers, window: Integers, count: int) -> tuple[Floats, Floats]:
-    """Mean of each bin, and half the width of its 95 % interval: rows of one window are one piece of evidence."""
+    """Mean of each bin, and half the width of its 95 % interval; the rows of one window count as one sample."""
     mean = binned(values, bins, count)
     if not bins.size:
         return mean, np.zeros(count)
@@ -190,7 +192,7 @@ def interval(values: Floats, bins: Integers, window: Integers, count: int) -> tu
 
 
 def run_figures(data: Data, base: Fitted, fitted: Fitted, role: Literal["fit", "held_out"]) -> tuple[RunFigure, ...]:
-    """Smallest and largest residual over time of each stretch, before and after; zero at rest."""
+    """Envelope (minimum, maximum) of each stretch's residual over time, before and after; zero at rest."""
     rows = data.rows
     found = []
     for stretch, (begin, end) in zip(data.stretches, rows.bounds, strict=True):
@@ -210,19 +212,19 @@ def run_figures(data: Data, base: Fitted, fitted: Fitted, role: Literal["fit", "
 
 
 def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
-    """What repeats of the residual, from pieces of the reference that come more than once in a run."""
+    """Repeatable share of the residual, from parts of the reference that occur more than once in a run."""
     pairs = [
         pair
         for stretch, bounds in zip(data.stretches, data.rows.bounds, strict=True)
         for pair in _repeats(stretch, bounds, data.rows)
     ]
     if not pairs:
-        return Ceiling(None, None, None, None, "no piece of a reference was repeated")
+        return Ceiling(None, None, None, None, "no part of the reference was repeated")
     first, second = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     both = data.rows.kept[first] & data.rows.kept[second]
     first, second = first[both], second[both]
     if first.size < LEAST_REPEATED_ROWS:
-        return Ceiling(None, None, None, None, "too little of what was repeated is in motion")
+        return Ceiling(None, None, None, None, "the repeated parts contain too little motion")
     r, s = base.residual_nm, fitted.residual_nm
     noise = 0.5 * float(np.mean((r[first] - r[second]) ** 2))
     whole = 0.5 * float(np.mean(r[first] ** 2) + np.mean(r[second] ** 2))
@@ -230,8 +232,8 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
     repeatable = max(0.0, whole - noise)
     share = min(1.0, max(0.0, (whole - left) / repeatable)) if repeatable > LEAST_REPEATABLE * whole else None
     seconds = first.size * data.rows.filter.row_period_s
-    note = f"{seconds:.0f} s of motion whose reference came again in the same run"
-    # in levels of noise, or the rows just after each reversal say it all
+    note = f"{seconds:.0f} s of motion with a repeated reference in the same run"
+    # in units of the noise level, or the rows just after each reversal would dominate
     u, v = (clipped((s * data.weight)[part]) for part in (first, second))
     whole_white = float(np.mean(u**2) + np.mean(v**2))
     repeats = max(0.0, whole_white - float(np.mean((u - v) ** 2))) / max(whole_white, 1e-300)
@@ -241,7 +243,7 @@ def ceiling(data: Data, base: Fitted, fitted: Fitted) -> Ceiling:
 def _repeats(
     stretch: DiagnosisStretch, bounds: tuple[int, int], rows: DiagnosisRows
 ) -> list[tuple[Integers, Integers]]:
-    """Pairs of equally long ranges of rows of one stretch whose references are the same."""
+    """Pairs of equally long row ranges of one stretch with identical references."""
     if stretch.reference_rps is None:
         return []
     step = max(1, round(REPEAT_STEP_S / stretch.period_s))

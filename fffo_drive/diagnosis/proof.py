@@ -1,7 +1,7 @@
-"""The proof on held-out runs: torque over the torque that the axis needs, and velocity over windows.
+"""The proof on held-out runs: torque error relative to the needed torque, and velocity error over windows.
 
-The yardstick is the torque that the axis needs by the first rungs of the ladder: one for all models, so that no model
-gains by needing less. Errors in velocity are made with the inertia of that model too.
+The needed torque comes from the first rungs of the ladder and is the same for all models, so that no model gains by
+needing less. Velocity errors use the inertia of that model too.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 DRAWS = 400
-SDS = 2.0  # of the paired difference, beyond which a model does worse
-WINDOWS_S = (0.25, 0.5)  # over which errors in velocity are counted
-DATUM_SHARE = 0.3  # of a run and of what a periodic effect does in it: there its datum is found; the rest is scored ...
-DATUM_MOST = 0.7  # ... and so much of the run at most
+SDS = 2.0  # of the paired difference, beyond which a model counts as worse
+WINDOWS_S = (0.25, 0.5)  # windows over which velocity errors are counted
+DATUM_SHARE = 0.3  # share of a run, and of a periodic effect in it, that its datum is fitted on ...
+DATUM_MOST = 0.7  # ... and at most this share of the run; the rest is scored
 
 
 def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
-    """Rows of other records; the levels of noise are those of the base model there."""
+    """Rows of other records, with the base model's noise levels on them."""
     stretches = stretches_of(records, filter_)
     rows = rows_of(stretches, filter_)
     data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), base.physical)
@@ -41,9 +41,10 @@ def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
 
 
 def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
-    """The model with each periodic effect's datum found on the first part of each run; rows that may be scored. (m,)
+    """The model with each periodic effect's datum fitted on the first part of each run; rows that may be scored.
+    (m,)
 
-    The datum is a phase: how large the wave is was learnt from the fit runs.
+    The datum is a phase; the amplitude comes from the fit runs.
     """
     scored = np.ones(data.rows.time_s.size, dtype=bool)
     data = at_rest(data, fitted.physical, fitted.effects)
@@ -69,7 +70,7 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
 
 
 def _early(data: Data, physical: Floats, effects: Sequence[Effect]) -> Mask:
-    """The part of each run from which a datum is learnt: what is slow may hardly show it. (m,)"""
+    """The part of each run from which the datum is fitted: in slow motion a wave may hardly show. (m,)"""
     load = np.square(torque_of(data, consistent_scenes(data, physical, effects), effects))
     early = np.zeros(load.size, dtype=bool)
     for begin, end in data.rows.bounds:
@@ -81,7 +82,7 @@ def _early(data: Data, physical: Floats, effects: Sequence[Effect]) -> Mask:
 
 
 class Proof:
-    """Errors on held-out runs, before and after, by one yardstick."""
+    """Errors on held-out runs before and after, on one scale."""
 
     def __init__(
         self, records: Sequence[Record], filter_: Filter, base: Fitted, ladder: Fitted, fitted: Fitted
@@ -100,7 +101,7 @@ class Proof:
         return error_figures(self.data, model, self.needed_nm, self.inertia, scored)
 
     def gain_of(self, number: int) -> Gain:
-        """What one effect explains of the held-out rows, given the others."""
+        """Gain of one effect on the held-out rows, given the others."""
         others = tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
         without = evaluate(self.data, self.fitted.physical, others)[0]
         scored = self.scored[self.data.used]
@@ -108,24 +109,24 @@ class Proof:
         return gain(huber(without.white[scored]), huber(self.fitted.white[scored]), folds)
 
     def worse(self) -> str:
-        """In what the model does worse on held-out runs than the base; empty where it does not."""
+        """Where the model is worse on held-out runs than the base; empty where it is not."""
         if not self.fitted.effects:
             return ""
         if not self.after.torque_rms_nm.value < self.before.torque_rms_nm.value:
-            return "the error in torque is no smaller"
+            return "the torque error is not smaller"
         speeds = [velocity_squares(self.data, model, self.inertia, self.scored) for model in (self.ladder, self.fitted)]
         change = speeds[1] - speeds[0]
         if change.sum() > SDS * np.sqrt(change.size * change.var(ddof=1)):
-            return "the error in velocity is larger"
+            return "the velocity error is larger"
         return ""
 
 
 def error_figures(
     data: Data, fitted: Fitted, needed_nm: Floats, inertia: float, scored: Mask | None = None
 ) -> ErrorFigures:
-    """Errors over the rows that count (`scored` of the kept ones); intervals from whole blocks that are drawn again.
+    """Errors over the rows that count (of the kept ones those `scored`); intervals by resampling whole blocks.
 
-    `needed_nm` (m,): torque that the axis needs; `inertia` in Nm s2/rev that what is left moves.
+    `needed_nm` (m,): torque that the axis needs; `inertia` in Nm s2/rev converts the residual to an acceleration.
     """
     rows = data.rows
     use = rows.kept if scored is None else rows.kept & scored
@@ -160,8 +161,8 @@ def inertia_of(fitted: Fitted) -> float:
 def velocity_squares(data: Data, fitted: Fitted, inertia: float, scored: Mask) -> Floats:
     """Mean squared velocity error of each window whose rows are scored, rps2. (w,)
 
-    What the torque that is left makes of the speed from the begin of a window, by one inertia for all models, friction
-    and effects as along the measured motion. The window's mean torque is taken out: a constant says nothing of a form.
+    The residual torque is integrated from the start of a window, with one inertia for all models and with friction and
+    effects along the measured motion. The window's mean torque is removed: a constant carries no form.
     """
     rows = data.rows
     change_rps = fitted.residual_nm * rows.filter.row_period_s / inertia

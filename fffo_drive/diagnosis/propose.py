@@ -1,7 +1,7 @@
-"""Every effect at every shape, scored on what the model at hand leaves: explained likelihood, and how sure that is.
+"""Score every effect at every shape on the residual of the current model: likelihood gain and its p-value.
 
-The base and what is accepted are projected out of residual and columns alike (Frisch and Waugh, 1933), so that nothing
-is proposed that a refit of them could explain.
+The base and the accepted effects are projected out of residual and columns alike (Frisch and Waugh, 1933), so that
+nothing is proposed that a refit of them could explain.
 """
 
 from __future__ import annotations
@@ -31,43 +31,43 @@ from .spectra import frequency_peaks, order_peaks, slow_orders
 Floats = npt.NDArray[np.float64]
 
 LONG_WAVES = 64  # half periods of a linear travel that are tried as waves
-PEAKS = 4  # of each spectrum that become shapes
-DISTINCT = 1e-3  # share of a column's square that must be left once the base is projected out
-COLLINEAR = 1e-8  # eigenvalue over the largest, below which columns of one candidate are one
+PEAKS = 4  # lines of each spectrum that become shapes
+DISTINCT = 1e-3  # share of a column's square that must remain after the base is projected out
+COLLINEAR = 1e-8  # eigenvalue relative to the largest, below which columns of one candidate count as dependent
 WAVE_RUNG, LAW_RUNG, TABLE_RUNG = 2, 3, 4  # waves at the machine's orders; all laws and curves; tables over two axes
-SHAPES_AT_ONCE = 16  # scored with one product of matrices
-INSIDE_SHARE = 0.2  # of the motion that may lie inside a dead zone: there the residual explains itself
+SHAPES_AT_ONCE = 16  # shapes per matrix product
+INSIDE_SHARE = 0.2  # largest share of the motion inside a dead zone, where the residual would explain itself
 
 
 class Evidence(NamedTuple):
-    """White residual with everything that is refitted anyway projected out; what a candidate is scored against."""
+    """White residual with all that is refitted projected out; candidates are scored against it."""
 
     residual: Floats  # (q,)
     basis: Floats  # (q, b) orthonormal
-    folds: Folds  # of the rows that count, (q,) each
-    level_nm: Floats  # (q,) of noise
-    negligible_nm: float  # rms torque of what is too small to be an effect
+    folds: Folds  # indices among the rows that count, (q,) each
+    level_nm: Floats  # (q,) noise level
+    negligible_nm: float  # rms torque of a negligible effect
 
     @property
     def energy(self) -> float:
-        """Sum of squares that is left to explain."""
+        """Remaining sum of squares."""
         return float(self.residual @ self.residual)
 
 
 class Score(NamedTuple):
-    """What columns explain."""
+    """What a candidate's columns explain."""
 
-    explained: float  # fall of the sum of squares
+    explained: float  # decrease of the sum of squares
     strengths: Floats  # (k,) by least squares
     rank: int
-    p: float  # chance of it, as if nothing else had been tried
+    p: float  # p-value of this candidate alone, before correction for the search
 
 
 class Proposal(NamedTuple):
-    """An effect at a shape."""
+    """An effect at a particular shape."""
 
     name: str
-    kind: str  # what counts as one and the same: the law, or the kind of curve
+    kind: str  # candidates of one kind compete: the law, or the kind of curve
     rung: int
     effect: Effect
     columns: Floats  # (m, k) at the rows
@@ -75,13 +75,13 @@ class Proposal(NamedTuple):
 
     @property
     def worth(self) -> float:
-        """What it explains, less what as many free numbers explain of noise (BIC)."""
+        """Its log-likelihood gain minus the BIC penalty of its free numbers."""
         numbers = self.score.rank + sum(not p.held for p in law_of(self.name).shapes if p.name in self.effect.shapes)
         return self.score.explained - numbers * 10.0
 
 
 def evidence_of(data: Data, fitted: Fitted, known: Floats, negligible_nm: float = 0.0) -> Evidence:
-    """`known` (q, b): white sensitivities of everything that is refitted anyway. Outliers are pulled in."""
+    """`known` (q, b): white sensitivities of everything that is refitted. Outliers are pulled in."""
     basis = orthonormal(known)
     residual = clipped(fitted.white)
     residual = residual - basis @ (basis.T @ residual)
@@ -89,7 +89,7 @@ def evidence_of(data: Data, fitted: Fitted, known: Floats, negligible_nm: float 
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
-    """Orthonormal basis of the columns (q, k), without those that are (nearly) combinations of others. (q, <=k)"""
+    """Orthonormal basis of the columns (q, k), without (nearly) dependent ones. (q, <=k)"""
     norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     use = norms > 0.0
     if not use.any():
@@ -101,19 +101,19 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
 
 
 class _Solved(NamedTuple):
-    """Least squares of the residual on columns, once what is refitted anyway is projected out of both."""
+    """Least squares of the residual on columns, both with the refitted part projected out."""
 
     explained: float
     strengths: Floats  # (k,)
-    turn: Floats  # (k, rank) from columns to orthonormal ones
+    turn: Floats  # (k, rank) maps columns to orthonormal ones
 
     def score(self, p: float = 1.0) -> Score:
-        """With this chance."""
+        """Score with this p-value."""
         return Score(self.explained, self.strengths, self.turn.shape[1], p)
 
 
 def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
-    """`squares` (k,) of the columns as they are; `gram` (k, k) and `product` (k,) with the residual as projected."""
+    """`squares` (k,) of the original columns; `gram` (k, k) and `product` (k,) with the residual, after projection."""
     left = np.diag(gram)
     use = (left > DISTINCT * squares) & (left > 0.0)
     strengths = np.zeros(squares.size)
@@ -130,7 +130,7 @@ def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
 
 
 def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Score:
-    """Score white columns (q, k). `load` (q,): the effect's own torque, where the residual is what it leaves."""
+    """Score white columns (q, k). `load` (q,): the effect's own torque, where the residual already excludes it."""
     shared, square = evidence.basis.T @ white, white.T @ white
     found = _solved(np.diag(square), square - shared.T @ shared, evidence.residual @ white)
     if not found.turn.shape[1]:
@@ -150,7 +150,7 @@ def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Scor
 
 
 def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:
-    """Scores, without their chance, of candidates whose white columns (q, sum of sizes) stand side by side."""
+    """Scores without p-values of candidates whose white columns (q, sum of sizes) are concatenated."""
     shared, whole = evidence.basis.T @ white, white.T @ white
     gram, product = whole - shared.T @ shared, evidence.residual @ white
     ends = np.cumsum(sizes)
@@ -159,19 +159,19 @@ def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Scor
 
 
 def quick_score(evidence: Evidence, white: Floats) -> Score:
-    """`score` of one candidate without its chance."""
+    """`score` of one candidate without a p-value."""
     return scores(evidence, white, [white.shape[1]])[0]
 
 
 def beside(evidence: Evidence, white: Floats) -> Evidence:
-    """The evidence once white columns (q, j) are fitted anyway."""
+    """The evidence with white columns (q, j) projected out as well."""
     more = orthonormal(white - evidence.basis @ (evidence.basis.T @ white))
     left = evidence.residual - more @ (more.T @ evidence.residual)
     return evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1))
 
 
 class Search:
-    """All candidates of one data set, round by round: what does not follow the model is made once."""
+    """All candidates of one data set, round by round; what does not depend on the model is computed once."""
 
     def __init__(self, facts: DriveFacts, without: frozenset[str], ablate: frozenset[str]) -> None:
         self.facts, self.without, self.ablate = facts, without, ablate
@@ -179,14 +179,14 @@ class Search:
         self._kept: dict[tuple[str | float, ...], Columns] = {}
 
     def proposals(self, data: Data, fitted: Fitted, evidence: Evidence, rung: int) -> list[Proposal]:
-        """The best shape of every law up to a rung, and all curves; on the last rung tables over two axes."""
+        """The best shape of every law up to a rung, and all curves; on the last rung also tables over two axes."""
         scenes = consistent_scenes(data, fitted.physical, fitted.effects)
         if rung == TABLE_RUNG:
             chosen = self._tables(data, evidence, scenes)
         else:
             chosen = self._laws(data, fitted, evidence, scenes, rung)
             chosen += self._curves(data, evidence, scenes) if rung == LAW_RUNG else []
-        # the scores were compared without their chance: it is wanted of the best alone
+        # only the best candidate needs a p-value
         return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
 
     def _laws(
@@ -205,7 +205,7 @@ class Search:
         return [more for found in best.values() for more in self._with_datum(data, evidence, found)]
 
     def _shapes(self, context: SearchContext, rung: int) -> Iterator[tuple[str, Shape]]:
-        """Laws and their shapes. Below the rung of the laws waves are of the machine's own orders."""
+        """Laws and their shapes. Below the rung of the laws, waves have the machine's own orders only."""
         for name, law in LAWS.items():
             if name in self.without or law.in_base or law.name == "lookup" or law.rung > rung:
                 continue
@@ -235,12 +235,12 @@ class Search:
         if columns is None:
             columns = strength_columns(data.rows, scenes, name, shape, factors)
             if law_of(name).acts_on == "motion" and not law_of(name).wave:
-                # made again in each refit: to propose, those of the first model will do
+                # each refit computes them again: for a proposal those of the first model suffice
                 self._kept[key] = columns._replace(values=columns.values.astype(np.float32))
         return columns
 
     def _with_datum(self, data: Data, evidence: Evidence, found: Proposal) -> list[Proposal]:
-        """A wave with one datum in all runs, and with one of its own in each: of a single run nobody knows the next."""
+        """A wave with one datum for all runs, and one with a datum per run; of a single run the latter alone."""
         per_run = set(law_of(found.name).per_run) & set(found.effect.strengths)
         if self.facts.absolute_angle or "datum" in self.ablate or not per_run:
             return [found]
@@ -258,7 +258,7 @@ class Search:
         return [one for one in found if one.score.rank]
 
     def _tables(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
-        """Fine tables over the pairs whose coarse ones say most beyond the two curves of their axes."""
+        """Fine tables over the pairs whose coarse tables explain most beyond the two single-axis curves."""
         coarse = filter(self._wanted, coarse_tables(data.rows, scenes))
         pairs = list(in_threads(lambda one: _beyond(data, evidence, one), coarse))
         best = [pair for pair, _ in ranked(pairs, key=lambda item: -item[1])[:TABLES]]
@@ -282,7 +282,7 @@ class Search:
 
 
 def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[CurvePair, float]:
-    """The axes of a coarse table, and what it explains beyond its two curves."""
+    """The axis curves of a coarse table, and what it explains beyond them."""
     assert curve.beside is not None
     assert curve.pair is not None
     return curve.pair, quick_score(beside(evidence, data.white(curve.beside)), data.white(curve.columns)).explained
@@ -292,13 +292,13 @@ TABLES = 3  # pairs of axes that get a fine table
 
 
 def proposal(data: Data, name: str, kind: str, shape: Shape, columns: Columns, scored: Score) -> Proposal:
-    """An effect at a shape with its best strengths."""
+    """An effect at a shape, with its best strengths."""
     effect = effect_of(name, shape, columns, scored.strengths, data.runs)
     return Proposal(name, kind, law_of(name).rung, effect, columns.values.astype(np.float32), scored)
 
 
 def machine_orders(facts: DriveFacts) -> set[float]:
-    """Orders that the machine's make gives: of the turn, the poles, the slots, and the gear."""
+    """Orders that the machine's design gives: turn, pole pairs, slots and gear."""
     orders = {1.0, 2.0, 3.0}
     if facts.pole_pairs is not None:
         orders |= {float(facts.pole_pairs * k) for k in (1, 2, 6, 12)}
@@ -310,7 +310,7 @@ def machine_orders(facts: DriveFacts) -> set[float]:
 
 
 def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: DriveFacts) -> SearchContext:
-    """Facts of the data that the grids are laid over, with the orders and frequencies that stand out."""
+    """Limits for the grids, from the data, with the orders and frequencies that stand out."""
     rows, residual_nm = data.rows, np.clip(fitted.residual_nm, *_limits(data, fitted))
     value = {name: float(fitted.physical[k]) for k, name in enumerate(NAMES)}
     speed = np.abs(rows.velocity_rps[rows.kept])
@@ -325,9 +325,9 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
     orders = {
         p.place for values in (1.0, sign, scaled) for p in order_peaks(rows, residual_nm * values, PEAKS, *scanned)
     }
-    if not rotary:  # nothing is known of its period: by half periods of the travel
+    if not rotary:  # its period is unknown: half periods of the travel
         orders |= {0.5 * k / rows.turns for k in range(4, LONG_WAVES)}
-    if rotary:  # of a turn whole orders are tried one by one
+    if rotary:  # rotary axis: every whole order is tried
         orders |= {float(k) for k in range(1, int(min(HIGHEST_ORDER, highest)) + 1)}
         orders |= {k for k in machine_orders(facts) if k <= highest}
     driving = np.concatenate([np.abs(s.commanded_thinned[s.moving > 0.0]) for s in scenes])

@@ -1,7 +1,8 @@
-"""What is left, and whether it could be explained: against a black box on the same rows, and against what repeats.
+"""The remaining residual, and whether it could be explained: compared with a black box on the same rows, and with
+repeats.
 
-A forest of boosted trees names nothing. Where it explains rows of runs that it was not fitted on, and the model does
-not, something is there that the model lacks.
+Gradient-boosted trees name no cause. Where they predict rows of runs that they were not fitted on, and the model does
+not, the model is still missing something.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ from .spectra import time_spectrum
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-TOLD_RATIO = 1.2  # rms over the floor, above which a rest is told
+TOLD_RATIO = 1.2  # rms relative to the floor, above which a rest is reported
 TREES = 80
 LEAVES = 15
-LEAST_LEAF = 40  # rows
+LEAST_LEAF = 40  # rows in a leaf
 MOST_ROWS = 16_000
-LEAST_RUNS = 3  # with fewer the trees are fitted on blocks of the same runs
+LEAST_RUNS = 3  # with fewer runs the trees are fitted on blocks of the same runs
 COMB_HZ = (0.2, 20.0)
-REFINED = 81  # periods tried near it ...
-FOLDED = 24  # ... with so many bins
-PULLED = 15.0  # standard deviations to which outliers are pulled in: pushes are outliers
-COMB_LINES = 6  # harmonics of a disturbance with a clock of its own
+REFINED = 81  # periods tried around it ...
+FOLDED = 24  # ... with this many bins each
+PULLED = 15.0  # standard deviations at which outliers are clipped: a push on the axis is an outlier
+COMB_LINES = 6  # harmonics of a disturbance with a period in time
 MEMORY_S = 3.0
 WORDS = {
     "angle": "motor_angle", "position": "output_angle", "velocity": "velocity", "acceleration": "acceleration",
@@ -42,14 +43,14 @@ WORDS = {
 
 
 def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
-    """What is left and could be explained; None where nothing is."""
+    """The part of the residual that could still be explained; None where there is none."""
     used = data.used
     features, names, period_s = _features(data, fitted)
     left = fitted.residual_nm[used]
     rms = float(np.sqrt(np.mean(left**2)))
     white = fitted.white
     predicted, strongest = _trees(features[used], white, _groups(data), names)
-    # in levels of noise, or the rows just after each reversal say it all
+    # in units of the noise level, or the rows just after each reversal would dominate
     before, after = (float(np.sum(np.clip(one, -PULLED, PULLED) ** 2)) for one in (white, white - predicted))
     trees_nm = rms * float(np.sqrt(after / before))
     own = gain(huber(white), huber(white - predicted), data.folds)
@@ -71,7 +72,7 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
 
 
 def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...]) -> Rest | None:
-    """What the base leaves and effects explain that do not carry over to held-out runs; None where it is little."""
+    """What only effects explain that do not carry over to held-out runs; None where it is small."""
     used = data.used
     rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (base, refused))
     if rms <= TOLD_RATIO * floor:
@@ -85,7 +86,7 @@ def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...
 
 
 def _groups(data: Data) -> npt.NDArray[np.int64]:
-    """Which fold of the trees each row that counts belongs to: its run, or its block's fold where runs are few."""
+    """The fold of the trees for each row that counts: its run, or its block's fold where runs are few."""
     run = data.rows.run[data.used]
     _, group = np.unique(run, return_inverse=True)
     if group.max(initial=0) + 1 < LEAST_RUNS:
@@ -96,8 +97,8 @@ def _groups(data: Data) -> npt.NDArray[np.int64]:
 def _trees(
     features: Floats, target: Floats, group: npt.NDArray[np.int64], names: Sequence[str]
 ) -> tuple[Floats, tuple[str, ...]]:
-    """White residual (q,) as trees of the other groups predict it, and the two features that they need most."""
-    from sklearn.ensemble import HistGradientBoostingRegressor  # loads slowly
+    """White residual (q,) as trees of the other groups predict it, and the two most important features."""
+    from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
 
     pulled = np.clip(target, -PULLED, PULLED)
     found = np.zeros(target.size)
@@ -125,7 +126,9 @@ def _trees(
 
 
 def _features(data: Data, fitted: Fitted) -> tuple[Floats, tuple[str, ...], float]:
-    """What a residual may depend on, at all rows (m, f), with names; the period of the strongest clock, s."""
+    """Possible causes of a residual, at all rows (m, f), with their names; the period of the strongest disturbance
+    in time, s.
+    """
     rows = data.rows
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
 
@@ -152,7 +155,7 @@ def _heat(scene: Scene) -> Floats:
 
 
 def _clock(data: Data, fitted: Fitted) -> float:
-    """Period of the comb of lines that holds most of the residual's power over time, s; 0 where there is none."""
+    """Period of the comb of lines with most of the residual's power over time, s; 0 where there is none."""
     frequency, power = time_spectrum(data.rows, np.clip(fitted.residual_nm * data.weight, -6.0, 6.0))
     low, high = np.searchsorted(frequency, COMB_HZ)
     base = np.arange(max(1, low), min(high, (power.size - 1) // COMB_LINES))
@@ -164,7 +167,7 @@ def _clock(data: Data, fitted: Fitted) -> float:
 
 
 def _refined(data: Data, fitted: Fitted, period_s: float, step_hz: float) -> float:
-    """The period near this one at which the residual, folded, differs most from bin to bin."""
+    """The period near this one at which the folded residual varies most from bin to bin."""
     time_s, white = data.rows.time_s[data.used], np.clip(fitted.white, -PULLED, PULLED)
     near = 1.0 / (1.0 / period_s + step_hz * np.linspace(-1.0, 1.0, REFINED))
 

@@ -1,7 +1,8 @@
-"""What a diagnosis says: findings with their evidence, errors before and after, and the report of part 7 as plain data.
+"""Results of a diagnosis: findings with their evidence, errors before and after, and the report of part 7 as plain
+data.
 
-For a linear axis revolutions stand for m, rps for m/s and Nm for N in all names; the report's `units` says so. What
-people read (sentences, units, `symbols`) has the words of the axis.
+For a linear axis read m for rev, m/s for rps and N for Nm in all names; the report's `units` says so. The texts
+(sentences, units, `symbols`) use the words of the axis.
 """
 
 from __future__ import annotations
@@ -20,16 +21,15 @@ from ..identification.runs import RunsLook
 from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
-from ..units import name_on, text_on, unit_on
+from ..units import NORMAL_95, name_on, text_on, unit_on
 
 Floats = npt.NDArray[np.float64]
 
-NORMAL_95 = 1.96
 VerdictWord = Literal["effects_found", "no_effect_found", "unexplained", "nothing_carries_over"]
 
 
 class Interval(NamedTuple):
-    """A number with its 95 % interval, from whole windows that are drawn again."""
+    """A number with its 95 % interval from resampled windows."""
 
     value: float
     low: float
@@ -38,12 +38,12 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class ErrorFigures:
-    """How wrong a model is on a set of runs."""
+    """Errors of a model on a set of runs."""
 
     torque_rms_nm: Interval
-    torque_relative_percent: Interval  # of the torque that the axis needs, by the first rungs of the ladder
+    torque_relative_percent: Interval  # of the needed torque, taken from the first rungs of the ladder
     velocity_rms_rps: Interval  # of free simulation over short windows
-    seconds: float  # of motion that counted
+    seconds: float  # of motion that was scored
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class Number:
     value: float
     sd: float | None  # None: at a bound, or not fitted
     unit: str
-    per_run: str | None = None  # name of the run that it belongs to
+    per_run: str | None = None  # the run that it belongs to
 
 
 @dataclass(frozen=True)
 class FoundCurve:
-    """A line or a cloud of binned means of a picture, (n,) each."""
+    """A line or a cloud of bin means in a figure, (n,) each."""
 
     label: str
     x: Floats
@@ -70,7 +70,7 @@ class FoundCurve:
 
 
 class PictureMark(NamedTuple):
-    """A place on the abscissa that has a name."""
+    """A labelled place on the abscissa."""
 
     x: float
     label: str
@@ -78,7 +78,7 @@ class PictureMark(NamedTuple):
 
 @dataclass(frozen=True)
 class Picture:
-    """A plot that convinces: residual torque over the axis on which the effect lives, or what its law asks for."""
+    """A figure of one effect: residual torque over the effect's axis, or the figure that its law declares."""
 
     title: str
     x_label: str
@@ -88,48 +88,48 @@ class Picture:
     curves: tuple[FoundCurve, ...]
     note: str = ""
     marks: tuple[PictureMark, ...] = ()
-    says: str = "What is left without and with it: means with 95 % intervals."
+    says: str = "Residual without and with the effect: means with 95 % intervals."
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect that was refitted in the place of a finding."""
+    """Another effect, refitted in place of a finding."""
 
     name: str
-    loss_ratio: float  # its loss over that of the finding, all parameters refitted: above 1 is worse
-    collinearity: float  # with the finding's torque, base sensitivities projected out: 0 to 1
-    same_family: bool  # the data do not tell it from the finding
+    loss_ratio: float  # its loss relative to the finding's, all parameters refitted: above 1 is worse
+    collinearity: float  # with the finding's torque, after base sensitivities are projected out: 0 to 1
+    same_family: bool  # the data cannot distinguish it from the finding
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that was found, or looked at closely and not accepted."""
+    """One effect that was found, or examined and rejected."""
 
-    name: str  # of the library, or unknown:AXIS
-    alternatives: tuple[str, ...]  # at most two: with the name a family of at most three
+    name: str  # a law of the library, or unknown:AXIS
+    alternatives: tuple[str, ...]  # at most two: a family has at most three members
     axis: str
     parameters: tuple[Number, ...]
-    explained_fraction: float  # of the squared residual of the fit runs that all other effects leave
+    explained_fraction: float  # of the squared residual that all other effects leave on the fit runs
     false_alarm_probability: float  # over the whole search, given all other effects
     accepted: bool
-    reason: str  # why it was accepted, or not
+    reason: str  # why it was accepted or rejected
     regime: str  # where it acts
-    experiment: str  # what would tell it from its alternatives
+    experiment: str  # experiment that would distinguish it from its alternatives
     compensable: bool
     strength_percent: float  # rms of its torque over rms of the friction torque, fit runs
-    torque_rms_nm: float = 0.0  # of its own, where the axis moves in the fit runs
+    torque_rms_nm: float = 0.0  # of the effect, where the axis moves in the fit runs
     rivals: tuple[Rival, ...] = ()
     picture: Picture | None = None  # the residual over its axis
-    own_picture: Picture | None = None  # of the kind that its law asks for (`Law.figure`)
-    gain: tuple[float, float] | None = None  # nats on rows that the fit did not see, given the others, and its sd
+    own_picture: Picture | None = None  # the figure that its law declares (`Law.figure`)
+    gain: tuple[float, float] | None = None  # nats on rows outside the fit, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
-    regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where it hardly does
+    regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where there is too little of that
     regime_after: ErrorFigures | None = None
-    doubt: str = ""  # why it may not be what its name says; empty: nothing speaks against it
+    doubt: str = ""  # why it may not be what its name says; empty: nothing contradicts it
 
     @property
     def place(self) -> str:
-        """Where on the machine, or in its motion, it is."""
+        """Its place on the machine or in the motion."""
         law = law_of(self.name)
         if self.curve is not None:
             return law.regime
@@ -137,9 +137,9 @@ class Finding:
 
     @property
     def confidence(self) -> Confidence:
-        """Certain where held-out runs show it beyond their intervals: by its gain, or by the error where it acts.
+        """Certain where held-out runs confirm it beyond the intervals, by its gain or by the error where it acts.
 
-        A member of a family that the data do not separate cannot be told, nor what is in doubt.
+        A member of a family that the data do not separate, and a finding in doubt, gives `cannot tell`.
         """
         if self.alternatives or self.doubt:
             return "cannot tell"
@@ -153,12 +153,12 @@ class Finding:
 
     @property
     def is_form(self) -> bool:
-        """Whether it is the form of the friction itself, and no effect beside it."""
+        """Whether it is the form of the friction itself rather than an additional effect."""
         return law_of(self.name).form
 
     @property
     def curve(self) -> CurveModel | None:
-        """What is in no list, as a curve or a table; None for a law with a name."""
+        """An effect outside the library, as a curve or a table; None for a named law."""
         if not self.name.startswith(UNKNOWN):
             return None
         return curve_model({n.name: n.value for n in self.parameters}, {n.name: n.sd for n in self.parameters})
@@ -166,7 +166,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class RunFigure:
-    """The residual of one run for a plot: envelope over time before and after, thinned. (n,) each."""
+    """The residual of one run for a plot: envelope over time before and after, decimated. (n,) each."""
 
     name: str
     role: Literal["fit", "held_out"]
@@ -179,9 +179,9 @@ class RunFigure:
 
 @dataclass(frozen=True)
 class ResidualChannel:
-    """Where the residual lives: what a free curve over one axis explains of it, before and after."""
+    """Part of the residual that a free curve over one axis explains, before and after."""
 
-    name: str  # an axis word, or an event such as break_away
+    name: str  # the name of an axis, or of an event such as break_away
     explained_before: float  # share of the squared residual
     explained_after: float
     significant_before: bool  # against surrogates of the same search
@@ -191,27 +191,27 @@ class ResidualChannel:
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What any model could explain: from repeats of a profile. All None where nothing was repeated."""
+    """The most that any model could explain, from repeats of a profile. All None where nothing was repeated."""
 
-    repeatable_fraction: float | None  # of the squared residual of the base model that repeats
+    repeatable_fraction: float | None  # of the base model's squared residual
     left_repeatable_fraction: float | None  # of the squared residual of the model with its effects
-    noise_rms_nm: float | None  # what does not repeat
+    noise_rms_nm: float | None  # the part that does not repeat
     explained_of_explainable: float | None
     note: str
 
 
 class Rest(NamedTuple):
-    """What is left and could be explained."""
+    """The part of the residual that could still be explained."""
 
     rms_nm: float
-    floor_nm: float  # what a black box leaves on the same rows, or what does not repeat
-    repeats_share: float | None  # of the squared residual that repeats; None: nothing was repeated
+    floor_nm: float  # residual of a black box on the same rows, or the part that does not repeat
+    repeats_share: float | None  # repeatable share of the squared residual; None: nothing was repeated
     axes: tuple[str, ...]
     sentence: str
 
     @property
     def share(self) -> float:
-        """Share of the squared residual that could be explained."""
+        """Share of the squared residual that could still be explained."""
         return share_above(self.floor_nm, self.rms_nm)
 
 
@@ -222,12 +222,12 @@ def share_above(floor_nm: float, rms_nm: float) -> float:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that the page and the report are made of."""
+    """Everything that the page and the report contain."""
 
     verdict: VerdictWord
     headline: str
-    findings: tuple[Finding, ...]  # accepted ones first, in the order of what they explain
-    before: ErrorFigures | None  # held-out; None where no held-out run was given
+    findings: tuple[Finding, ...]  # accepted ones first, by explained share
+    before: ErrorFigures | None  # held-out; None without held-out runs
     after: ErrorFigures | None
     fit_before: ErrorFigures
     fit_after: ErrorFigures
@@ -235,12 +235,12 @@ class Diagnosis:
     channels: tuple[ResidualChannel, ...]
     runs: tuple[RunFigure, ...]
     model_before: ModelFile
-    model_after: ModelFile | None  # None: nothing was found that carries over
-    false_alarm_rate: float  # that the thresholds are made for, over the whole search
+    model_after: ModelFile | None  # None: no finding carries over
+    false_alarm_rate: float  # of the whole search; the thresholds are set for it
     units: Literal["rotary", "linear"]
     unexplained_rest: Rest | None = None
     runs_look: RunsLook | None = None
-    first_p: float = 1.0  # smallest chance in the first round over everything
+    first_p: float = 1.0  # smallest p-value of the first free round
     cautions: tuple[str, ...] = ()
     tried: tuple[dict[str, Any], ...] = ()  # every law with its best shape and score in the first search
     settings: dict[str, Any] = field(default_factory=dict)
@@ -251,7 +251,7 @@ class Diagnosis:
 
 
 def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
-    """Its sentences in the words of its axis: of a linear one forces, a mass and metres."""
+    """Its sentences in the words of the axis: for a linear axis forces, a mass and metres."""
     if diagnosis.units == "rotary":
         return diagnosis
 
@@ -278,14 +278,14 @@ def in_words_of_axis(diagnosis: Diagnosis) -> Diagnosis:
 
 
 def _named_on_linear(effect: str, reason: str) -> str:
-    """A reason that names parameters of its law, by what they are called on a linear axis."""
+    """A reason that names parameters of its law, with their names on a linear axis."""
     for p in law_of(effect).parameters:
         reason = re.sub(rf"\b{p.name}\b", name_on(p.name, p.unit, linear=True), reason)
     return reason
 
 
 def figures_json(figures: ErrorFigures | None) -> dict[str, Any] | None:
-    """The numbers of part 7, and their intervals beside them."""
+    """The numbers of part 7 and their intervals."""
     if figures is None:
         return None
     keys = ("torque_rms_nm", "torque_relative_percent", "velocity_rms_rps")

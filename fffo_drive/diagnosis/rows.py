@@ -1,8 +1,8 @@
-"""Runs as the diagnosis sees them: the path at full rate, and rows at the rate of the one filter that all share.
+"""Runs in the form that the diagnosis uses: the path at full rate, and rows at the rate of the shared filter.
 
-Residual and regressors go through the same symmetric filter and are taken at every `step`-th sample, so that a relation
-between signals is a relation between their rows, whatever the filter does. Derivatives are central differences before
-the filter: filter and difference commute.
+Residual and regressors go through the same symmetric filter and are sampled at every `step`-th point, so any linear
+relation between signals also holds between their rows. Derivatives are central differences taken before the filter:
+filter and difference commute.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-CUTOFF_HZ = 45.0  # of the filter that all signals share, where the machine also moves slowly
-HIGHEST_ORDER = 200.0  # periods a turn that are looked for at most
-HIGHEST_SHARE = 0.15  # of the record's rate, that a higher cut-off may be
-STANDS_OUT = 0.05  # share of what a rigid axis leaves, that a wave has to explain for a cut-off above it ...
-ABOVE = 2.0  # ... by this factor
-SLOW_QUANTILE = 0.1  # of the speed in motion: what slow motion is
-ROW_SHARE = 2.8  # rows a second over the cut-off
+CUTOFF_HZ = 45.0  # cut-off of the shared filter for runs that also contain slow motion
+HIGHEST_ORDER = 200.0  # highest order that is searched, periods a turn
+HIGHEST_SHARE = 0.15  # limit of a higher cut-off, as a share of the record's rate
+STANDS_OUT = 0.05  # a wave raises the cut-off if it explains this share of a rigid axis' residual ...
+ABOVE = 2.0  # ... and puts it this factor above the wave
+SLOW_QUANTILE = 0.1  # quantile of the speed in motion that defines slow motion
+ROW_SHARE = 2.8  # rows per second relative to the cut-off
 RESPONSE_POINTS = 512
-TAPS_PERIODS = 1.9  # half length of the filter, in periods of the cut-off
-LAW_HZ = 500.0  # at which friction and effects are evaluated, or so many times the cut-off where that is more
+TAPS_PERIODS = 1.9  # half the filter's length, in periods of the cut-off
+LAW_HZ = 500.0  # rate at which friction and effects are evaluated; higher for a high cut-off
 LAW_RATIO = 5.0
-PATH_HZ = 200.0  # of the position that friction and effects are evaluated on
+PATH_HZ = 200.0  # cut-off of the position used by friction and effects
 PLAY_LSB = 0.2
-EDGE_S = 0.15  # at the ends of a stretch, where filters see no data
-SHORTEST_S = 0.6  # of a stretch: four times its edges
-REST_S = 0.1  # rest: the low-pass position stays for so long ...
-REST_LSB = 20.0  # ... within so many counts
+EDGE_S = 0.15  # margin at the ends of a stretch, where filters have no data
+SHORTEST_S = 0.6  # shortest stretch: four margins
+REST_S = 0.1  # rest: the low-pass position stays for this long ...
+REST_LSB = 20.0  # ... within this many counts
 
 
 class Filter(NamedTuple):
-    """The one filter: symmetric taps at the rate of the records, and how many samples there are to a row."""
+    """The shared filter: symmetric taps at the rate of the records, and the samples per row."""
 
     taps: Floats
     step: int
     cutoff_hz: float
     period_s: float
     law_period_s: float
-    response: Floats  # what is left of a sine, over frequencies up to half the rate
+    response: Floats  # gain for a sine, over frequencies up to half the rate
 
     @property
     def row_period_s(self) -> float:
@@ -59,13 +59,13 @@ class Filter(NamedTuple):
         return self.step * self.period_s
 
     def rows(self, values: Floats) -> Floats:
-        """One signal (n,) filtered, at the rows."""
+        """One signal (n,), filtered, at the rows."""
         output = np.empty(-(-values.size // self.step))
         filter_rows(np.ascontiguousarray(values, dtype=np.float64), self.taps, self.step, output)
         return output
 
     def thinned(self) -> Filter:
-        """The same filter for signals at the rate of the laws."""
+        """The same filter for signals at the laws' rate."""
         thin = round(self.law_period_s / self.period_s)
         if thin == 1:
             return self
@@ -75,12 +75,12 @@ class Filter(NamedTuple):
         return _filter(taps, self.step // thin, self.cutoff_hz, period_s, period_s)
 
     def gain(self, frequency_hz: Floats) -> Floats:
-        """What is left of a sine, by its frequency."""
+        """Gain for a sine, by its frequency."""
         return np.interp(np.abs(frequency_hz) * self.points_per_hz, np.arange(self.response.size), self.response)
 
     @property
     def points_per_hz(self) -> float:
-        """Of `response`."""
+        """Points of `response` per Hz."""
         return (self.response.size - 1) * 2.0 * self.period_s
 
 
@@ -92,12 +92,12 @@ def _filter(taps: Floats, step: int, cutoff_hz: float, period_s: float, law_peri
 
 
 def thinning(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
-    """Samples to one of the laws."""
+    """Samples of the record per sample of the laws."""
     return max(1, int(1.0 / (max(LAW_HZ, LAW_RATIO * cutoff_hz) * period_s) + 1e-9))
 
 
 def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
-    """Windowed-sinc low-pass, half at the cut-off, next to nothing at half the rate of the rows."""
+    """Windowed-sinc low-pass: half at the cut-off, negligible at half the row rate."""
     cutoff_hz = min(cutoff_hz, 0.2 / period_s)
     half = max(2, round(TAPS_PERIODS / (cutoff_hz * period_s)))
     taps = signal.firwin(2 * half + 1, cutoff_hz, fs=1.0 / period_s, window="hamming")
@@ -107,7 +107,7 @@ def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
 
 
 def slow_rps(records: Sequence[Record]) -> float:
-    """The speed that a tenth of the motion stays below."""
+    """The speed below which a tenth of the motion lies."""
     speeds = []
     for record in records:
         for part in record.segments():
@@ -121,7 +121,7 @@ def slow_rps(records: Sequence[Record]) -> float:
 
 
 def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
-    """The cut-off, Hz: CUTOFF_HZ, or higher where the axis never turns slowly and a wave of many periods stands out."""
+    """The cut-off, Hz: CUTOFF_HZ, or higher where the axis never turns slowly and a wave of high order stands out."""
     rate_hz = 1.0 / records[0].period_s
     slow = slow_rps(records)
     highest_hz = max(CUTOFF_HZ, HIGHEST_SHARE * rate_hz)
@@ -141,7 +141,7 @@ def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
     usual = float(np.median(np.abs(velocity[kept])))
     for order in range(max(1, round(CUTOFF_HZ / usual)), round(min(HIGHEST_ORDER, highest_hz / slow)) + 1):
         wave = left * np.exp(2j * np.pi * order * position)
-        # a line of amplitude A has A^2 / 2 of the mean square; the datum may differ from run to run
+        # a line of amplitude A has a mean square of A^2 / 2; the datum may differ between runs
         lines = sum(2.0 * abs(wave[begin:end].sum()) ** 2 / (end - begin) for begin, end in rows.bounds)
         if lines > STANDS_OUT * float(left @ left):
             wanted_hz = min(highest_hz, ABOVE * order * usual)
@@ -149,7 +149,9 @@ def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
 
 
 class DiagnosisStretch(NamedTuple):
-    """One stretch of a record without a gap: sensors and command at its own rate, (n,); motion at the laws', (l,)."""
+    """A stretch of a record without a gap: sensors and command at the record's rate, (n,); motion at the laws',
+    (l,).
+    """
 
     run: int
     name: str
@@ -163,12 +165,12 @@ class DiagnosisStretch(NamedTuple):
     reference_rps: Floats | None  # (n,)
     law_period_s: float
     smooth_rev: Floats  # (l,) low-pass position
-    velocity_rps: Floats  # (l,) its derivative; zero at rest
+    velocity_rps: Floats  # (l,) derivative of that; zero at rest
     acceleration_rps2: Floats  # (l,)
-    path_rev: Floats  # (l,) behind a play: moves where the axis moves
-    good: Mask  # (l,) measured; False: filled in across a gap
-    rest: Mask  # (l,) no motion that the sensor is sure of
-    balance_nm: Floats  # (l,) motor torque minus inertia, by the base model at hand: what friction is at rest
+    path_rev: Floats  # (l,) position behind a play: changes only with real motion
+    good: Mask  # (l,) measured; False: interpolated across a gap
+    rest: Mask  # (l,) no motion that the sensor can resolve
+    balance_nm: Floats  # (l,) motor torque minus inertia by the current base model: the friction at rest
 
     @property
     def samples(self) -> int:
@@ -177,7 +179,7 @@ class DiagnosisStretch(NamedTuple):
 
     @property
     def thin(self) -> int:
-        """Samples of the record to one of the laws."""
+        """Samples of the record per sample of the laws."""
         return round(self.law_period_s / self.period_s)
 
 
@@ -220,7 +222,7 @@ def _stretch(number: int, record: Record, part: slice, thin: int) -> DiagnosisSt
 
 
 class DiagnosisRows(NamedTuple):
-    """What the rows of all stretches are, joined; (m,) each."""
+    """The rows of all stretches, concatenated; (m,) each."""
 
     filter: Filter  # for signals at the record's rate
     laws: Filter  # the same for signals at the laws' rate
@@ -234,7 +236,7 @@ class DiagnosisRows(NamedTuple):
     folds: Folds
 
     def joined(self, parts: Iterable[Floats]) -> Floats:
-        """Signals of all stretches at the laws' rate (l,), thinned to the rows without a filter. (m,)"""
+        """Signals of all stretches at the laws' rate (l,), sampled at the rows without a filter. (m,)"""
         return np.concatenate([part[:: self.laws.step] for part in parts])
 
     @property
@@ -273,7 +275,7 @@ def rows_of(stretches: Sequence[DiagnosisStretch], filter_: Filter) -> Diagnosis
 
 
 def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:
-    """True where the position stays within some counts for a while. (n,)"""
+    """True where the position stays within REST_LSB counts for REST_S. (n,)"""
     half = max(1, round(0.5 * REST_S / period_s))
     high = ndimage.maximum_filter1d(smooth_rev, 2 * half + 1)
     low = ndimage.minimum_filter1d(smooth_rev, 2 * half + 1)

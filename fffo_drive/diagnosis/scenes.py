@@ -1,7 +1,7 @@
-"""Effects along the measured motion: torque of laws at the rows, filtered like everything else.
+"""Effects along the measured motion: torque of laws at the rows, filtered like all other signals.
 
-A wave of the angle has its column in closed form, at any order: the filter leaves g(N v) of what passes N v times a
-second. Its kernel, evaluated at the laws' rate, would alias.
+A wave in angle has its column in closed form, at any order: where it passes N v times a second the filter has the gain
+g(N v). Evaluated by its kernel at the laws' rate it would alias.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .kernels import contact_levels, wave_rows
 from .rows import DiagnosisRows, DiagnosisStretch, second_difference
 
 Floats = npt.NDArray[np.float64]
-Factors = dict[str, Floats]  # what waves are times, by kind: the same for all orders
+Factors = dict[str, Floats]  # factors of waves, by kind: the same for all orders
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A law with its numbers. Strengths with a datum per run have one value a run; all others one in all."""
+    """A law with its numbers. Strengths with a datum per run have one value per run, all others a single value."""
 
     name: str
     shapes: Mapping[str, float]
@@ -37,26 +37,26 @@ class Effect:
     per_run: frozenset[str] = field(default_factory=frozenset)
 
     def values(self, run: int) -> dict[str, float]:
-        """Parameters as they are in one run."""
+        """Parameters in one run."""
         found = {name: float(v[run if v.size > 1 else 0]) for name, v in self.strengths.items()}
         return {**self.shapes, **found}
 
     def with_shape(self, name: str, value: float) -> Effect:
-        """The same with one shape changed."""
+        """A copy with one shape changed."""
         return replace(self, shapes={**self.shapes, name: value})
 
     @property
     def waves(self) -> list[tuple[str, str]]:
-        """Cosine and sine of each wave that has a datum per run."""
+        """Cosine and sine strengths of each wave with a datum per run."""
         names = [name for name in self.strengths if name in self.per_run]
         return list(zip(names[::2], names[1::2], strict=True))
 
     def sizes(self) -> list[float]:
-        """Amplitude of each of the waves, the median over the runs: one that hardly turns says little about it."""
+        """Amplitude of each wave, the median over the runs: a run that hardly turns determines it poorly."""
         return [float(np.median(np.hypot(self.strengths[c], self.strengths[s]))) for c, s in self.waves]
 
     def of_sizes(self, sizes: list[float]) -> Effect:
-        """The same with these amplitudes in every run; the phases stay."""
+        """A copy with these amplitudes in every run and unchanged phases."""
         strengths = dict(self.strengths)
         for (cosine, sine), size in zip(self.waves, sizes, strict=True):
             phase = np.arctan2(strengths[sine], strengths[cosine])
@@ -64,26 +64,26 @@ class Effect:
         return replace(self, strengths=strengths)
 
 
-KEPT_BAND = 0.7  # of what a thinned command can carry
-LEAST_OF_TORQUE = 0.1  # that a ripple leaves, as in its law
-SAMPLES_A_WAVE = 8.0  # of a kernel at the laws' rate, at top speed: fewer alias
+KEPT_BAND = 0.7  # share of a thinned command's bandwidth that is kept
+LEAST_OF_TORQUE = 0.1  # smallest share of the torque that a ripple leaves, as in its law
+SAMPLES_A_WAVE = 8.0  # of a kernel at the laws' rate, at top speed: with fewer it aliases
 
 
 class Scene(NamedTuple):
-    """Motion of one stretch as laws see it, with the axis that it was made for.
+    """Motion of one stretch as laws see it, with the axis parameters that it was made for.
 
-    A torque that stands in a regressor carries the residual itself: u = J a + F + E + r. With the base projected out,
-    nothing but r would be left of it, and it would explain itself. Laws of the torque therefore see what the model
-    wants without them, u - r - E, as a feed-forward does, and only those that act on the command see the command, the
-    residual in it too. The measured current tells whether a lag or a limit is real; inside a dead zone the residual
-    explains itself: little of the motion may lie there.
+    A torque computed from the command contains the residual: u = J a + F + E + r. With the base projected out only r
+    would remain of it, and it would explain itself. Laws of the torque therefore see the modelled torque without E and
+    r, u - r - E, as a feed-forward does; only laws that act on the command see the command itself, residual included.
+    The measured current decides whether a lag or a limit is real. Inside a dead zone the residual explains itself, so
+    little of the motion may be there.
     """
 
     stretch: DiagnosisStretch
-    motion: Floats  # (n, slots.N_MOTION), with the model's torque
-    commanded: Floats  # current as commanded, at the rate of the record
+    motion: Floats  # (n, slots.N_MOTION), with the modelled torque
+    commanded: Floats  # commanded current at the rate of the record
     axis: AxisConfig
-    moving: Floats  # (n,) 1, or 0 at rest: there friction balances whatever acts
+    moving: Floats  # (n,) 1, or 0 at rest, where friction balances all other torques
 
     @property
     def commanded_thinned(self) -> Floats:
@@ -95,9 +95,9 @@ def scenes_of(
     stretches: Sequence[DiagnosisStretch], physical: Floats, models: Sequence[Along],
     loads_nm: Sequence[Floats] | None = None,
 ) -> list[Scene]:  # fmt: skip
-    """Motion of all stretches under these base parameters; `loads_nm` are the torques of accepted effects along them.
+    """Motion of all stretches with these base parameters; `loads_nm` are the torques of accepted effects along them.
 
-    Time is that of the log's clock: runs follow one another.
+    Time is the log's clock: runs follow one another.
     """
     found = []
     for number, (stretch, model) in enumerate(zip(stretches, models, strict=True)):
@@ -123,7 +123,7 @@ def scenes_of(
 
 
 def thinned(values: Floats, thin: int) -> Floats:
-    """Every `thin`-th of values (n,), low-passed without a delay so that noise does not fold down."""
+    """Every `thin`-th of values (n,), low-passed without delay against aliasing."""
     if thin == 1:
         return values
     return np.asarray(ndimage.correlate1d(values, _taps(thin), mode="nearest")[::thin])
@@ -135,7 +135,9 @@ def _taps(thin: int) -> Floats:
 
 
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
-    """What an effect adds to the torque residual of one stretch, at the laws' rate: E, -J e'' of a sensor's error."""
+    """Contribution of an effect to the torque residual of a stretch, at the laws' rate: E; -J e'' for a sensor error
+    e.
+    """
     period_s = scene.stretch.law_period_s
     terms = [Term(name, values)]
     if law_of(name).acts_on == "command":
@@ -145,12 +147,12 @@ def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:
     if sensor_rev.any():
         load_nm = load_nm - scene.axis.inertia_nm_s2_per_rev * second_difference(sensor_rev, period_s)
     if not np.isfinite(load_nm).all():
-        return np.zeros(load_nm.size)  # a joint that is unstable at these numbers explains nothing
+        return np.zeros(load_nm.size)  # a joint that is unstable with these numbers explains nothing
     return np.asarray(load_nm * scene.moving)
 
 
 def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
-    """What acts on the command, at the rate of the record: a limit cuts noise as well, and a lag takes it away. (n,)"""
+    """Contribution of an effect on the command, at the record's rate: a limit cuts noise, a lag filters it. (n,)"""
     stretch, size = scene.stretch, scene.commanded.size
     thin = stretch.thin
     motion = np.zeros((size, slots.N_MOTION))
@@ -162,7 +164,7 @@ def commanded_load(scene: Scene, terms: Sequence[Term]) -> Floats:
 
 
 def load_rows(rows: DiagnosisRows, scenes: Sequence[Scene], effect: Effect) -> Floats:
-    """What an effect adds to the torque residual at all rows. (m,)"""
+    """Contribution of an effect to the torque residual at all rows. (m,)"""
     if not in_closed_form(rows, effect.name, effect.shapes):
         parts = [load_along(scene, effect.name, effect.values(scene.stretch.run)) for scene in scenes]
         return np.concatenate([rows.laws.rows(part) for part in parts])
@@ -172,7 +174,7 @@ def load_rows(rows: DiagnosisRows, scenes: Sequence[Scene], effect: Effect) -> F
     for strength, column in zip(law_of(effect.name).strengths, columns.T, strict=True):
         values = effect.strengths.get(strength.name, np.zeros(1))
         found += column * (values[rows.run] if values.size > 1 else values[0])
-    if law_of(effect.name).wave == "torque":  # the torque that makes up for it is rippled too
+    if law_of(effect.name).wave == "torque":  # the torque that compensates the ripple has the ripple too
         factor = factors["torque"]
         ripple = np.divide(found, factor, out=np.zeros_like(found), where=factor != 0.0)
         found /= np.maximum(LEAST_OF_TORQUE, 1.0 - ripple)
@@ -180,7 +182,7 @@ def load_rows(rows: DiagnosisRows, scenes: Sequence[Scene], effect: Effect) -> F
 
 
 def in_closed_form(rows: DiagnosisRows, name: str, shapes: Mapping[str, float]) -> bool:
-    """Whether a wave's column is made in closed form: that of friction, where its kernel would have too few samples."""
+    """Whether a wave has a closed form here: a friction wave only where its kernel would have too few samples."""
     wave = law_of(name).wave
     if wave != "friction":
         return bool(wave)
@@ -196,9 +198,9 @@ def wave_order(shapes: Mapping[str, float]) -> float:
 def wave_columns(
     rows: DiagnosisRows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
 ) -> Floats:
-    """Cosine and sine of a wave at the rows, per unit of strength, as the filter leaves them. (m, 2)
+    """Filtered cosine and sine of a wave at the rows, per unit of strength. (m, 2)
 
-    Friction follows its level over the travel level/B (5): a wave of the level arrives smaller and later.
+    Friction follows its level over the travel level/B (5), so that a wave of the level arrives smaller and later.
     """
     wave, order = law_of(name).wave, wave_order(shapes)
     factors = {} if factors is None else factors
@@ -214,7 +216,7 @@ def wave_columns(
 
 
 def wave_factor(rows: DiagnosisRows, scenes: Sequence[Scene], wave: str) -> Floats:
-    """What a wave is times: one, the model's torque, or the friction without its viscous part. (m,)"""
+    """Factor of a wave: one, the modelled torque, or the friction without its viscous part. (m,)"""
     if wave == "torque":
         return np.concatenate([rows.laws.rows(_torque_nm(scene)) for scene in scenes])
     if wave == "friction":
@@ -232,7 +234,7 @@ def _contact_nm(scene: Scene) -> Floats:
 
 
 class Columns(NamedTuple):
-    """Torque per unit of strength, with the names of the strengths and the run of each (-1: all). (m, k)"""
+    """Torque per unit of strength, with the name and the run (-1: all) of each strength. (m, k)"""
 
     names: tuple[str, ...]
     runs: tuple[int, ...]
@@ -242,7 +244,7 @@ class Columns(NamedTuple):
 def strength_columns(
     rows: DiagnosisRows, scenes: Sequence[Scene], name: str, shapes: Mapping[str, float], factors: Factors | None = None
 ) -> Columns:
-    """Regressors of a law at a shape, strength by strength, one datum in all runs."""
+    """Regressors of a law at a shape, one per strength, with one datum for all runs."""
     law = law_of(name)
     if in_closed_form(rows, name, shapes):
         names = tuple(p.name for p in law.strengths)
@@ -260,7 +262,7 @@ def strength_columns(
 
 
 def with_datum(columns: Columns, name: str, rows: DiagnosisRows) -> Columns:
-    """The same with a datum of its own in each run."""
+    """The same columns with a datum of its own in each run."""
     names, runs, values = [], [], []
     for label, column in zip(columns.names, columns.values.T, strict=True):
         for run in np.unique(rows.run) if label in law_of(name).per_run else (-1,):

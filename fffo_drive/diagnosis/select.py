@@ -1,8 +1,9 @@
-"""Which effects: rung by rung up the ladder, then in free competition; each judged by what it explains of unseen rows.
+"""Model selection: rung by rung up the ladder, then in free competition; judged by the likelihood of unseen rows.
 
-Contenders are refitted with everything else before they are compared: a regressor that explains most beside a base that
-was fitted without it need not be right. What explains as much as the best, within the spread of the blocks, is its
-family; in it the lower rung and the fewest numbers win. What stands is judged again once the others are there.
+Contenders are refitted with everything else before they are compared, because the best regressor beside a base that was
+fitted without it need not be the right one. Effects whose gain equals the best one's within the spread of the blocks
+form its family; within it the lower rung and the fewest numbers win. Accepted effects are judged again when others have
+been added.
 """
 
 from __future__ import annotations
@@ -45,29 +46,29 @@ from .scenes import Effect, load_rows, strength_columns
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
-ROUNDS = 8  # in which levels of noise and model are brought to agree ...
-SETTLED = 0.1  # ... so that the model moves by less than so many levels of noise
+ROUNDS = 8  # largest number of refits until noise levels and model agree ...
+SETTLED = 0.1  # ... which they do when the model moves by less than this, in noise levels
 ITERATIONS = 6  # of a contender's fit ...
-LADDER_ITERATIONS = 8  # ... and of those of the first rungs
+LADDER_ITERATIONS = 8  # ... and of a fit of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
-TRIED_A_KIND = 2  # ... and of those so many of one rung's kind
-REFITTED = 4  # ... and of those, laws that are refitted ...
-CURVES_REFITTED = 2  # ... and curves
-KEPT = 0.75  # of what its columns promise: a refit that keeps less of it is tried from another start
-LAW_OF_CURVE = 0.75  # of a curve's gain: a law that gains more comes before it
-LEAST_SHARE = 0.02  # of the squared residual that an effect has to take away
+TRIED_A_KIND = 2  # ... at most this many of one kind on a rung ...
+REFITTED = 4  # ... of them, laws that are refitted ...
+CURVES_REFITTED = 2  # ... and curves that are refitted
+KEPT = 0.75  # a refit that keeps less of its promised gain is repeated from another start
+LAW_OF_CURVE = 0.75  # a law with more than this share of a curve's gain takes precedence over it
+LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
 
 
 class Standing(NamedTuple):
-    """A hypothesis with what it is compared by."""
+    """A hypothesis with the figures for its comparison."""
 
     fitted: Fitted
     matrix: Floats  # (q, p) white sensitivities of everything that is fitted
-    unseen: Floats  # (q,) loss of each row by a fit of the other folds
+    unseen: Floats  # (q,) loss of each row under a fit of the other folds
 
 
 class Contender(NamedTuple):
-    """A proposal, and the loss of each row (q,) with its columns beside everything, by a fit of the other folds."""
+    """A proposal, and the loss of each row (q,) with its columns added, under a fit of the other folds."""
 
     proposal: Proposal
     unseen: Floats
@@ -75,19 +76,19 @@ class Contender(NamedTuple):
 
 @dataclass(frozen=True)
 class Accepted:
-    """Why an effect stands."""
+    """The evidence for an accepted effect."""
 
     name: str
     gain: Gain  # given all others
-    p: float  # over everything that was searched
+    p: float  # over the whole search
     share: float  # of the squared residual that the others leave
-    family: tuple[str, ...]  # what the data do not tell from it
+    family: tuple[str, ...]  # effects that the data cannot distinguish from it
     rivals: tuple[tuple[str, float], ...]  # refitted in its place, with their gains
     tried: int
 
 
 class Refused(NamedTuple):
-    """What explained enough, and was not believed."""
+    """An effect with enough evidence that was rejected for another reason."""
 
     name: str
     reason: str
@@ -96,28 +97,28 @@ class Refused(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What was selected, and on what grounds."""
+    """The selected model, and the evidence for it."""
 
     data: Data
-    base: Fitted  # without effects, at the final levels of noise
+    base: Fitted  # without effects, at the final noise levels
     fitted: Fitted
     matrix: Floats
     accepted: tuple[Accepted, ...]  # in the order of `fitted.effects`
     refused: tuple[Refused, ...]
-    first: tuple[Proposal, ...]  # everything of the first free round, best first
-    first_p: float  # the smallest chance of that round, times what was tried
+    first: tuple[Proposal, ...]  # all candidates of the first free round, best first
+    first_p: float  # smallest p-value of that round, times the number of candidates
     ladder: Fitted  # of the first rungs
-    inertia_ratios: tuple[float, ...]  # of each run, where the runs contradict each other in it
-    negligible_nm: float  # rms torque of what is too small to be an effect
+    inertia_ratios: tuple[float, ...]  # of each run, where the runs contradict each other in the inertia
+    negligible_nm: float  # rms torque of a negligible effect
 
 
 class DiagnosisSettings(NamedTuple):
-    """What a diagnosis goes by."""
+    """Settings of a diagnosis."""
 
     false_alarm_rate: float = 0.01  # over the whole search
-    without: frozenset[str] = frozenset()  # laws, `unknown:AXIS`, kinds of curves or pairs that are left out
-    ablate: frozenset[str] = frozenset()  # of diagnose.MECHANISMS, switched off
-    cutoff_hz: float | None = None  # of the filter that all signals share; None: by the data
+    without: frozenset[str] = frozenset()  # laws, `unknown:AXIS`, kinds of curves or pairs to leave out
+    ablate: frozenset[str] = frozenset()  # entries of diagnose.MECHANISMS to switch off
+    cutoff_hz: float | None = None  # cut-off of the shared filter; None: from the data
 
 
 class Selector:
@@ -136,7 +137,7 @@ class Selector:
         self.inertia_ratios: tuple[float, ...] = ()
 
     def run(self, data: Data) -> Selection:
-        """Up the ladder, then all that are left in free competition. `data` as they start."""
+        """Climb the ladder, then let all remaining effects compete. `data` as they are at the start."""
         whole = data
         data, standing, accepted = self._ladder(data)
         self.reference = ReferenceAxis.of(data, standing.fitted, standing.matrix)
@@ -154,7 +155,7 @@ class Selector:
         data, standing, accepted = self._pruned(data, standing, accepted, refit=True)
         plain = base_of(data)
         assert self.ladder is not None
-        stands = {note.name for note in accepted}  # what stands beside an effect does not stand in its place
+        stands = {note.name for note in accepted}  # an effect found beside another cannot replace it
         accepted = [replace(one, family=tuple(n for n in one.family if n not in stands)) for one in accepted]
         return Selection(
             data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
@@ -162,10 +163,10 @@ class Selector:
         )  # fmt: skip
 
     def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
-        """The first rungs: of all sets of their laws the smallest that unseen rows do not tell from the best.
+        """The first rungs: the smallest set of their laws that unseen rows do not distinguish from the best set.
 
-        They are fitted beside a rigid base from the start: a base that was fitted without them, or that is
-        freer than the data determine, bends. The friction of the whole base is then a rung of its own.
+        They are fitted together with a rigid base from the start: a base that was fitted without them, or has more
+        freedom than the data determine, would be biased. The full base friction is a later rung.
         """
         rigid = rigid_of(data)
         laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
@@ -196,7 +197,7 @@ class Selector:
         return self._pruned(data, standing, accepted)
 
     def _freed(self, whole: Data, data: Data, standing: Standing) -> tuple[Data, Standing]:
-        """The friction of the whole base, where the ladder did without and an effect has made room for it since."""
+        """Free the full base friction, where the ladder kept a rigid base and a later effect makes it determinable."""
         if data.free == whole.free or self.facts.units == "linear":
             return data, standing
         freed = data._replace(free=whole.free, start=whole.start)
@@ -209,9 +210,10 @@ class Selector:
         return settled(freed, found.fitted)
 
     def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing]) -> int:
-        """The smallest sets of which one is not worse than the best; of these the first that is not worse than they.
+        """The smallest set that is not worse than the best; among equal sizes the first that is not worse than the
+        others.
 
-        A constant torque stands before a friction that differs by direction.
+        A constant torque is tried before a friction that differs by direction.
         """
         folds = data.folds
 
@@ -226,7 +228,7 @@ class Selector:
     def _families(
         self, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing], chosen: int, folds: Folds
     ) -> list[tuple[str, ...]]:
-        """Of each law of the chosen set, what could stand in its place."""
+        """For each law of the chosen set, the laws that could replace it."""
         own = sets[chosen]
         found = []
         for name in own:
@@ -239,7 +241,7 @@ class Selector:
         return found
 
     def _distinct(self, data: Data, name: str) -> bool:
-        """Whether the base cannot say what a law says: where all runs turn one way, it can say a constant torque."""
+        """Whether a law differs from the base, which represents a constant torque where all runs turn one way."""
         start = evaluate(data, data.start, ())[0]
         effect = starting_effect(name, self.facts)
         own = strength_columns(data.rows, consistent_scenes(data, data.start, ()), name, effect.shapes).values
@@ -248,7 +250,7 @@ class Selector:
     def _round(
         self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
     ) -> tuple[Data, Standing, list[Accepted]] | None:
-        """One more effect; None where none is left on this rung."""
+        """Add one effect; None where none remains on this rung."""
         evidence = self._evidence(data, standing.fitted, standing.matrix)
         proposals = self.search.proposals(data, standing.fitted, evidence, rung)
         tried = self.search.tried
@@ -265,7 +267,7 @@ class Selector:
             return None
         best = max(believed, key=lambda item: item[2].value)
         family = [item for item in believed if not _worse(best[1], item[1], evidence.folds)]
-        # every axis has a friction of some form; an effect beside it has to be told from that
+        # every friction has some form; an effect beside it must be distinguishable from the form
         chosen = min(
             family,
             key=lambda item: (
@@ -279,14 +281,14 @@ class Selector:
         )  # fmt: skip
         found = self._pruned(*renewed(data, chosen[1].fitted), [*accepted, note])
         reason = misshapen(found[0], found[1].fitted, self.reference, self.ablate)
-        if reason:  # it became so at the noise of the new model
+        if reason:  # a reason that arose at the noise levels of the new model
             self.barred.add(chosen[0].name)
             self.refused[chosen[0].name] = Refused(
                 chosen[0].name, reason, share_gone(standing.fitted, chosen[1].fitted), note.p
             )
             return self._round(data, standing, accepted, rung)
         state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
-        if state in self.visited:  # what is added throws out what was there, and the other way round
+        if state in self.visited:  # a cycle: adding one effect removes another, and the reverse
             return None
         self.visited.add(state)
         return found
@@ -294,7 +296,7 @@ class Selector:
     def _contradicted(
         self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
     ) -> bool:
-        """Whether an inertia for each run explains unseen rows, and no effect explains them better."""
+        """Whether a separate inertia per run explains unseen rows, and no effect explains them better."""
         rows = data.rows
         inertia = standing.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
         columns = np.stack(
@@ -338,7 +340,7 @@ class Selector:
     def _believed(
         self, data: Data, standing: Standing, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, Standing, Gain]]:
-        """Contenders refitted with everything, that still explain enough and to which nothing is objected."""
+        """Contenders that, refitted with everything, still have enough gain and no objection."""
         both = "two_starts" not in self.ablate
 
         def stands(one: Contender) -> Standing:
@@ -360,7 +362,7 @@ class Selector:
         return found
 
     def _evidence(self, data: Data, fitted: Fitted, known: Floats) -> Evidence:
-        """What candidates are scored against, with what is too small to be one of them."""
+        """The evidence that candidates are scored against, with the negligible torque."""
         return evidence_of(data, fitted, known, self._negligible_nm)
 
     @property
@@ -370,16 +372,17 @@ class Selector:
     def _pruned(
         self, data: Data, standing: Standing, accepted: list[Accepted], refit: bool = False
     ) -> tuple[Data, Standing, list[Accepted]]:
-        """Drop what explains too little now that the others are there, the weakest first; gains are those of today.
+        """Drop the effects that no longer explain enough, the weakest first, by their present gains.
 
-        Without `refit` only what is in doubt is judged by a refit of the others, all else by one step of them; but
-        what acts on the command has the residual in it, and a step does not show what it can take in.
+        Without `refit` an effect that looks superfluous is judged by a refit of the others, and any other by one step
+        of them. If any effect acts on the command, all are refitted: its regressor contains the residual, and one step
+        does not show what it can absorb.
         """
         refit = refit or any(on_command(effect) for effect in standing.fitted.effects)
         while accepted:
             judged = [self._judged(data, standing, number, note, refit) for number, note in enumerate(accepted)]
             if len(accepted) == 1 and judged[0].share >= LEAST_SHARE:
-                # it was judged when it was accepted, at the noise of then: nothing has come since
+                # it was judged at its acceptance and nothing has been added since
                 return data, standing, [replace(judged[0], p=accepted[0].p or judged[0].p)]
             weakest = None
             for k in ranked(range(len(judged)), key=lambda k: judged[k].gain.value):
@@ -399,9 +402,9 @@ class Selector:
         return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
 
     def _judged(self, data: Data, standing: Standing, number: int, note: Accepted, refit: bool) -> Accepted:
-        """One effect given all others: its gain, share and chance.
+        """Gain, share and p-value of one effect given all others.
 
-        What the first rungs have found is judged beside the laws: a free curve holds a constant too.
+        Effects of the first rungs are compared with laws only: a free curve also contains a constant.
         """
         effects = standing.fitted.effects
         aside = [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
@@ -416,7 +419,7 @@ class Selector:
         )  # fmt: skip
 
     def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
-        """Of one effect, given all the others that stand; as it was where they leave hardly anything of its columns."""
+        """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
         own = columns_of(data, standing, number)
         scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
@@ -428,8 +431,10 @@ class Selector:
 def _beyond_laws(
     standing: Standing, believed: Sequence[tuple[Proposal, Standing, Gain]], free: list[Contender], folds: Folds
 ) -> list[Contender]:
-    """Curves that say more of unseen rows than any law: the others need no fit. Where a law says most of what a curve
-    does, the law comes first: the curve may have taken in another effect as well."""
+    """Curves with a larger gain than any law; other curves need no refit.
+
+    A law with most of a curve's gain takes precedence: the curve may have absorbed another effect as well.
+    """
     if not believed:
         return free
     _, law, most = max(believed, key=lambda item: item[2].value)
@@ -441,12 +446,12 @@ def _beyond_laws(
 
 
 def _worse(best: Standing, other: Standing, folds: Folds) -> bool:
-    """Whether unseen rows tell the two apart."""
+    """Whether unseen rows distinguish the two."""
     return best is not other and gain(other.unseen, best.unseen, folds).holds
 
 
 def _linear(data: Data, standing: Standing, one: Proposal, folds: Folds) -> Floats:
-    """Loss of unseen rows with a proposal's columns beside everything, nothing refitted nonlinearly."""
+    """Loss of unseen rows with a proposal's columns added, without a nonlinear refit."""
     own = data.white(one.columns)
     prior = np.zeros(standing.matrix.shape[1] + own.shape[1])
     return unseen_loss(standing.fitted.white, np.concatenate([standing.matrix, own], axis=1), folds, prior)
@@ -459,7 +464,7 @@ def stand(data: Data, fitted: Fitted) -> Standing:
 
 
 def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool) -> Standing:
-    """What stands without some of the effects: all else refitted, or moved by one robust step of least squares."""
+    """The hypothesis without some effects: the others refitted, or moved by one robust least-squares step."""
     if not numbers:
         return standing
     fitted = standing.fitted
@@ -484,7 +489,7 @@ def numbers_of(fitted: Fitted) -> int:
 
 
 def columns_of(data: Data, standing: Standing, number: int) -> slice:
-    """The columns of one effect in the matrix of what is fitted."""
+    """The effect's columns in the matrix of everything that is fitted."""
     slots = slots_of(standing.fitted.effects, data.rows.turns)
     own = [k for k, slot in enumerate(slots) if slot.effect == number]
     first = standing.matrix.shape[1] - len(slots)
@@ -492,11 +497,11 @@ def columns_of(data: Data, standing: Standing, number: int) -> slice:
 
 
 def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_starts: bool) -> Fitted:
-    """A proposal refitted with everything, from where the model is; `promised`: share that its columns explain.
+    """A proposal refitted with everything from the current model; `promised`: the share that its columns explain.
 
-    Its best strengths stand beside a change of the base that was not made: it begins with none, and the first step
-    makes both. A base that was fitted without the effect bends to take it in, and may not find back from where that
-    led: what keeps less than KEPT of its promise is fitted from where the base began, too.
+    Its linear strengths belong to a base that would move too; it therefore starts at zero strength, and the first step
+    moves both. A base fitted without the effect is biased and may be far from its optimum: a refit that keeps less than
+    KEPT of the promise is repeated from the start of the base.
     """
     nothing = replace(one.effect, strengths={name: np.zeros_like(v) for name, v in one.effect.strengths.items()})
     found = fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
@@ -507,7 +512,7 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
 
 
 def starting_effect(name: str, facts: DriveFacts) -> Effect:
-    """A law without strength, at its own shape."""
+    """A law of zero strength at its proposed shape."""
     law = law_of(name)
     shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
     return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
@@ -521,7 +526,7 @@ def rigid_of(data: Data) -> Data:
 
 
 def base_of(data: Data) -> Fitted:
-    """The base model alone, fitted from the start at the levels of noise as they are."""
+    """The base model alone, fitted from the start at the present noise levels."""
     found = fit(data, data.start, (), LADDER_ITERATIONS)
     for _ in range(ROUNDS):
         before, found = found, fit(at_rest(data, found.physical, ()), found.physical, ())
@@ -531,7 +536,7 @@ def base_of(data: Data) -> Fitted:
 
 
 def settled(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
-    """`renewed` until the levels of noise and the model agree."""
+    """Repeat `renewed` until noise levels and model agree."""
     for _ in range(ROUNDS):
         data, standing = renewed(data, fitted)
         change, fitted = _moved(data, fitted, standing.fitted), standing.fitted
@@ -541,12 +546,12 @@ def settled(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
 
 
 def _moved(data: Data, before: Fitted, after: Fitted) -> float:
-    """How far a model moved: rms over the rows, in levels of noise, outliers pulled in."""
+    """How far a model moved: rms over the rows, in noise levels, outliers clipped."""
     return float(np.sqrt(np.mean(clipped(data.white(after.residual_nm - before.residual_nm)) ** 2)))
 
 
 def renewed(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
-    """Levels of noise and balance at rest of the new model, refitted."""
+    """Noise levels and balance at rest of the new model, then a refit."""
     data = at_rest(data, fitted.physical, fitted.effects)
     begin = evaluate(data, fitted.physical, fitted.effects)[0]
     data = with_levels(data, begin)

@@ -1,8 +1,8 @@
 """Orders of the motor angle and frequencies at which the residual stands out: periodograms over angle and over time.
 
-Runs have reversals, so a wave in angle is no line over time. Residuals are gathered in bins of angle, class of speed by
-class (the filter leaves less of a wave the faster it is passed), and the classes' spectra are added with what the
-filter leaves in each. Phases of different runs are not compared: the datum may differ.
+Runs have reversals, so a wave in angle is no line over time. Residuals are binned by angle, separately for each class
+of speed since the filter's gain for a wave falls with the speed; the spectra of the classes are added, weighted by that
+gain. Phases of different runs are not compared, as the datum may differ.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from .rows import DiagnosisRows
 Floats = npt.NDArray[np.float64]
 
 BINS_A_PERIOD = 2.56  # of the shortest period
-HIGHEST_ORDER = 50.0  # of the periodogram of a turn; whole orders beyond it are tried one by one
-LEAST_PERIODS = 8.0  # of the highest order in the travel
+HIGHEST_ORDER = 50.0  # of the periodogram of a turn; above it whole orders are tried one by one
+LEAST_PERIODS = 8.0  # fewest periods of a wave in the travel
 SPEED_CLASSES = 8
-LEVEL_BLOCKS = 16  # in which the level of a spectrum is taken
-NEIGHBOURS = 40  # bins to each side that are the same line
-OUTSTANDING = 9.0  # times the level
+LEVEL_BLOCKS = 16  # blocks in which the level of a spectrum is taken
+NEIGHBOURS = 40  # bins to each side that belong to the same line
+OUTSTANDING = 9.0  # height of a line over the level
 LONGEST_BINS = 1 << 18
-SLOWEST_LINE = 1.5  # order below which lines need not stand out ...
-BAND_RATIO = 1.5  # ... the largest of each band of this ratio
+SLOWEST_LINE = 1.5  # below this order lines need not stand out ...
+BAND_RATIO = 1.5  # ... the largest of each band of this ratio is taken
 
 
 class Peak(NamedTuple):
     """A line of a periodogram."""
 
     place: float  # order or frequency
-    strength: float  # power over its neighbourhood's level
+    strength: float  # power over the level nearby
 
 
 def order_peaks(rows: DiagnosisRows, values: Floats, count: int, highest: float = HIGHEST_ORDER) -> list[Peak]:
-    """Strongest orders of the motor angle in values (m,) at the kept rows, sorted by strength."""
+    """Strongest orders of the motor angle in values (m,) at the kept rows, strongest first."""
     turns = rows.turns
     if turns * highest < LEAST_PERIODS:
         return []
@@ -51,7 +51,8 @@ def order_peaks(rows: DiagnosisRows, values: Floats, count: int, highest: float 
 def slow_orders(rows: DiagnosisRows, values: Floats) -> tuple[float, ...]:
     """The largest order of each band below SLOWEST_LINE.
 
-    No line stands out there, where all else that a base lacks has its spectrum: what the order explains decides.
+    No line stands out there, because all other missing effects have their spectrum there too: an order is judged by
+    what it explains.
     """
     turns = rows.turns
     if turns < 2.0:
@@ -60,7 +61,7 @@ def slow_orders(rows: DiagnosisRows, values: Floats) -> tuple[float, ...]:
 
 
 def order_spectrum(rows: DiagnosisRows, values: Floats, turns: float, highest: float) -> tuple[Floats, Floats]:
-    """Orders up to the highest, and the power of each, the mean over the runs."""
+    """Orders up to the highest, and the power of each, averaged over the runs."""
     bins_per_turn = BINS_A_PERIOD * highest
     length = min(LONGEST_BINS, 1 << (math.ceil(2.0 * turns * bins_per_turn) - 1).bit_length())
     orders = np.asarray(np.fft.rfftfreq(length, 1.0 / bins_per_turn), dtype=np.float64)
@@ -91,7 +92,7 @@ def order_spectrum(rows: DiagnosisRows, values: Floats, turns: float, highest: f
 
 
 def _slow_peaks(orders: Floats, power: Floats, least: float) -> list[float]:
-    """The largest of each band between `least` and SLOWEST_LINE, if it is a maximum and not the side of one."""
+    """The maximum of each band between `least` and SLOWEST_LINE, unless it is the flank of a neighbour's."""
     if not least < SLOWEST_LINE:
         return []
     count = max(1, round(np.log(SLOWEST_LINE / least) / np.log(BAND_RATIO)))
@@ -115,7 +116,7 @@ def frequency_peaks(rows: DiagnosisRows, values: Floats, count: int) -> list[Pea
 
 
 def time_spectrum(rows: DiagnosisRows, values: Floats) -> tuple[Floats, Floats]:
-    """Frequencies, Hz, and the power of values (m,) at each, the sum over the stretches."""
+    """Frequencies, Hz, and the power of values (m,) at each, summed over the stretches."""
     longest = max(end - begin for begin, end in rows.bounds)
     length = 1 << (4 * longest - 1).bit_length()
     power = np.zeros(length // 2 + 1)
@@ -126,7 +127,7 @@ def time_spectrum(rows: DiagnosisRows, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak]:
-    """Lines above the level, which is the median of blocks of a constant ratio: a strong line's sides are broad."""
+    """Lines above the level, which is the median of blocks of a constant ratio: a strong line has broad flanks."""
     edges = np.geomspace(max(least, places[1]), places[-1], LEVEL_BLOCKS + 1)
     centres, levels = [], []
     for low, high in itertools.pairwise(edges):

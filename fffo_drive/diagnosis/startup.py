@@ -1,6 +1,6 @@
-"""Where the fits begin: a rigid regression, and a grid for what it does not have.
+"""Start values of the fits: a regression for a rigid axis, and a grid for the remaining parameters.
 
-A constant torque and a wave of the angle stand beside the axis in the regression, or would be taken for inertia.
+The regression includes a constant torque and a wave in the angle, which would otherwise bias the inertia.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Floats = npt.NDArray[np.float64]
 DELAYS_S = tuple(0.001 * k for k in range(13))
 BUMPS = (0.03, 0.06, 0.12, 0.25)  # Stribeck speeds that are tried, in shares of the top speed
 REWEIGHTED = 3  # rounds of the robust regression
-LEAST_LEVEL = 0.01  # of the rms torque, that friction is at least: a run that turns one way may give it to a constant
+LEAST_LEVEL = 0.01  # smallest friction, of the rms torque: a run in one direction may assign it to a constant
 
 
 class Regression(NamedTuple):
-    """Least squares on rows: coefficients, the mean loss, and the robust level of what is left."""
+    """Least squares on rows: coefficients, the mean loss, and the robust residual level."""
 
     values: Floats
     cost: float
@@ -56,7 +56,7 @@ def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
 
 
 def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> tuple[TorqueStart, float]:
-    """J, friction, delay, a falling Stribeck curve where there is one; and the level of what is left, Nm."""
+    """J, friction, delay, a falling Stribeck curve where there is one; and the residual level, Nm."""
     used = np.flatnonzero(rows.kept)
     if used.size < 2 * len(DELAYS_S):
         raise DataError("hardly anything moves in these runs: raise the excitation, or add a run at higher speed")
@@ -94,9 +94,9 @@ def starting_data(
     facts: DriveFacts, stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows, runs: int,
     physical: Floats | None = None,
 ) -> Data:  # fmt: skip
-    """Data with the parameters to begin with, and one level of noise: that of the regression with its wave.
+    """Data with start values and a uniform noise level from the regression with its wave.
 
-    `physical`: parameters to begin with, where they are known. Raises DataError where the data cannot carry a fit.
+    `physical`: the start values, where known. Raises DataError where the data cannot carry a fit.
     """
     start, level = rigid_start(stretches, rows)
     if physical is None:
@@ -109,7 +109,7 @@ def starting_data(
 
 
 def _physical(start: TorqueStart, stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> Floats:
-    """What the regression has not, presliding and its lag, from a grid."""
+    """Parameters that the regression lacks (presliding and its lag), from a grid."""
     lsb_rev = max(stretch.lsb_rev for stretch in stretches)
     candidates = [
         start_vector(start, 1.0 / (counts * lsb_rev), start.static_nm / (ratio * counts * lsb_rev))

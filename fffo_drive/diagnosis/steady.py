@@ -1,8 +1,8 @@
-"""Whether a finding is what its name says: then it is as strong in one part of the data as in another.
+"""Check a finding's identity: a true effect has the same strength in every part of the data.
 
-What stands in for something else takes away what it can, and is strong where the two are alike: its strength differs
-from slow to fast motion, from one half of a run to the next, or from run to run. What else is left beside a true effect
-does not change that, however much it is.
+An effect that stands in for another explains what it can, and is strong where the two are alike: its strength differs
+between slow and fast motion, between the halves of a run, or from run to run. Other missing effects, however large, do
+not change the strength of a true effect.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from .scenes import load_rows
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-STEADY = 0.3  # rms change of an effect's strength over two parts of the data, as a share of it, at most
-DETERMINED = 0.1  # of the square of such a change, that all else that is fitted must leave: or it could say it itself
+STEADY = 0.3  # largest rms change of an effect's strength between two parts of the data, as a share of it
+DETERMINED = 0.1  # share of such a change's square that the rest of the fit must not be able to represent
 
 
 class Split(NamedTuple):
-    """How an effect's strength changes from one part of the data to the rest."""
+    """Change of an effect's strength from one part of the data to the rest."""
 
     parts: str  # in words
     spread: float  # rms change, as a share of the strength
-    is_uneven: bool  # by more than STEADY, and rows that were not used in the fit show it
+    is_uneven: bool  # by more than STEADY, confirmed by rows that were not fitted
 
 
 def parts_of(data: Data) -> Iterator[tuple[str, Mask]]:
-    """Parts of the rows that count, (q,) each, with words for what differs from them to the others."""
+    """Parts of the rows that count, (q,) each, with a description of the comparison."""
     rows, used = data.rows, data.used
     run, time_s = rows.run[used], rows.time_s[used]
     speed, acceleration = (np.abs(of[used]) for of in (rows.velocity_rps, rows.acceleration_rps2))
@@ -48,10 +48,10 @@ def parts_of(data: Data) -> Iterator[tuple[str, Mask]]:
 
 
 def least_steady(data: Data, fitted: Fitted, matrix: Floats, number: int) -> Split:
-    """Over which parts of the data the strength of an effect changes most.
+    """The partition of the data over which the strength of an effect changes most.
 
-    `matrix` (q, p): white sensitivities of everything that is fitted. Its torque in the part alone is fitted beside
-    them: how much more of it there is there than elsewhere.
+    `matrix` (q, p): white sensitivities of everything that is fitted. The effect's torque in the part alone is added to
+    them: the excess there over the rest.
     """
     weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(fitted.white), HUBER)))
     known = orthonormal(weight[:, None] * matrix)

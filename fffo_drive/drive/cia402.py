@@ -45,7 +45,7 @@ STATE_TABLE: tuple[StateMask, ...] = (
 )
 _ROWS = np.array([(row.state, row.mask, row.value) for row in STATE_TABLE], np.int64)
 
-NOT_READY_MASK = STATE_TABLE[0].mask  # all of these are 0 in a drive that still starts
+NOT_READY_MASK = STATE_TABLE[0].mask  # all of these are 0 in a drive that is still starting
 
 # statusword bits
 STATUS_FAULT = 1 << 3  # fault, and its reaction
@@ -126,7 +126,7 @@ def controlword_towards(statusword: int, goal: int, fault_reset: bool, last_cont
 
 
 def state_name(statusword: int) -> str:
-    """Name of the state in the standard, for texts; 'unknown' if there is none."""
+    """Name of the state in the standard, for messages; 'unknown' if there is none."""
     for row in STATE_TABLE:
         if statusword & row.mask == row.value:
             return row.name

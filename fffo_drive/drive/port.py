@@ -37,7 +37,7 @@ FEEDBACK = np.dtype(
         ("nmt_state", "<i8"),  # last state in a heartbeat; -1 before the first
         ("nmt_exits", "<i8"),  # heartbeats that report a state other than OPERATIONAL; a boot-up is counted separately
         # statistics of the exchange, counted since the port was made
-        ("late_feedback", "<i8"),  # answers that came too late or once too often: counted, never used
+        ("late_feedback", "<i8"),  # answers that came late or were duplicated: counted, never used
         ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was outstanding
         ("bad_frames", "<i8"),  # short, over-long, remote or extended frames: counted, never used
         ("error_frames", "<i8"),  # CAN error frames
@@ -63,12 +63,12 @@ def new_feedback() -> np.ndarray[Any, np.dtype[np.void]]:
 class ExchangeCounts(NamedTuple):
     """Counters of bus errors in the port, one for each row of the statistics."""
 
-    late_feedback: int = 0  # answers that came too late or once too often: never used
+    late_feedback: int = 0  # answers that came late or were duplicated: never used
     duplicate_feedback: int = 0  # of these: second answers to a SYNC when none was outstanding
     bad_frames: int = 0  # short, over-long, remote or extended: never used
     error_frames: int = 0  # of the CAN controller
     bus_losses: int = 0  # bus-off, or an interface that went away
-    send_errors: int = 0  # frames that the kernel did not take; they are not sent later
+    send_errors: int = 0  # frames that the kernel did not accept; they are not sent later
     dropped_frames: int = 0  # lost by the socket's queue; -1: unknown
     emergency_count: int = 0  # EMCY messages with an error
     boot_count: int = 0  # the drive restarted
@@ -115,7 +115,7 @@ def port_receive(port: Any, tick: int, cutoff_ns: int) -> int:
 
 @generic
 def port_command(port: Any, tick: int, controlword: int, current_a: float) -> float:
-    """Send controlword and current command. Returns the current that the wire's resolution made of it (A)."""
+    """Send controlword and current command. Returns the current (A) after rounding to the resolution of the bus."""
     raise NotImplementedError
 
 
@@ -149,7 +149,7 @@ class BusOccupiedError(BusUnavailableError):
 
 
 class DriveRefusedError(DriveError):
-    """The drive answers, but lacks or refuses something that the service needs: it is not enabled."""
+    """The drive answers, but lacks or refuses an object that the service needs: it is not enabled."""
 
 
 class Drive(Protocol):
@@ -183,11 +183,11 @@ class Drive(Protocol):
         ...
 
     def warnings(self) -> list[str]:
-        """What the drive has warned of since the last call, a sentence each; never waits."""
+        """Warnings of the drive since the last call, one sentence each; never waits."""
         ...
 
     def close(self, loop_ended: bool = True) -> None:
-        """Leave the drive without torque and the bus without traffic of ours. Never raises.
+        """Leave the drive without torque and stop our bus traffic. Never raises.
 
         `loop_ended` False: the loop's thread hangs and may wake; what it uses stays open.
         """

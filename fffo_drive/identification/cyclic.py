@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..units import TWO_PI
+from ..units import NORMAL_95, TWO_PI
 from .criterion import folds_of
 from .dataset import DataError, Record
 
@@ -130,7 +130,7 @@ def cyclic_lines(found: CyclicError) -> list[str]:
         f"{1.96e3 * found.lag_sd_s:.2g} ms behind"
     ]
     lines += [
-        f"  {one.order:3d} a turn: {ARCMIN * one.amplitude_rev:.3g} +- {1.96 * ARCMIN * one.sd_rev:.2g} arcmin"
+        f"  {one.order:3d} a turn: {ARCMIN * one.amplitude_rev:.3g} +- {NORMAL_95 * ARCMIN * one.sd_rev:.2g} arcmin"
         for one in found.sure
     ]
     return lines if found.sure else [*lines, "  no order is beyond noise"]

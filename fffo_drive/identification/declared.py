@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from ..units import NORMAL_95
 from .facts import DriveFacts
 from .ladder import GRAVITY_PERIODS
 
@@ -53,7 +54,7 @@ def gravity_remark(facts: DriveFacts, found_nm: tuple[float, float] | None, trav
             )
         return f"{said}, and the data show no weight: another load, another gear_ratio, or a balanced axis"
     amplitude_nm, sd_nm = found_nm
-    reach_nm = 1.96 * sd_nm if math.isfinite(sd_nm) else 0.0
+    reach_nm = NORMAL_95 * sd_nm if math.isfinite(sd_nm) else 0.0
     if abs(amplitude_nm - declared_nm) <= reach_nm + DECLARED_TOLERANCE * declared_nm:
         return ""
     return (

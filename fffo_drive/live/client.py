@@ -1,4 +1,4 @@
-"""One page in a browser: what it asks for, and what its key allows. Without a key it looks, and nothing else."""
+"""One scope page in a browser: its requests, and what its key allows. Without a key it may only look."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Call = Callable[[], Awaitable[Any]]
 
 COMMANDS = {"enable": 10.0, "disable": 10.0, "start": 0.0, "stop": 10.0, "toggle": None, "reset_fault": 10.0}
 WRONG_KEYS = 5
-NO_KEY = "this page only looks; `fffo-drive scope` says the address with the key"
+NO_KEY = "this page may only look; `fffo-drive scope` prints the address with the key"
 STOPPED_SINCE = "the axis was stopped since this page showed its state; look at it, then start again"
 
 
@@ -40,27 +40,27 @@ class LiveClient(Peer):
         self._link = ControlLink(hub.control_path)
 
     async def live(self) -> None:
-        """Until it goes or is dropped."""
+        """Serve it until it leaves or is dropped."""
         try:
             await super().live()
         finally:
-            self._link.close()  # where the axis hangs on this page, the daemon does as daemon.client_loss says
+            self._link.close()  # a page that holds the axis: the daemon reacts as daemon.client_loss says
 
     def take(self, message: str | bytes) -> None:
-        """One JSON object: what it wants done. Raises DroppedError."""
+        """Carry out one request, a JSON object. Raises DroppedError."""
         try:
             wanted = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):
             wanted = None
         if not isinstance(wanted, dict):
-            raise DroppedError("sends what is no JSON object")
+            raise DroppedError("sent something other than a JSON object")
         what = wanted.get("do")
         if what == "token":
             self._check_key(wanted.get("token"))
         elif what == "capture":
             self._begin_capture(wanted)
         elif what not in ("stop", "call"):
-            raise DroppedError("asks for what there is not")
+            raise DroppedError("sent an unknown request")
         elif self._asker.role == "look":
             self._refuse(wanted, NO_KEY)
         elif what == "stop":
@@ -73,7 +73,7 @@ class LiveClient(Peer):
         if asker is None:
             self._wrong += 1
             if self._wrong >= WRONG_KEYS:
-                raise DroppedError("wrong key, again and again")
+                raise DroppedError("sent a wrong key several times")
         self._asker = asker or Asker("look")
         allowed = [method for method in COMMANDS if may(self._asker.role, self._needed(method))]
         self.offer(frames.text("rights", role=self._asker.role, may=allowed))
@@ -84,24 +84,24 @@ class LiveClient(Peer):
     def _begin_capture(self, wanted: dict[str, Any]) -> None:
         seconds, until_tick, signals = wanted.get("seconds"), wanted.get("until_tick"), wanted.get("signals", [])
         if not isinstance(seconds, int | float) or not 0 < seconds <= CAPTURE_S:
-            raise DroppedError("asks for a capture of no length")
+            raise DroppedError("requested a capture of an invalid length")
         if until_tick is not None and (not isinstance(until_tick, int) or not 0 <= until_tick < 1 << 63):
-            raise DroppedError("asks for a capture at no tick")
+            raise DroppedError("requested a capture at an invalid tick")
         if not isinstance(signals, list) or not all(isinstance(name, str) and name in UNITS for name in signals):
-            raise DroppedError("asks for a capture of no signals")
+            raise DroppedError("requested a capture of unknown signals")
         if len(set(signals)) < len(signals):
-            raise DroppedError("asks for a signal twice")
-        if not self._bulk:  # else the one before is on its way
+            raise DroppedError("requested a signal twice")
+        if not self._bulk:  # one at a time: the capture before is still being sent
             self.offer_bulk(self._hub.feed.captured(float(seconds), until_tick, signals, _number(wanted)))
 
     def _call(self, wanted: dict[str, Any]) -> None:
         method, params = wanted.get("method"), wanted.get("params", {})
         if not isinstance(method, str) or method not in COMMANDS or not isinstance(params, dict):
-            self._refuse(wanted, f"no command of the scope; known: {', '.join(COMMANDS)}")
+            self._refuse(wanted, f"not a command of the scope; known: {', '.join(COMMANDS)}")
         elif not may(self._asker.role, needed := self._needed(method)):
             self._refuse(wanted, f"{method} needs the role {needed}, the key of this page gives {self._asker.role}")
         elif self.busy:
-            self._refuse(wanted, "too many commands wait already")
+            self._refuse(wanted, "too many commands are pending")
         else:
             wait_s = COMMANDS[method]
             waits = {} if wait_s is None else {"wait_s": wait_s}
@@ -109,7 +109,7 @@ class LiveClient(Peer):
             self.answer_later(self._answer(wanted, partial(self._command, method, given)))
 
     async def _command(self, method: str, given: dict[str, Any]) -> Any:
-        """Ask the daemon. Raises LinkError; one that says so when the epoch is the reason."""
+        """Ask the daemon. Raises LinkError, which says so when the epoch is the reason."""
         try:
             return await self._link.call(method, given)
         except ControlLinkError as error:

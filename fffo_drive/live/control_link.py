@@ -1,4 +1,4 @@
-"""A connection to the daemon's control socket, for the live server's own asyncio loop. Commands go this way alone."""
+"""A connection to the daemon's control socket for the live server's asyncio loop. Commands are sent through it only."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 LINE_LIMIT = 4 * 1024 * 1024
-ANSWER_S = 15.0  # beyond what a call itself waits
-REFUSED = -32000  # code of the control API: not possible in this state, or no more in this epoch
+ANSWER_S = 15.0  # in addition to the time that a call itself may take
+REFUSED = -32000  # error code of the control API: not possible in this state, or of an earlier epoch
 
 
 class ControlLinkError(Exception):
@@ -26,10 +26,10 @@ Listener = Callable[[str, dict[str, Any]], None]
 
 
 class ControlLink:
-    """Calls and notifications over one connection, which is made with the first call and made again when it broke."""
+    """Calls and notifications over one connection, opened by the first call and reopened after a failure."""
 
     def __init__(self, path: Path, listener: Listener | None = None) -> None:
-        """`listener` is told method and parameters of each notification."""
+        """`listener` gets method and parameters of each notification."""
         self._path = path
         self._listener = listener
         self._number = 0
@@ -40,7 +40,7 @@ class ControlLink:
 
     @property
     def is_open(self) -> bool:
-        """The connection stands."""
+        """The connection is open."""
         return self._writer is not None
 
     async def call(self, method: str, params: Mapping[str, Any] | None = None) -> Any:
@@ -75,7 +75,7 @@ class ControlLink:
             self._reading = asyncio.create_task(self._read(reader))
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
-        with contextlib.suppress(OSError, ValueError):  # gone, or a line beyond all limits
+        with contextlib.suppress(OSError, ValueError):  # closed, or a line beyond the limit
             while line := await reader.readline():
                 self._hear(json.loads(line))
         self._drop()
@@ -102,7 +102,7 @@ class ControlLink:
                 answer.set_exception(ControlLinkError("the daemon closed the connection"))
 
     def close(self) -> None:
-        """Hang up; what the daemon does when a client that holds the axis goes away happens then."""
+        """Close the connection; the daemon then does what it does when a client that holds the axis disconnects."""
         if self._reading is not None:
             self._reading.cancel()
         self._drop()

@@ -1,7 +1,7 @@
-"""From the loop's ring to bins: a reader with a tail of its own, bins for everybody, and the last rows as they were.
+"""From the loop's ring to bins: a ring reader of its own, bins for all clients, and the latest rows unchanged.
 
-Runs on the thread of the live server. The loop is the only writer of the ring and knows nothing of its readers; the
-recorder has a reader of its own. While nobody listens nothing is read and nothing kept.
+Runs on the live server's thread. The loop is the only writer of the ring and knows nothing of its readers; the recorder
+has its own. Without clients nothing is read and nothing kept.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from . import frames
 from .decimation import Counts, Decimator, Matrix, bin_ticks_of, lateness_counts
 
 CAPTURE_S = 10.0
-KEPT_S = CAPTURE_S + 5.0  # a page asks for what is around an event after it has seen it
-CHUNK_BYTES = 96 * 1024  # of a capture, in one frame: what is live goes between two of them
+KEPT_S = CAPTURE_S + 5.0  # a page requests the rows around an event after it has seen the event
+CHUNK_BYTES = 96 * 1024  # size of one frame of a capture: live frames are sent between two of them
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
 class FeedSource(NamedTuple):
-    """A loop that runs. `number` differs from that of the loop before; the constant turns terms in Nm into A."""
+    """A running loop. `number` changes with each loop; the torque constant converts terms in Nm to A."""
 
     number: int
     ring: ReadableRing
@@ -36,18 +36,18 @@ class FeedSource(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """What came of a loop since the last time."""
+    """Rows of a loop since the last poll."""
 
     loop: int
     bins: Matrix  # (bins, signals, 3), see Decimator
     ticks: int
     late: int
-    lost: int  # rows that were overwritten before they could be read
+    lost: int  # rows that were overwritten before they were read
     lateness: Counts
-    wall_offset_ns: int  # CLOCK_REALTIME minus CLOCK_MONOTONIC when this loop was met
+    wall_offset_ns: int  # CLOCK_REALTIME minus CLOCK_MONOTONIC when the loop was first seen
 
     def frame(self) -> bytes:
-        """For the scope: a frame of kind `rows`."""
+        """A frame of kind `rows` for the scope."""
         return frames.binary(
             "rows", self.bins.tobytes(), loop=self.loop, bins=len(self.bins), lost=self.lost,
             late=self.late, ticks=self.ticks, lateness=self.lateness.tolist(),
@@ -55,7 +55,7 @@ class Taken(NamedTuple):
 
 
 class Capture:
-    """The last rows, bit for bit."""
+    """The latest rows, bit for bit."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -63,7 +63,7 @@ class Capture:
         self._count = 0
 
     def add(self, rows: Rows) -> None:
-        """Keep these, and let go what is older than the longest capture."""
+        """Add rows, and drop those older than the longest capture."""
         if len(rows):
             self._batches.append(rows)
             self._count += len(rows)
@@ -71,7 +71,7 @@ class Capture:
             self._count -= len(self._batches.popleft())
 
     def newest(self, count: int, until_tick: int | None = None) -> Rows:
-        """At most so many of the newest rows, oldest first; `until_tick`: of those up to this tick."""
+        """The newest rows, at most this many, oldest first; with `until_tick` those up to this tick."""
         found: list[Rows] = []
         missing = count
         for batch in reversed(self._batches):
@@ -80,28 +80,28 @@ class Capture:
             rows = batch if until_tick is None else batch[: np.searchsorted(batch["tick"], until_tick, side="right")]
             found.append(rows[max(0, len(rows) - missing) :])
             missing -= len(found[-1])
-        return np.frombuffer(b"".join(rows.tobytes() for rows in reversed(found)), ROW)  # NumPy's way is field by field
+        return np.frombuffer(b"".join(rows.tobytes() for rows in reversed(found)), ROW)  # NumPy copies by field
 
 
 class Feed:
-    """Follows whatever loop runs at the moment."""
+    """Follows the running loop, and the next one when another starts."""
 
     def __init__(self, source: Callable[[], FeedSource | None]) -> None:
         self._source = source
         self._number = 0
         self._reader: RingReader | None = None
-        RingReader(new_ring(2))  # compiled, or loaded, before anything is urgent
+        RingReader(new_ring(2))  # compiled, or loaded, before time matters
 
     def begin(self) -> None:
-        """Somebody listens: `poll` gives rows from now on."""
+        """A first client: `poll` returns rows from now on."""
         self._reader, self._number = None, 0
 
     def end(self) -> None:
-        """Nobody listens: let go of everything."""
+        """No client is left: free all memory."""
         self._reader = None
 
     def poll(self) -> Taken | None:
-        """What came since the last time; None when there is nothing."""
+        """Rows since the last poll; None when there are none."""
         source = self._source()
         if source is None:
             return None
@@ -127,7 +127,7 @@ class Feed:
         self._capture = Capture(round(KEPT_S * source.rate_hz))
 
     def facts(self) -> dict[str, Any]:
-        """What the page has to know of the loop; nulls where none runs."""
+        """Facts of the loop for the page; null where none runs."""
         source = self._source()
         if source is None:
             return {"loop": None, "rate_hz": None, "bin_ticks": None, "torque_constant_nm_per_a": None}
@@ -141,10 +141,10 @@ class Feed:
     def captured(
         self, seconds: float, until_tick: int | None = None, names: Sequence[str] = (), number: int | None = None
     ) -> list[bytes]:
-        """The rows of the last seconds at the full rate (or of those before a tick), as frames of kind `capture`.
+        """Rows of the last seconds (or of those before a tick) at the full rate, as frames of kind `capture`.
 
-        `names`: of these signals alone, packed in this order; all of them without. Whoever asked knows the frames by
-        `number`. One without rows if there are none.
+        `names`: only these signals, packed in this order; None: all. `number` identifies the frames of one request.
+        Without rows one empty frame.
         """
         rows = np.empty(0, ROW)
         loop = None
@@ -164,7 +164,7 @@ class Feed:
 
 
 def _columns(rows: Rows, names: Sequence[str]) -> Rows:
-    """Some signals of rows, one after the other without gaps."""
+    """Some signals of rows, concatenated without gaps."""
     packed = np.empty(len(rows), np.dtype([(name, ROW[name]) for name in names]))
     for name in names:
         packed[name] = rows[name]

@@ -1,8 +1,9 @@
-"""The messages of Foxglove's WebSocket protocol (`foxglove.sdk.v1`) that we speak: bytes and texts, no sockets.
+"""Encoding and decoding of Foxglove's WebSocket protocol (`foxglove.sdk.v1`), as far as it is used here; no sockets.
 
-Source: https://github.com/foxglove/foxglove-sdk, rust/foxglove/src/protocol/v1. Numbers are little-endian. A test holds
-this against that SDK, whose own server is none for a process that commands a machine: it has no limit on connections,
-half-open ones among them, nor on what one client asks, and each call of a service takes a thread (up to 512).
+Source: https:
+github.com/foxglove/foxglove-sdk, rust/foxglove/src/protocol/v1. Numbers are little-endian. A test compares this with
+that SDK. The SDK's own server is not used, because it limits neither connections (including half-open ones) nor the
+requests of a client, and each service call takes a thread (up to 512).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _CALL = struct.Struct("<BIII")
 
 
 class ProtocolError(Exception):
-    """A message that is none of the protocol."""
+    """A message that violates the protocol."""
 
 
 class Channel(NamedTuple):
@@ -69,7 +70,7 @@ class ServiceCall(NamedTuple):
 
 
 class Unserved(NamedTuple):
-    """An operation of the protocol that we do not offer."""
+    """An operation of the protocol that is not offered here."""
 
     operation: str
 
@@ -78,7 +79,7 @@ Asked = SubscribeRequest | Unsubscribe | ServiceCall | Unserved
 
 
 def server_info(name: str, session: str) -> str:
-    """The first message to everybody."""
+    """The first message to every client."""
     facts = {"name": name, "metadata": {}, "sessionId": session}
     return _text("serverInfo", **facts, capabilities=["services"], supportedEncodings=[ENCODING])
 
@@ -117,23 +118,23 @@ def message_data(subscription: int, time_ns: int, payload: bytes) -> bytes:
 
 
 def service_answer(call: ServiceCall, payload: bytes) -> bytes:
-    """What a service answers."""
+    """The answer of a service."""
     encoding = ENCODING.encode()
     return _CALL.pack(SERVICE_CALL_RESPONSE, call.service, call.number, len(encoding)) + encoding + payload
 
 
 def service_failure(call: ServiceCall, why: str) -> str:
-    """A service does not do it."""
+    """The failure of a service."""
     return _text("serviceCallFailure", serviceId=call.service, callId=call.number, message=why)
 
 
 def status(level: int, text: str) -> str:
-    """Something that a person should read."""
+    """A message for people."""
     return _text("status", level=level, message=text)
 
 
 def parse(message: str | bytes) -> Asked:
-    """What a client asks for. Raises ProtocolError."""
+    """Decode a client's message. Raises ProtocolError."""
     return _call(message) if isinstance(message, bytes) else _operation(message)
 
 
@@ -144,7 +145,7 @@ def _operation(text: str) -> Asked:
         raise ProtocolError("no JSON") from None
     operation = content.get("op") if isinstance(content, dict) else None
     if not isinstance(operation, str):
-        raise ProtocolError("no JSON object with an `op`")
+        raise ProtocolError("not a JSON object with an `op`")
     if operation == "subscribe":
         wanted = _list(content, "subscriptions")
         return SubscribeRequest([(_id(one, "id"), _id(one, "channelId")) for one in wanted])
@@ -163,7 +164,7 @@ def _list(content: Mapping[str, Any], name: str) -> Sequence[Any]:
 def _id(content: Any, name: str) -> int:
     found = content.get(name) if isinstance(content, dict) else None
     if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found < LARGEST_ID:
-        raise ProtocolError(f"`{name}` is no number of 32 bits")
+        raise ProtocolError(f"`{name}` is not a 32-bit number")
     return found
 
 
@@ -171,11 +172,11 @@ def _call(message: bytes) -> ServiceCall | Unserved:
     if message[:1] != bytes([SERVICE_CALL_REQUEST]):
         return Unserved(f"opcode {message[0]}" if message else "an empty message")
     if len(message) < _CALL.size:
-        raise ProtocolError("a request to a service that ends too early")
+        raise ProtocolError("a truncated service request")
     _, service, number, length = _CALL.unpack_from(message)
     end = _CALL.size + length
     if end > len(message):
-        raise ProtocolError("a request to a service that ends too early")
+        raise ProtocolError("a truncated service request")
     return ServiceCall(service, number, message[_CALL.size : end].decode("ascii", "replace"), message[end:])
 
 

@@ -1,8 +1,8 @@
-"""What goes over the WebSocket: texts are JSON objects with a `kind`; binary frames are a JSON head and numbers.
+"""Frames on the WebSocket: text frames are JSON objects with a `kind`; binary frames have a JSON head and numbers.
 
-A binary frame is: length of the head (4 bytes, little-endian), the head (JSON, padded with spaces so that what follows
-stands on a multiple of 8 bytes), the payload. Kinds: `rows` has float64 (bins, signals, 3) with minimum, maximum and
-last value; `capture` has rows as `signals.ROW` lays them out. The table of fields is made from `SIGNALS`.
+A binary frame is: length of the head (4 bytes, little-endian), the head (JSON, padded with spaces so that the payload
+is aligned to 8 bytes), the payload. Kinds: `rows` has float64 (bins, signals, 3) with minimum, maximum and last value;
+`capture` has rows in the layout of `signals.ROW`. The table of fields is made from `SIGNALS`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def taken_apart(frame: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def fields() -> list[dict[str, Any]]:
-    """The signals in their order, with type and place in a row of a capture."""
+    """The signals in order, with their types and offsets in a row of a capture."""
     places = ROW.fields
     assert places is not None
     return [

@@ -1,4 +1,4 @@
-"""What everybody who looks shares: one feed, one look at the status. And the pages' stop, which shares nothing.
+"""Shared by all who look: one feed and one status poll. Stops use a connection of their own.
 
 Runs on the live server's thread. Each status and each batch of rows is made into a frame once, for all pages.
 """
@@ -20,26 +20,26 @@ from .feed import CAPTURE_S, Feed, Taken
 from .keys import Keys
 from .services import WHO, ServiceMethod
 
-FRAMES_HZ = 50.0  # as many as there are bins: a page draws each of them, where its machine can
+FRAMES_HZ = 50.0  # one per bin: a page draws each of them, as fast as its machine can
 STATUS_HZ = 10.0
 RETRY_S = 0.5
 EVENTS = 50
 
 
 class Audience(Protocol):
-    """Somebody besides the pages who is shown the same: the viewers."""
+    """Receivers other than the pages that get the same data: the viewers."""
 
     @property
     def looking(self) -> bool:
-        """Wants to be shown something now."""
+        """Whether it needs data now."""
         ...
 
     def begin(self) -> None:
-        """What follows has nothing to do with what was before."""
+        """What follows belongs to a new loop."""
         ...
 
     def rows(self, taken: Taken) -> None:
-        """What came of the loop."""
+        """Rows of the loop."""
         ...
 
     def status(self, status: Mapping[str, Any]) -> None:
@@ -52,7 +52,7 @@ class Audience(Protocol):
 
 
 class Hub:
-    """The pages that look, and what they and the viewers are shown."""
+    """The connected pages, and the data that they and the viewers get."""
 
     def __init__(self, feed: Feed, control_path: Path, keys: Keys, methods: Mapping[str, ServiceMethod]) -> None:
         """`methods`: those of the control API, by name."""
@@ -60,7 +60,7 @@ class Hub:
         self.clients: set[LiveClient] = set()
         self.audience: Audience | None = None
         self.link = ControlLink(control_path, self._hear)
-        self.stops = ControlLink(control_path)  # open all the time, and nothing else goes this way
+        self.stops = ControlLink(control_path)  # kept open, and used for stops only
         self._greeted: asyncio.Task[str | None] | None = None
         self._somebody = asyncio.Event()
         self._status_hz = -1.0
@@ -68,7 +68,7 @@ class Hub:
         self._loop: int | None = -1
 
     async def serve(self, connection: ServerConnection) -> None:
-        """One page, until it goes."""
+        """Serve one page until it leaves."""
         client = LiveClient(self, connection)
         greeting = await self._greeting()
         if greeting is None:
@@ -82,7 +82,7 @@ class Hub:
             self.clients.discard(client)
 
     async def _greeting(self) -> str | None:
-        """Asked for once for all pages that come meanwhile; None without a daemon."""
+        """Asked once for all pages that connect meanwhile; None without a daemon."""
         if self._greeted is None or self._greeted.done():
             self._greeted = asyncio.create_task(self._make_greeting())
         return await asyncio.shield(self._greeted)
@@ -100,7 +100,7 @@ class Hub:
         )  # fmt: skip
 
     async def run(self) -> None:
-        """Read the ring and tell everybody, while there is anybody; for ever."""
+        """Read the ring and send to all clients while there are any; runs for ever."""
         looked = False
         loop = asyncio.get_running_loop()
         due_s = loop.time()
@@ -112,7 +112,7 @@ class Hub:
             await self._subscribe(STATUS_HZ if looking else 0.0)
             if looking:
                 self._turn()
-                due_s = max(due_s + 1.0 / FRAMES_HZ, loop.time())  # a late turn is not made up for
+                due_s = max(due_s + 1.0 / FRAMES_HZ, loop.time())  # a late turn is not repeated
                 await asyncio.sleep(due_s - loop.time())
             else:
                 await self._wait_for_somebody()
@@ -153,7 +153,7 @@ class Hub:
             client.offer(frame)
 
     async def _subscribe(self, wanted_hz: float) -> None:
-        """Statuses while somebody looks; events always, so that no connection is taken for forgotten."""
+        """Status polls while a client looks; events always, so that the connection is never idle for long."""
         try:
             if not self.stops.is_open:
                 await self.stops.call("subscribe", {"status_hz": 0.0, "events": True})
@@ -174,7 +174,7 @@ class Hub:
             getattr(self.audience, method)(params)
 
     async def stop(self, who: str) -> Any:
-        """Brake to standstill, then no torque; asked for again while it stops: the drive's quick stop."""
+        """Brake to standstill, then no torque; requested again while it brakes: the drive's quick stop."""
         method = "quick_stop" if self._state == "stopping" else "disable"
         result = await self.stops.call(method, {"wait_s": 0.0, WHO: who})
         self._state = result["state"]

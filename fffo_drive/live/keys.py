@@ -1,7 +1,7 @@
-"""Keys of the pages and services, one for each role; without what the live server itself needs.
+"""Keys of the pages and services, one for each role; independent of the live server's own imports.
 
-Whoever has the key of the last role can make those of the others, and nobody the other way round. A name may stand
-before a key (`anna:KEY`): it gives no rights, and the log tells it.
+The key of the last role gives the keys of all others, never the reverse. A name may precede a key (`anna:KEY`): it
+gives no rights, and appears in the log.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NAME = re.compile(rf"[\w .-]{{1,{LONGEST_NAME}}}")
 
 
 class Asker(NamedTuple):
-    """Who showed a key: the role that it gives, and the name before it."""
+    """The owner of a key: the role that the key gives, and the name before it."""
 
     role: Role
     name: str = ""
@@ -32,7 +32,7 @@ class Asker(NamedTuple):
 
 
 class Keys:
-    """A key for each role, made from the key of the last one."""
+    """A key for each role, derived from the key of the last one."""
 
     def __init__(self, last: str | None = None) -> None:
         """`last`: the key of the last role; None makes a new one."""
@@ -44,7 +44,7 @@ class Keys:
         return self._of[role]
 
     def asker(self, given: object) -> Asker | None:
-        """Who shows this; None where it is no key. Takes as long for every text of its length."""
+        """The owner of this key; None where it is none. Takes equally long for every text of the same length."""
         name, colon, key = given.rpartition(":") if isinstance(given, str) else ("", "", "")
         if colon and not _NAME.fullmatch(name):
             return None

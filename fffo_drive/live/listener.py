@@ -1,9 +1,9 @@
-"""Listens for WebSockets of strangers: so many places, none for who does not come in, and so much for each to ask.
+"""A WebSocket listener with limits: on places, on connections without a request, and on the data of each client.
 
-Who has not made its request yet (half-open, or one byte a second) is the first to go when more come than may wait at
-the door; who is in already is touched by none of them. Where all places are taken, somebody who shows the key (`?key=`
-in the address) takes that of the first who did not. Frames are counted as they arrive, before they are looked at, so
-that one read of one stranger never holds up the others for long.
+A client that has not sent its request yet (half-open, or one byte a second) is the first to be dropped when too many
+wait; accepted clients are not affected. When all places are taken, a client with the key (`?key=` in the address) takes
+the place of the first one without. Frames are counted on arrival, before they are decoded, so that one read from one
+client never delays the others for long.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from websockets.protocol import Event
 from ..config.address import Address
 from .keys import Keys
 
-AT_THE_DOOR = 64  # connections without a request; one more, and the oldest goes
-OPEN_S = 5.0  # for the request
-RATE_HZ, BURST = 20.0, 40.0  # frames of one connection, of this size; a longer one counts as many
+AT_THE_DOOR = 64  # connections without a request; one more drops the oldest
+OPEN_S = 5.0  # time for the request
+RATE_HZ, BURST = 20.0, 40.0  # frames of one connection of this size; a longer frame counts as several
 COUNTED_BYTES = 8192
-READ_BYTES = 1024  # taken apart at a time: some hundred of the shortest frames
+READ_BYTES = 1024  # bytes decoded at a time: some hundred of the shortest frames
 PING_S, PONG_S, CLOSE_S = 10.0, 20.0, 1.0
-_SILENT = logging.Logger("fffo_drive.live", logging.CRITICAL + 1)  # the library tells of every caller that fails
+_SILENT = logging.Logger("fffo_drive.live", logging.CRITICAL + 1)  # the library logs every caller that fails
 
 Judge = Callable[[Request], Response | None]
 
@@ -44,19 +44,21 @@ class Listener:
         self, address: Address, handler: Callable[[ServerConnection], Awaitable[None]], judge: Judge, places: int,
         keys: Keys, message_bytes: int, subprotocol: str | None = None,
     ) -> None:  # fmt: skip
-        """`judge` answers a request, or lets it in with None; at most `places` are in. `address`: port 0 is any."""
+        """`judge` answers a request, or accepts it with None; at most `places` are accepted. `address`: port 0 is
+        any.
+        """
         self.address = address
         self._places, self._keys = places, keys
         self._handler, self._judge = handler, judge
         self._options: dict[str, Any] = {"max_size": message_bytes}
         if subprotocol is not None:
             self._options["subprotocols"] = [subprotocol]
-        self._door: dict[ServerConnection, None] = {}  # in the order in which they came
-        self._inside: dict[ServerConnection, bool] = {}  # in the order in which they came, and whether with the key
+        self._door: dict[ServerConnection, None] = {}  # in order of arrival
+        self._inside: dict[ServerConnection, bool] = {}  # in order of arrival, and whether with the key
         self._server: Server | None = None
 
     async def start(self) -> Address:
-        """Listen. Returns where. Raises OSError when the address cannot be had."""
+        """Listen. Returns the address. Raises OSError when it is not available."""
         self._server = await serve(
             self._handler, self.address.host, self.address.port, process_request=self._process,
             create_connection=cast(type[ServerConnection], partial(_Connection, self)), compression=None,
@@ -83,7 +85,7 @@ class Listener:
         return response
 
     def _has_place(self, with_key: bool) -> bool:
-        """There is a place, or one is made."""
+        """Whether a place is free, or can be made free."""
         if len(self._inside) < self._places:
             return True
         without = [one for one, has_key in self._inside.items() if not has_key]
@@ -94,7 +96,7 @@ class Listener:
         return True
 
     def came(self, connection: ServerConnection) -> None:
-        """A connection was made."""
+        """A connection was opened."""
         self._door[connection] = None
         if len(self._door) > AT_THE_DOOR:
             oldest = next(iter(self._door))
@@ -102,13 +104,13 @@ class Listener:
             oldest.transport.abort()
 
     def went(self, connection: ServerConnection) -> None:
-        """A connection is gone."""
+        """A connection was closed."""
         self._door.pop(connection, None)
         self._inside.pop(connection, None)
 
 
 class _Connection(ServerConnection):
-    """A connection that says when it comes and goes, and goes when it sends too much."""
+    """A connection that reports opening and closing, and closes when it receives too much."""
 
     def __init__(self, owner: Listener, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)

@@ -1,7 +1,7 @@
-"""What viewers get over the WebSocket, as ROS 2 messages: schema texts and CDR, made from one list of fields each.
+"""Messages for viewers as ROS 2 messages: schema texts and CDR, both from one list of fields.
 
-Foxglove and Lichtblick read anything with a schema; PlotJuggler's bridge takes CDR with `ros2msg` alone. A bin goes out
-under the topic and with the field names of a recorded row, so that one layout shows both.
+Foxglove and Lichtblick read anything with a schema; PlotJuggler's bridge reads only CDR with `ros2msg`. A bin has the
+topic and field names of a recorded row, so that one layout shows both.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def _lateness_names() -> tuple[str, ...]:
 BIN = Message(BIN_TOPIC, BIN_TYPE, "Ticks of 20 ms: last, smallest and largest value of each signal.", _bin_fields())
 
 LATENESS = Message(
-    LATENESS_TOPIC, LATENESS_TYPE, "How late the ticks of about a second woke: each is counted once.",
+    LATENESS_TOPIC, LATENESS_TYPE, "Lateness of the ticks of about a second: each is counted once.",
     (
         Field("uint32", "ticks", "-", "ticks counted"),
         Field("uint32", "late", "-", "of them beyond the configured share of the period"),
-        Field("uint32", "lost", "-", "rows that this stream was too slow for; the recording has its own reader"),
-        *(Field("uint32", name, "-", "ticks in this class, and in none before it") for name in _lateness_names()),
+        Field("uint32", "lost", "-", "rows that this stream was too slow to read; the recording has its own reader"),
+        *(Field("uint32", name, "-", "ticks in this class alone") for name in _lateness_names()),
     ),
 )  # fmt: skip
 
@@ -79,7 +79,7 @@ STATE = Message(
         Field("int64", "late", "-", "late ticks since the loop began; -1 without one"),
         Field("int64", "skipped", "-", "skipped ticks since the loop began; -1 without one"),
         Field("int64", "missing_feedback", "-", "ticks without an answer since the loop began; -1 without a loop"),
-        Field("int64", "epoch", "-", "raised by every stop: `start` and `enable` may name it; -1 when it is not known"),
+        Field("int64", "epoch", "-", "raised by every stop, an argument of `start` and `enable`; -1 when unknown"),
         Field("int64", "rows_written", "-", "rows in the recording; -1 when there is none"),
         Field("string", "state", "-", "connected, ready, enabled, running, following, ...: `info` lists them all"),
         Field("string", "fault", "-", "name of the latched fault; empty without one"),

@@ -1,4 +1,4 @@
-"""The scope page: one HTML text that asks for nothing else, and the headers that keep it so."""
+"""The scope page: one self-contained HTML text, and the headers that enforce it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def page() -> str:
 
 @cache
 def headers() -> dict[str, str]:
-    """Nothing but what is in the page may run in it, nobody may put it into a frame, and it talks to us alone."""
+    """Only scripts and styles of the page itself run, no other page may frame it, and it connects to this server
+    only.
+    """
     policy = (
         f"default-src 'none'; script-src {source_hash(_script())}; style-src {source_hash(_style())}; "
         "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -61,10 +63,10 @@ def _script() -> str:
 
 
 def uplot_licence() -> str:
-    """As it stands in every page with charts."""
+    """As included in every page with charts."""
     return (REPORT_ASSETS / "uplot/LICENSE").read_text(encoding="utf-8").replace("--", "- -")
 
 
 def source_hash(text: str) -> str:
-    """What a Content-Security-Policy calls a script or style by."""
+    """The hash by which a Content-Security-Policy allows a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,7 +1,7 @@
-"""Somebody at the other end of a WebSocket: what waits to be sent to it, what it asks for, and when it is dropped.
+"""The other end of a WebSocket: its send queue, its pending calls, and when it is dropped.
 
-Nothing here waits for a peer: what is offered goes into a queue of its own, and one that does not empty it, or talks
-nonsense, loses its connection. One that asks too often has lost it before (`listener.py`).
+Nothing here waits for a peer: frames go into its own queue, and a peer that does not empty the queue, or sends invalid
+messages, is disconnected. One that sends too much is disconnected earlier (`listener.py`).
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from typing import Any, ClassVar
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-STALL_S = 10.0  # for one frame to leave
+STALL_S = 10.0  # time to send one frame
 MOST_WAITING = 500  # frames: several seconds
-CALLS = 8  # of one peer at a time
+CALLS = 8  # pending calls of one peer
 
 
 class DroppedError(Exception):
-    """This peer is to be dropped, and why."""
+    """The peer must be dropped; the text says why."""
 
 
 class Peer:
     """A WebSocket that was accepted."""
 
-    _kept: ClassVar[set[asyncio.Task[None]]] = set()  # what is done to the end, whoever goes meanwhile
+    _kept: ClassVar[set[asyncio.Task[None]]] = set()  # calls that are completed even if the peer disconnects
 
     def __init__(self, connection: ServerConnection) -> None:
         self._connection = connection
@@ -41,7 +41,7 @@ class Peer:
         self.dropped = ""
 
     async def live(self) -> None:
-        """Until it goes or is dropped."""
+        """Serve it until it leaves or is dropped."""
         writing = asyncio.create_task(self._write())
         try:
             async for message in self._connection:
@@ -56,25 +56,25 @@ class Peer:
                 call.cancel()
 
     def take(self, message: str | bytes) -> None:
-        """A message. Raises DroppedError."""
+        """Handle a message. Raises DroppedError."""
         raise NotImplementedError
 
     # what goes out
 
     def offer(self, frame: str | bytes) -> None:
-        """Put a frame into its queue, or drop the peer when it does not read."""
+        """Queue a frame, or drop the peer when it does not read."""
         if self.dropped:
             return
         if not (self._queue or self._bulk or self._sending):
             self._sent_s = time.monotonic()
         elif time.monotonic() - self._sent_s > STALL_S or len(self._queue) >= MOST_WAITING:
-            self.drop("does not read what is sent")
+            self.drop("does not read its messages")
             return
         self._queue.append(frame)
         self._filled.set()
 
     def offer_bulk(self, frames: list[bytes]) -> None:
-        """Frames that wait until nothing else does."""
+        """Queue frames that are sent when nothing else waits."""
         self._bulk.extend(frames)
         self._filled.set()
 
@@ -91,7 +91,7 @@ class Peer:
                 self._sent_s = time.monotonic()
 
     def drop(self, why: str) -> None:
-        """Cut the connection at once; nothing that it does can delay this."""
+        """Close the connection at once, whatever the peer does."""
         if not self.dropped:
             self.dropped = why
             self._queue.clear()
@@ -101,11 +101,11 @@ class Peer:
 
     @property
     def busy(self) -> bool:
-        """As many of its calls wait as may."""
+        """As many of its calls are pending as allowed."""
         return len(self._calls) >= CALLS
 
     def answer_later(self, answering: Coroutine[Any, Any, None], to_the_end: bool = False) -> None:
-        """What waits holds up nothing. `to_the_end`: also when who asked is gone by then; a stop."""
+        """Run a call without delaying others. `to_the_end`: even if the peer disconnects meanwhile, for a stop."""
         held = self._kept if to_the_end else self._calls
         task = asyncio.create_task(answering)
         held.add(task)

@@ -1,4 +1,4 @@
-"""Files that the live server leaves beside the daemon's sockets; read without what the server itself needs."""
+"""Files that the live server leaves beside the daemon's sockets; independent of the server's own imports."""
 
 from __future__ import annotations
 

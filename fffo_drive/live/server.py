@@ -1,7 +1,7 @@
-"""The live server of one daemon, on a thread and an asyncio loop of its own: scope page and viewers' WebSocket.
+"""The live server of one daemon, on its own thread and asyncio loop: scope page and viewers' WebSocket.
 
-The daemon's own loop is asked through its control socket alone, like by any other client; the tick's loop is only read,
-through its ring. Whatever happens here, both go on.
+It reaches the daemon only through the control socket, like any other client, and reads the control loop only through
+the ring. Whatever fails here, both continue.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from .viewers import Viewers
 from .web import Web
 
 START_S, END_S = 120.0, 10.0  # a first start may compile
-THREAD_NAME = "fffo-live"  # for `top -H` as well
+THREAD_NAME = "fffo-live"  # also shown by `top -H`
 
 
 class WantedServices(NamedTuple):
-    """What is to be served, and where; None: not at all."""
+    """Addresses of the services; None: not served."""
 
     scope: Address | None
     viewers: Address | None = None
@@ -42,11 +42,11 @@ class LiveServer:
         self, wanted: WantedServices, directory: Path, control: str, source: Callable[[], FeedSource | None],
         methods: Mapping[str, ServiceMethod], name: str = "axis",
     ) -> None:  # fmt: skip
-        """`directory` has the daemon's socket `control`; addresses and key are left there as files.
+        """`directory` has the daemon's socket `control`; addresses and key are written there as files.
 
-        `methods`: those of the control API, by name, of which the services of the viewers are made.
+        `methods`: those of the control API, by name, from which the viewers' services are made.
         """
-        self.wanted = wanted  # with the ports that were given, once started
+        self.wanted = wanted  # with the actual ports, once started
         self.keys = Keys()
         self._directory, self._control, self._source, self._name = directory, control, source, name
         self._methods = methods
@@ -57,13 +57,13 @@ class LiveServer:
         self._end: asyncio.Event | None = None
 
     def start(self) -> None:
-        """Listen. Raises OSError when an address cannot be had."""
+        """Listen. Raises OSError when an address is not available."""
         self._thread.start()
         if not self._ready.wait(START_S):
             raise OSError("the live server does not start")
         if self._failure is not None:
             raise self._failure
-        group = (self._directory / self._control).stat().st_gid  # who may use the control socket may read the key
+        group = (self._directory / self._control).stat().st_gid  # whoever may use the control socket may read the key
         for name, text, mode in self._files():
             _write(self._directory / name, text, mode, group)
 
@@ -78,17 +78,17 @@ class LiveServer:
 
     @property
     def key(self) -> str:
-        """Of the last role."""
+        """The key of the last role."""
         return self.keys.last
 
     @property
     def url(self) -> str:
-        """Of the scope page, for a browser; empty without one."""
+        """Address of the scope page for a browser; empty without one."""
         return f"http://{self.wanted.scope.names[0]}/" if self.wanted.scope else ""
 
     @property
     def viewers_url(self) -> str:
-        """For Foxglove and the like; empty where there is none."""
+        """Address for Foxglove and other viewers; empty without one."""
         return f"ws://{self.wanted.viewers.names[0]}" if self.wanted.viewers else ""
 
     @property
@@ -110,7 +110,7 @@ class LiveServer:
         try:
             asyncio.run(self._run())
         except BaseException as error:
-            if self._ready.is_set():  # nobody waits for it any more: to stderr, and the axis goes on without a scope
+            if self._ready.is_set():  # nobody waits for the result any more: log it; the axis continues without a scope
                 raise
             self._failure = error
         self._ready.set()
@@ -139,12 +139,12 @@ class LiveServer:
 
 
 def _write(path: Path, text: str, mode: int, group: int) -> None:
-    """A file that never was readable for more than `mode` says, nor for another group than this one."""
+    """Write a file that at no time is readable beyond `mode`, or by another group."""
     path.unlink(missing_ok=True)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
         file.write(text + "\n")
         try:
             os.fchown(file.fileno(), -1, group)
-        except PermissionError:  # the service is not in it: what is not for everybody stays its own user's
+        except PermissionError:  # the service is not a member: the file stays with its own user
             mode = mode if mode & stat.S_IROTH else 0o600
         os.fchmod(file.fileno(), mode)

@@ -1,7 +1,7 @@
-"""The services of the viewers: the methods of the control API, each request checked before anything is asked.
+"""The services of the viewers: the methods of the control API, each request checked before the daemon is asked.
 
-What only looks needs no key. Everything else needs one that gives its role, a stop, too: the protocol knows no origin
-and no user, so that any page in a browser of this machine could ask. The daemon's log says which role asked.
+Methods that only read need no key. All others need one that gives their role, even a stop: the protocol has neither
+origin nor user, so any page in a browser on this machine could call them. The daemon's log names the role.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from .keys import Keys
 
 PREFIX = "/fffo_drive/"
 ENDING = ("stop", "disable", "quick_stop")
-UNSERVED = ("subscribe", "schema")  # of the connection, or served as the services' own schemas
-WHO = "who"  # parameter of every method that does more than look: on whose behalf
-KEY = {"type": "string", "description": "what `fffo-drive scope --viewers` says"}
+UNSERVED = ("subscribe", "schema")  # provided by the connection, or served as schemas of the services
+WHO = "who"  # on whose behalf: a parameter of every method that does more than read
+KEY = {"type": "string", "description": "the key that `fffo-drive scope --viewers` prints"}
 
 
 class ServiceMethod(Protocol):
@@ -35,21 +35,21 @@ class ServiceMethod(Protocol):
 
     @property
     def role(self) -> Role:
-        """That is needed for it."""
+        """The role that it needs."""
         ...
 
     @property
     def summary(self) -> str:
-        """What it does."""
+        """Its description."""
         ...
 
 
 class RefusedCallError(Exception):
-    """A call that is not let through, and why."""
+    """A call that is refused; the text says why."""
 
 
 class MethodKind(Enum):
-    """What a method is for. All but looking needs a key."""
+    """The kind of a method. All kinds except looking need a key."""
 
     LOOKS = 0
     ENDS = 1  # motion or torque
@@ -65,7 +65,7 @@ class Request(NamedTuple):
 
 
 class Services:
-    """What may be asked for, and with what."""
+    """The services, and the checks of a request."""
 
     def __init__(self, methods: Mapping[str, ServiceMethod], keys: Keys) -> None:
         self._keys = keys
@@ -74,7 +74,7 @@ class Services:
         self._names = dict(enumerate(self._methods, start=1))
 
     def offered(self) -> list[AdvertisedService]:
-        """As they are advertised; their numbers are theirs for `checked`."""
+        """The services to advertise; `checked` knows them by number."""
         return [self._service(number, name) for number, name in self._names.items()]
 
     def _service(self, number: int, name: str) -> AdvertisedService:
@@ -87,7 +87,7 @@ class Services:
         return AdvertisedService(number, PREFIX + name, f"fffo_drive/{name}", request, {"type": "object"})
 
     def checked(self, number: int, payload: bytes) -> Request:
-        """The request in a payload: its key first, then its parameters. Raises RefusedCallError."""
+        """Decode and check a request: its key first, then its parameters. Raises RefusedCallError."""
         name = self._names.get(number)
         if name is None:
             raise RefusedCallError("no such service")
@@ -95,7 +95,7 @@ class Services:
         asker = self._keys.asker(given.pop(self._key_name(name), ""))
         commands = self.kind(name) is not MethodKind.LOOKS
         if asker is None and commands:
-            text = f"{name} needs the key: give what `fffo-drive scope --viewers` says as `{self._key_name(name)}`"
+            text = f"{name} needs the key that `fffo-drive scope --viewers` prints, as `{self._key_name(name)}`"
             raise RefusedCallError(text)
         if asker is not None and not may(asker.role, needed):
             raise RefusedCallError(f"{name} needs the role {needed}, this key gives {asker.role}")
@@ -110,7 +110,7 @@ class Services:
         return Request(name, given, self.kind(name))
 
     def _key_name(self, name: str) -> str:
-        """What the key is called in a request: `set` has a parameter `key` of its own."""
+        """Name of the key in a request: `set` has a parameter called `key`."""
         return "access_key" if "key" in self._schemas[name].get("properties", {}) else "key"
 
     def kind(self, name: str) -> MethodKind:
@@ -121,20 +121,20 @@ class Services:
 
 
 def _schema(method: ServiceMethod) -> dict[str, Any]:
-    """Of its parameters, without that which the key decides."""
+    """The schema of its parameters, without the one that the key determines."""
     schema = method.parameters.model_json_schema()
     schema.get("properties", {}).pop(WHO, None)
     return schema
 
 
 def _given(payload: bytes) -> dict[str, Any]:
-    """The parameters in a request; an empty one has none."""
+    """The parameters in a request; an empty request has none."""
     try:
         given = json.loads(payload or b"{}", parse_constant=_no_constant, object_pairs_hook=_once)
     except (ValueError, RecursionError):
         given = None
     if not isinstance(given, dict):
-        raise RefusedCallError("a request is one JSON object with the parameters, each given once")
+        raise RefusedCallError("a request is one JSON object that gives each parameter at most once")
     return given
 
 

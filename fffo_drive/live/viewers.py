@@ -1,9 +1,9 @@
-"""A WebSocket for the viewers that people already use: Foxglove, Lichtblick, PlotJuggler's bridge.
+"""A WebSocket for existing viewers: Foxglove, Lichtblick, PlotJuggler's bridge.
 
-All of them are served on the live server's thread, each with a queue of its own; one that does not read, or asks too
-often, is dropped. Services are the methods of the control API. A request is checked completely before the daemon is
-asked. Looking, commands and stops go to the daemon on three connections: who has no key stands before nobody who has
-it, and no command that waits stands before a stop.
+All are served on the live server's thread, each with its own queue; one that does not read, or sends too much, is
+dropped. Services are the methods of the control API. A request is checked completely before the daemon is asked. Reads,
+commands and stops use three separate connections to the daemon: clients without a key cannot delay those with one, and
+pending commands cannot delay a stop.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from .peer import DroppedError, Peer
 from .services import MethodKind, RefusedCallError, Request, ServiceMethod, Services
 
 VIEWERS = 24
-REQUEST_BYTES = 256 * 1024  # a model file fits
-CALLS_IN_ALL = {MethodKind.LOOKS: 16, MethodKind.COMMANDS: 16, MethodKind.ENDS: math.inf}  # that wait at a time
+REQUEST_BYTES = 256 * 1024  # large enough for a model file
+CALLS_IN_ALL = {MethodKind.LOOKS: 16, MethodKind.COMMANDS: 16, MethodKind.ENDS: math.inf}  # pending at a time
 LATENESS_NS = 1_000_000_000
 DEADLINE = next(i for i, signal in enumerate(SIGNALS) if signal.name == "deadline_ns")
 
 
 class Tally:
-    """How late the ticks of about a second woke."""
+    """Lateness of the ticks of about a second."""
 
     def __init__(self, begun_ns: int = 0) -> None:
         self._begun_ns = begun_ns
@@ -48,14 +48,14 @@ class Tally:
         self._ticks = self._late = self._lost = 0
 
     def add(self, taken: Taken) -> None:
-        """Count these."""
+        """Count these ticks."""
         self._counts += taken.lateness
         self._ticks += taken.ticks
         self._late += taken.late
         self._lost += taken.lost
 
     def due(self, first_ns: int, last_ns: int) -> bool:
-        """The second is over with these bins."""
+        """Whether these bins complete the second."""
         self._begun_ns = self._begun_ns or first_ns
         return last_ns - self._begun_ns >= LATENESS_NS
 
@@ -65,7 +65,7 @@ class Tally:
 
 
 class ViewersLine:
-    """A connection to the daemon for the calls of all viewers, on which so many may wait at a time."""
+    """A connection to the daemon for the calls of all viewers, with a limit on pending calls."""
 
     def __init__(self, control_path: Path, most: float) -> None:
         self.link = ControlLink(control_path)
@@ -75,7 +75,7 @@ class ViewersLine:
     async def ask(self, request: Request) -> bytes:
         """The answer as JSON. Raises LinkError."""
         if self._waiting >= self._most:
-            raise ControlLinkError(f"{self._most} calls of viewers wait already; ask again")
+            raise ControlLinkError(f"{self._most} calls of viewers are pending already; try again")
         self._waiting += 1
         try:
             return json.dumps(await self.link.call(request.method, request.params)).encode()
@@ -84,7 +84,7 @@ class ViewersLine:
 
 
 class Viewers:
-    """The server, its topics and services. Everything runs on the live server's thread."""
+    """The server, its topics and services. Runs on the live server's thread."""
 
     def __init__(
         self, address: Address, name: str, keys: Keys, control_path: Path, methods: Mapping[str, ServiceMethod]
@@ -109,7 +109,7 @@ class Viewers:
         self.begin()
 
     async def start(self) -> Address:
-        """Listen. Returns where. Raises OSError when the address cannot be had."""
+        """Listen. Returns the address. Raises OSError when it is not available."""
         return await self._listener.start()
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class Viewers:
             line.link.close()
 
     async def _serve(self, connection: ServerConnection) -> None:
-        """One viewer, until it goes."""
+        """Serve one viewer until it leaves."""
         viewer = Viewer(self, connection)
         for text in self._greeting:
             viewer.offer(text)
@@ -137,15 +137,15 @@ class Viewers:
 
     @property
     def looking(self) -> bool:
-        """Somebody has subscribed to something."""
+        """Whether any viewer has a subscription."""
         return any(viewer.subscriptions for viewer in self._viewers)
 
     def begin(self) -> None:
-        """What follows has nothing to do with what was before."""
+        """What follows belongs to a new loop."""
         self._tally = Tally()
 
     def rows(self, taken: Taken) -> None:
-        """Bins, and once a second how late the ticks woke."""
+        """Send bins, and once a second the lateness of the ticks."""
         times_ns = (taken.bins[:, DEADLINE, LAST].astype(np.int64) + taken.wall_offset_ns).tolist()
         for payload, time_ns in zip(m.bin_payloads(taken.bins), times_ns, strict=True):
             self._tell(m.BIN_TOPIC, payload, time_ns)
@@ -165,7 +165,7 @@ class Viewers:
         self._tell(m.LOG_TOPIC, m.log_payload(told), told.time_ns)
 
     def _tell(self, topic: str, payload: bytes, time_ns: int) -> None:
-        """A message, made once, to everybody who has subscribed to its topic."""
+        """Send one message to all subscribers of its topic."""
         channel = self._number_of[topic]
         for viewer in list(self._viewers):
             subscription = viewer.subscriptions.get(channel)
@@ -174,7 +174,7 @@ class Viewers:
 
 
 class Viewer(Peer):
-    """One of them."""
+    """One connected viewer."""
 
     def __init__(self, viewers: Viewers, connection: ServerConnection) -> None:
         super().__init__(connection)
@@ -183,7 +183,7 @@ class Viewer(Peer):
         self.subscriptions: dict[int, int] = {}  # channel -> subscription
 
     def take(self, message: str | bytes) -> None:
-        """A message of the protocol. Raises DroppedError."""
+        """Handle a message of the protocol. Raises DroppedError."""
         try:
             asked = protocol.parse(message)
         except protocol.ProtocolError as error:
@@ -206,14 +206,14 @@ class Viewer(Peer):
                 self.subscriptions[channel] = subscription
 
     def _call(self, call: protocol.ServiceCall) -> None:
-        """Ask the daemon, once it is known that this may be asked."""
+        """Ask the daemon after the request has been checked."""
         try:
             if call.encoding != protocol.ENCODING:
                 raise RefusedCallError(f"requests are {protocol.ENCODING}")
             request = self._all.services.checked(call.service, call.payload)
             ends = request.kind is MethodKind.ENDS
             if self.busy and not ends:
-                raise RefusedCallError("too many of your calls wait already")
+                raise RefusedCallError("too many of your calls are pending")
         except RefusedCallError as error:
             self.offer(protocol.service_failure(call, str(error)))
         else:

@@ -1,7 +1,7 @@
-"""The scope over HTTP: the page on `/`, a WebSocket on `/live`, nothing else, and for nobody but our own page.
+"""The scope over HTTP: the page at `/` and a WebSocket at `/live`, for our own page only.
 
-A request must name us as its host, a WebSocket must come from our own page (Origin). That lets a page look; what it may
-ask for beyond that is the key's affair.
+A request must name us as its host, and a WebSocket must come from our own page (Origin). That allows a page to look;
+its key decides the rest.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Web:
         self._listener = Listener(address, hub.serve, self._judge, PAGES, hub.keys, MESSAGE_BYTES)
 
     async def start(self) -> Address:
-        """Listen. Returns where. Raises OSError when the address cannot be had."""
+        """Listen. Returns the address. Raises OSError when it is not available."""
         return await self._listener.start()
 
     def close(self) -> None:
@@ -36,7 +36,7 @@ class Web:
         self._listener.close()
 
     def _judge(self, request: Request) -> Response | None:
-        """The page, the WebSocket, or why not."""
+        """None for the WebSocket, else the page, or a refusal."""
         names = self._listener.address.names
         if request.headers.get_all("Host") not in [[name] for name in names]:
             return answer(HTTPStatus.MISDIRECTED_REQUEST, f"this is http://{names[0]}/\n")

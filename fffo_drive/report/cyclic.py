@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..identification.cyclic import ARCMIN, CyclicError
+from ..units import NORMAL_95
 from .document import Heading, Row, Section, Table, number
 from .figures import Figure, PlotAxis, Series
 
@@ -19,8 +20,8 @@ def cyclic_table(found: CyclicError) -> Table:
             cells=[
                 number(
                     ARCMIN * one.amplitude_rev, 3,
-                    low=ARCMIN * (one.amplitude_rev - 1.96 * one.sd_rev),
-                    high=ARCMIN * (one.amplitude_rev + 1.96 * one.sd_rev),
+                    low=ARCMIN * (one.amplitude_rev - NORMAL_95 * one.sd_rev),
+                    high=ARCMIN * (one.amplitude_rev + NORMAL_95 * one.sd_rev),
                 ),
                 number(360.0 * one.phase_rev, 3),
             ],

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..diagnosis.gates import NEGLIGIBLE
-from ..diagnosis.results import NORMAL_95, Diagnosis, ErrorFigures, Finding, Interval, report
+from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
 from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
-from ..units import inertia_kg_m2
+from ..units import NORMAL_95, inertia_kg_m2
 from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
 from .diagnose_verdict import diagnosis_verdict, names_of, unproven
 from .document import (

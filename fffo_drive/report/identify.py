@@ -17,7 +17,7 @@ from ..identification.fit import Fit
 from ..identification.population import AgainstPopulation
 from ..identification.residuals import RunResidual
 from ..identification.results import CONFIDENCE, INERTIA
-from ..units import inertia_kg_m2, name_on, unit_in
+from ..units import NORMAL_95, inertia_kg_m2, name_on, unit_in
 from . import identify_figures as draw
 from . import response_figures
 from .coverage import coverage_section
@@ -226,7 +226,7 @@ def _parameters(results: dict[str, Any]) -> Table:
     lag = results["sensor_delay_s"]
     if lag is not None:
         sd = results["sensor_delay_sd_s"]
-        ends = None if sd is None else [lag - 1.96 * sd, lag + 1.96 * sd]
+        ends = None if sd is None else [lag - NORMAL_95 * sd, lag + NORMAL_95 * sd]
         row = {"value": lag, "sd": sd, "interval_95": ends, "statistical_sd": sd or math.nan}
         row |= {"specification_sd": math.nan, "windows_that_tell": math.nan}
         rows.append(_parameter_row("velocity lag", "s", row, "regression"))

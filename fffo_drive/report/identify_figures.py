@@ -12,7 +12,7 @@ from ..identification.coordinates import PARAMETERS, axis_of, physical_slope, to
 from ..identification.fit import Fit
 from ..identification.residuals import BLOCK_S, LONGEST_LAG, RunResidual, effective_samples, sampling_step
 from ..model.friction import steady_friction_nm
-from ..units import text_on
+from ..units import NORMAL_95, text_on
 from .document import significant
 from .figures import Figure, Floats, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
 
@@ -173,7 +173,7 @@ def autocorrelation_figure(runs: Sequence[RunResidual], words: IdentifyWords) ->
         smallest = min(smallest, float(values.size))
         colour = COLOURS[number % len(COLOURS)]
         series.append(Series(run.record.name, Uniform(0.0, step_s), correlation, colour, dash=_dash(number)))
-    bound = 1.96 / np.sqrt(smallest)
+    bound = NORMAL_95 / np.sqrt(smallest)
     return Figure(
         name="autocorrelation", kind="time", title=f"Autocorrelation of the {words.torque} residual",
         caption="The 40 Hz filter alone correlates neighbours within 0.01 s. Longer correlation comes from a rough "

@@ -11,7 +11,7 @@ from ..control.stability import LinearAxis, Margins, loop_margins
 from ..identification.tuning import DampingRange, Design
 from ..model.parameters import ModelFile, Quantity
 from ..symbols import FRICTION
-from ..units import TWO_PI, inertia_nm_s2_per_rev
+from ..units import NORMAL_95, TWO_PI, inertia_nm_s2_per_rev
 from . import tune_figures as draw
 from .document import (
     Cell,
@@ -31,7 +31,6 @@ from .document import (
 )
 from .tune_figures import Tuning
 
-NORMAL_95 = 1.96
 MOST_SAID = 1e4  # a wider range of damping is called wide, and no more
 
 

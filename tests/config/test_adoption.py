@@ -90,7 +90,7 @@ def test_the_held_out_error_has_to_fall_for_sure():
 
 
 def test_a_diagnosis_that_does_not_carry_over_is_refused_with_its_own_reason():
-    headline = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
+    headline = "No finding carries over: on the held-out runs the torque error is not smaller."
     refused = held_out_gate(report_of() | {"verdict": "nothing_carries_over", "headline": headline})
     assert not refused.passed
     assert refused.text == headline
@@ -313,10 +313,10 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
 def test_where_a_diagnosis_wrote_no_model_adopt_says_why(axis_path, capsys):
     model_path = axis_path.parent / "found" / "model.yaml"
     model_path.unlink()
-    report = report_of() | {"verdict": "nothing_carries_over", "headline": "Nothing that carries over was found."}
+    report = report_of() | {"verdict": "nothing_carries_over", "headline": "No finding carries over."}
     (model_path.parent / "report.json").write_text(json.dumps(report | {"kind": "diagnose"}))
     said = told(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
-    assert "the diagnosis wrote no model: Nothing that carries over was found." in said
+    assert "the diagnosis wrote no model: No finding carries over." in said
 
 
 def test_a_history_that_is_damaged_is_said_before_anything_changes(axis_path, capsys):

@@ -90,7 +90,7 @@ def test_held_out_runs_never_influence_the_choice():
 def test_what_does_not_carry_over_is_the_headline_and_no_model_is_offered():
     page = found(unseen=turned)
     assert page.verdict == "nothing_carries_over"
-    assert page.headline.startswith("Nothing that carries over was found")
+    assert page.headline.startswith("No finding carries over")
     assert named(page) == []
     assert page.model_after is None
     assert all(finding.reason.startswith("does not carry over") for finding in page.findings)
@@ -212,7 +212,7 @@ def test_what_does_not_lower_the_held_out_error_is_no_headline():
 def test_what_is_in_doubt_is_no_cause():
     """It stays in the model and is named apart; without another finding the drive is not explained."""
     sure, doubtful = accepted("cogging")[0], replace(accepted("quadratic_drag")[0], doubt="its strength changes")
-    beside = "In the model, but in doubt as a cause: quadratic_drag."
+    beside = "In the model, but uncertain as a cause: quadratic_drag."
     assert verdict_of([sure, doubtful], "", None, ()) == ("effects_found", f"The model lacks: cogging. {beside}")
     for rest in (REST, None):
         word, headline = verdict_of([doubtful], "", rest, ())
@@ -232,7 +232,7 @@ def test_a_finding_whose_strength_is_not_the_same_everywhere_is_in_doubt():
     page = found(warming, warming)
     (offset,) = [f for f in page.findings if f.accepted and f.name == "torque_offset"]
     assert "from the first to the second half of the runs" in offset.doubt
-    assert "in doubt as a cause: torque_offset" in page.headline
+    assert "uncertain as a cause: torque_offset" in page.headline
     assert report(page)["effects"][0]["doubt"] == offset.doubt
     assert any(e.name == "torque_offset" for e in page.model_after.effects)
     assert not any(f.doubt for f in found().findings)
@@ -244,7 +244,7 @@ def test_what_takes_little_beside_what_nothing_explains_is_in_doubt_unless_it_is
     offset, wave = (accepted(name)[0] for name in ("torque_offset", "cogging"))
     numbers = [[e.name for e in selection.fitted.effects].index(one.name) for one in (offset, wave)]
     half = REST._replace(rms_nm=1.0, floor_nm=0.5**0.5)
-    assert "takes away little" in doubt(selection, numbers[0], replace(offset, explained_fraction=0.19), half)
+    assert "explains little" in doubt(selection, numbers[0], replace(offset, explained_fraction=0.19), half)
     assert doubt(selection, numbers[0], replace(offset, explained_fraction=0.21), half) == ""
     assert doubt(selection, numbers[0], replace(offset, explained_fraction=0.19), None) == ""
     assert doubt(selection, numbers[1], replace(wave, explained_fraction=0.05), half) == ""

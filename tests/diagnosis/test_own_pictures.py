@@ -84,7 +84,7 @@ def test_around_reversals_the_residual_is_over_the_time_since(data, name):
     picture = drawn(data, effect_of(name))
     assert picture is not None
     found = curves(picture)
-    np.testing.assert_allclose(found["without the effect"].y, found["what the effect says"].y, atol=1e-12)
+    np.testing.assert_allclose(found["without the effect"].y, found["torque of the effect"].y, atol=1e-12)
     assert -0.1 <= found["with it"].x.min() < 0.0 < found["with it"].x.max() < 0.4
 
 

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from fffo_drive.diagnosis.rest import TOLD_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
 
-NO_CEILING = Ceiling(None, None, None, None, "no piece of a reference was repeated")
+NO_CEILING = Ceiling(None, None, None, None, "no part of the reference was repeated")
 CLOCK_S = 0.73
 SIZE_NM = 1.5 * NOISE_NM
 

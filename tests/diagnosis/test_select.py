@@ -278,11 +278,11 @@ def test_a_round_without_anything_believed_is_the_end_of_a_rung(round_of):
 
 
 def test_an_effect_to_which_something_is_objected_is_refused_with_the_reason(monkeypatch):
-    monkeypatch.setattr(select, "objection", lambda data, fitted, reference, ablate: "no machine is so")
+    monkeypatch.setattr(select, "objection", lambda data, fitted, reference, ablate: "implausible for a machine")
     selection = selector("cogging").run(data_with("wave"))
     assert names(selection) == []
     (refused,) = selection.refused
-    assert (refused.name, refused.reason) == ("cogging", "no machine is so")
+    assert (refused.name, refused.reason) == ("cogging", "implausible for a machine")
     assert refused.p < 0.01
 
 
@@ -293,10 +293,10 @@ def test_a_wave_swallows_no_command_and_is_not_asked_whether_it_shrinks_the_axis
 
 
 def test_what_becomes_misshapen_once_the_noise_is_that_of_the_new_model_is_refused(monkeypatch):
-    monkeypatch.setattr(select, "misshapen", lambda data, fitted, reference, ablate: "no machine is so")
+    monkeypatch.setattr(select, "misshapen", lambda data, fitted, reference, ablate: "implausible for a machine")
     selection = selector("cogging").run(data_with("wave"))
     assert names(selection) == []
-    assert [(one.name, one.reason) for one in selection.refused] == [("cogging", "no machine is so")]
+    assert [(one.name, one.reason) for one in selection.refused] == [("cogging", "implausible for a machine")]
 
 
 def test_no_more_effects_than_are_allowed(monkeypatch):

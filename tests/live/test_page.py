@@ -199,7 +199,7 @@ def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(served, chromi
     sockets[0].send(json.dumps({"kind": "status", "status": status | {"state": "ready"}}))
     page.until("document.querySelector('#said').textContent.includes('confirmed late')")
     page.until("document.querySelector('#connection').textContent.startsWith('no status for')")
-    assert "what is shown is old" in page.js("document.querySelector('#connection').textContent")
+    assert "the data shown are old" in page.js("document.querySelector('#connection').textContent")
     page.context.close()
 
 
@@ -207,7 +207,7 @@ def test_what_a_connection_may_is_told_apart(served, page, chromium):
     served.run()
     page.until("document.querySelector('#connection').textContent === 'connected, with the key'")
     watching = Page(chromium, served, key=False).open()
-    watching.until("document.querySelector('#connection').textContent === 'connected, to look only'")
+    watching.until("document.querySelector('#connection').textContent === 'connected, view only'")
     watching.context.close()
 
 

@@ -102,7 +102,7 @@ def test_commands_need_the_token_and_go_through_the_control_api(scope):
     page = scope.open()
     toggle = {"do": "call", "method": "toggle", "params": {"to": "off"}}
     say(page, **toggle, id=1)
-    assert "only looks" in hear(page, "answer")["error"]
+    assert "may only look" in hear(page, "answer")["error"]
     say(page, do="token", token="wrong")
     assert hear(page, "rights")["role"] == "look"
     say(page, do="token", token=scope.server.key)
@@ -114,7 +114,7 @@ def test_commands_need_the_token_and_go_through_the_control_api(scope):
     assert scope.rig.client().call("status")["toggle"] == "off"
     assert any("friction off" in event["text"] for event in scope.rig.events("parameters"))
     say(page, do="call", method="model", params={"text": "x"}, id=3)
-    assert "no command of the scope" in hear(page, "answer")["error"]
+    assert "not a command of the scope" in hear(page, "answer")["error"]
     say(page, do="call", method="enable", params={}, id=4)
     assert hear(page, "answer")["error"]  # no drive: the daemon's own words
     assert hear(page, "status")["status"]["state"] == "offline"

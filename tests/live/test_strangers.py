@@ -157,9 +157,9 @@ def test_so_many_calls_may_wait_and_a_stop_always_passes(scope):
     in_all = CALLS_IN_ALL[MethodKind.COMMANDS]
     assert in_all == 2 * CALLS
     scope.until(lambda: len(scope.rig.asked("enable")) == in_all)
-    with pytest.raises(ServiceFailure, match="your calls wait already"):
+    with pytest.raises(ServiceFailure, match="your calls are pending"):
         viewers[0].call("/fffo_drive/enable", key)
-    with pytest.raises(ServiceFailure, match=f"{in_all} calls of viewers wait already"):
+    with pytest.raises(ServiceFailure, match=f"{in_all} calls of viewers are pending already"):
         viewers[2].call("/fffo_drive/enable", key)
     assert len(scope.rig.asked("enable")) == in_all
     for viewer in viewers:

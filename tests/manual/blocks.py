@@ -12,7 +12,7 @@ NUMBER = re.compile(r"[-+±]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 class Block(NamedTuple):
-    """One block: `marks` are `run`, `long` and, of a script, its file name."""
+    """One block: `marks` are `run`, `long`, `varying` (its numbers are not compared) and a script's file name."""
 
     language: str
     marks: tuple[str, ...]
@@ -31,11 +31,31 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def words_of(text: str) -> str:
-    """Output without numbers, which differ between processors, and without layout."""
+    """Output without numbers and without layout."""
     return " ".join(NUMBER.sub("#", text).split())
 
 
-def agrees(quoted: str, printed: str) -> bool:
-    """Whether the printed text is the quoted one, where `...` stands for anything. Nothing quoted: nothing is asked."""
-    parts = [re.escape(words_of(part)) for part in quoted.split("...")]
-    return not quoted.strip() or re.fullmatch(r"\s*.*".join(parts) + r"\s*", words_of(printed), re.S) is not None
+def agrees(quoted: str, printed: str, numbers: bool = True) -> bool:
+    """Whether the printed text is the quoted one, where `...` stands for anything; true where nothing is quoted.
+
+    With `numbers` each number may differ by one unit of the last digit that the page quotes: processors round
+    differently.
+    """
+    if not quoted.strip():
+        return True
+    pattern = r"\s*.*?".join(_pattern(part) for part in quoted.split("...")) + r"\s*"
+    found = re.fullmatch(pattern, " ".join(printed.split()), re.S)
+    if found is None or not numbers:
+        return found is not None
+    return all(_close(*pair) for pair in zip(NUMBER.findall(quoted), found.groups(), strict=True))
+
+
+def _pattern(part: str) -> str:
+    return f"({NUMBER.pattern})".join(re.escape(words) for words in NUMBER.split(" ".join(part.split())))
+
+
+def _close(quoted: str, printed: str) -> bool:
+    digits, _, exponent = quoted.lstrip("±").rstrip(".").partition("e")
+    last = 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
+    values = [float(one.lstrip("±").rstrip(".")) for one in (quoted, printed)]
+    return abs(values[0] - values[1]) <= 1.01 * last

@@ -11,7 +11,7 @@ from fffo_drive.report.document import provenance
 from fffo_drive.report.page import render_page
 
 PROFILE = reference(20.0)
-HEADLINE = "Nothing that carries over was found: on the held-out runs the error in torque is no smaller."
+HEADLINE = "No finding carries over: on the held-out runs the torque error is not smaller."
 REST = "75 % of the remaining squared residual has an unknown cause"
 
 

@@ -44,7 +44,7 @@ def command(tmp_path, monkeypatch):
 
 
 NOTHING = diagnosis(
-    verdict="nothing_carries_over", headline="Nothing that carries over was found: the error in torque is no smaller.",
+    verdict="nothing_carries_over", headline="No finding carries over: the torque error is not smaller.",
     findings=(finding(accepted=False, reason="does not carry over"),), model_after=None,
 )  # fmt: skip
 
@@ -81,7 +81,7 @@ def test_where_nothing_carries_over_no_model_is_left_and_the_exit_code_says_so(c
     said = capsys.readouterr()
     assert not (out / "model.yaml").exists()
     assert f"{out / 'model.yaml'}: from an earlier diagnosis, removed" in said.err
-    assert "Nothing that carries over was found" in said.out
+    assert "No finding carries over" in said.out
     assert json.loads((out / "report.json").read_text())["verdict"] == "nothing_carries_over"
     assert command(NOTHING)[0] == 65  # there is none to remove
 

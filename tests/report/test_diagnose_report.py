@@ -188,7 +188,7 @@ def test_a_gain_stands_with_its_interval_on_fitted_and_on_held_out_runs():
 
 
 def test_a_refused_effect_stands_with_the_reason():
-    reason = "it buys its error by shrinking the axis: 31 % of the torque would be needed"
+    reason = "it lowers the error by shrinking the axis: only 31 % of the torque would be needed"
     report = diagnosis_report(SOURCE, diagnosis(findings=(finding(accepted=False, reason=reason),)))
     table = next(table for table in report.tables if table.name == "rejected")
     assert [(row.label, row.cells[-1].text) for row in table.rows] == [("cogging", reason)]
@@ -287,7 +287,7 @@ def test_a_rest_is_never_silent():
 
 
 def test_where_nothing_carries_over_there_is_no_model_and_nothing_is_good():
-    refused = finding(accepted=False, reason="does not carry over: the error in torque is no smaller")
+    refused = finding(accepted=False, reason="does not carry over: the torque error is not smaller")
     found = diagnosis(verdict="nothing_carries_over", findings=(refused,), model_after=None)
     report = diagnosis_report(SOURCE._replace(model_path=""), found)
     assert report.verdict.alarm
@@ -371,7 +371,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     viscous = finding(
         name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None, own_picture=None,
         parameters=(Number("excess_nm_per_rps", -39.0, 1.0, "Nm/rps"),), regime="high torque, at every angle",
-        reason="it buys its error with another axis: the inertia would be twice that without it",
+        reason="it lowers the error by changing the axis: the inertia would be 2 times as large",
         experiment=law_of("cogging").experiment,
     )  # fmt: skip
     curve = finding(name="unknown:output_angle", axis="output_angle", alternatives=(), picture=None,
@@ -379,7 +379,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
         Number(key, value, None, "") for key, value in {
             "kind": 2.0, "count": 2.0, "x00": 0.0, "x01": 0.2, "y00": 1.0, "y01": 2.0}.items()))  # fmt: skip
     remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
-    reason = "no machine is so: second_surface with memory_rev 1e-06 rev is outside of 1e-06 to 10000"
+    reason = "implausible for a machine: second_surface with memory_rev 1e-06 rev is outside 1e-06 to 10000"
     refused = finding(name="second_surface", accepted=False, reason=reason, picture=None, own_picture=None)
     told = in_words_of_axis(diagnosis(
         units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",

@@ -260,7 +260,7 @@ def test_a_status_that_is_old_allows_nothing_but_a_stop(shown):
     shown.until("!document.querySelector('#enable').disabled")
     shown.page.evaluate("fffoAxis.source.onmessage = null, fffoAxis.heardMs = -1e9")
     shown.until("document.querySelector('#enable').disabled")
-    assert "what is shown is old" in shown.page.text_content("#axis-link")
+    assert "the data shown are old" in shown.page.text_content("#axis-link")
     assert not shown.page.is_disabled("#halt")
 
 

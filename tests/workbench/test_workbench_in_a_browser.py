@@ -157,7 +157,7 @@ def test_what_a_key_does_not_allow_cannot_be_pressed(tmp_path, chromium):
 
 def test_a_page_that_is_not_current_says_so(shown):
     shown.page.route("**/state", lambda route: route.abort())
-    shown.until("document.querySelector('#connection').textContent.includes('what is shown is old')")
+    shown.until("document.querySelector('#connection').textContent.includes('the data shown are old')")
 
 
 def test_a_motion_is_cancelled_from_the_page(shown):

@@ -21,6 +21,7 @@ from engine import Call, accepted_of, diagnosed, in_parallel, write_answer
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.units import NORMAL_95
 
 NAME = "calibration"
 PURPOSE = (
@@ -33,7 +34,6 @@ LEVELS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5)
 FIRST_SEED = 51_000  # far from the seeds of the blind sets
 # what the runs are cut to, s from their beginnings: both begin near standstill
 TRACK_S, RECIPE_S = (10.0, 45.0), (0.0, 40.0)
-NORMAL_95 = 1.959964
 COVERED = 0.95
 
 

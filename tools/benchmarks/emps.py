@@ -9,6 +9,7 @@ from fffo_drive.diagnosis.results import Diagnosis, Finding
 from fffo_drive.identification.dataset import Record, load_record
 from fffo_drive.identification.facts import read_facts
 from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
+from fffo_drive.units import NORMAL_95
 
 NAME = "emps"
 PURPOSE = (
@@ -87,7 +88,7 @@ def _figures(report: Report, found: Diagnosis) -> None:
 
 def _row(finding: Finding) -> list[str]:
     numbers = ", ".join(
-        f"{n.name} {n.value:.4g}{f' ± {1.96 * n.sd:.2g}' if n.sd is not None else ''} {n.unit}".rstrip()
+        f"{n.name} {n.value:.4g}{f' ± {NORMAL_95 * n.sd:.2g}' if n.sd is not None else ''} {n.unit}".rstrip()
         for n in finding.parameters
     )
     nearest = "none"

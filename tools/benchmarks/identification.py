@@ -27,6 +27,7 @@ from fffo_drive.model import friction
 from fffo_drive.model.axis import AxisState, simulate_into
 from fffo_drive.model.friction import REST
 from fffo_drive.symbols import SYMBOLS
+from fffo_drive.units import NORMAL_95
 
 NAME = "identification"
 PURPOSE = (
@@ -43,7 +44,6 @@ SLOWEST_S = 15.0
 C_TARGET = 1.3
 EMPS_PUBLISHED = {"rigid, fit": 4.0834, "rigid, held out": 5.9824, "by direction, fit": 3.1117}
 EMPS_WITHIN = 0.1
-NORMAL_95 = 1.96
 
 
 class Truth(NamedTuple):

@@ -32,14 +32,14 @@ from .told import ToldObjects
 
 COB_ID_INVALID = 1 << 31
 READ_ONLY = 0x06010002  # abort code
-COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID that clears it: always kept as it was
+COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID with this bit cleared: keep it as found
 COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
 SYNC_PRODUCER = 1 << 30
 RATING_TOLERANCE = 0.01
-PDO_SLOTS = 4  # that every drive has; a drive may have as many as 512
+PDO_SLOTS = 4  # PDOs that every drive has; CiA 301 allows 512
 MOST_PDO_SLOTS = 512
-TORQUE_SLOPE = 0x6087  # per mille of the rated torque a second
-SYNC_DISTANCE_S = 0.002  # of the few SYNCs sent before the loop runs, for a mode display that is updated with SYNC
+TORQUE_SLOPE = 0x6087  # per mille of the rated torque per second
+SYNC_DISTANCE_S = 0.002  # before the loop runs, for a mode display that is updated with SYNC
 
 
 def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
@@ -47,7 +47,7 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
 
     Raises DriveRefusedError or BusUnavailableError.
     """
-    for _ in range(2):  # a drive that is being switched on sends two boot-ups
+    for _ in range(2):  # a drive that is being switched on sends two boot-up messages
         _reset(service, config)
         identity = read_identity(service)
         _check_drive(service, config)
@@ -67,7 +67,8 @@ def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
 
 
 def start(service: Service, config: CanopenDriveConfig, send_sync: Callable[[], None]) -> None:
-    """NMT start, confirmed by the drive's heartbeat; `send_sync` on the loop's own link, which does not hear itself.
+    """NMT start, confirmed by the drive's heartbeat; `send_sync` uses the loop's own link, which does not receive
+    itself.
 
     Raises DriveRefusedError, BusUnavailableError.
     """
@@ -111,7 +112,7 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
     service.forget()
     service.command_nmt(NMT_RESET_COMMUNICATION)
     if not service.wait_until(lambda: service.boot_ups > 0, config.start_timeout_s):
-        service.read(0x1000, 0)  # a node that answers all the same gets a text of its own
+        service.read(0x1000, 0)  # a node that answers SDO all the same gets its own message
         raise DriveRefusedError(
             f"{config.bus}: node {config.node_id} answers SDO but sends no boot-up message after an NMT "
             f"reset (waited {config.start_timeout_s} s, CiA 301 7.2.8.3.3)"
@@ -163,7 +164,7 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
-    told = service.read_optional_int(0x1005, 0)  # without the object it is the predefined one
+    told = service.read_optional_int(0x1005, 0)  # a drive without the object uses the predefined COB-ID
     if told is not None and told & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
         write_checked(service, 0x1005, 0, can.SYNC, 4, "receiving our SYNC", mask=SYNC_PRODUCER | can.STANDARD_MASK)
     if service.read_optional_int(0x1019, 0):  # a counter would need a byte in SYNC
@@ -176,7 +177,7 @@ def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
     if service.read_optional_int(0x60C2, 1) is not None:
         write_checked(service, 0x60C2, 1, value, 1, purpose)
         write_checked(service, 0x60C2, 2, exponent, 1, purpose)
-        write_checked(service, 0x60C2, 1, value, 1, purpose)  # the exponent may have moved the value
+        write_checked(service, 0x60C2, 1, value, 1, purpose)  # the new exponent may have changed the value
 
 
 def _configure_pdos(service: Service, config: CanopenDriveConfig) -> None:
@@ -217,7 +218,7 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
     write_checked(service, communication, 1, cob_id | COB_ID_INVALID, 4, f"disabling {purpose}", mask=COB_ID_INVALID)
     write_checked(service, communication, 2, pdo.transmission, 1, f"the transmission type of {purpose}")
     if not receives:
-        # an inhibit time or timer left from before would hold back or add frames
+        # a leftover inhibit time or timer would delay or add frames
         inhibit = pdo.inhibit_ns // 100_000
         if not write_if_present(service, communication, 3, inhibit, 2, f"the inhibit time of {purpose}") and inhibit:
             raise DriveRefusedError(
@@ -234,7 +235,7 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
 
 
 def _count_is_fixed(service: Service, mapping: int, wanted: int, purpose: str) -> bool:
-    """Empty a mapping, so that it can change. True for a drive that keeps its number of entries, where that fits."""
+    """Empty a mapping so that it can be changed. True where the drive's number of entries is fixed and fits."""
     try:
         write_checked(service, mapping, 0, 0, 1, f"changing the mapping of {purpose}")
     except DriveRefusedError as error:
@@ -249,9 +250,9 @@ def _count_is_fixed(service: Service, mapping: int, wanted: int, purpose: str) -
 def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
     """Reactions to silence of the master or the drive; if one is refused, the drive is not enabled."""
     emergency = can.EMERGENCY + config.node_id
-    told = service.read_optional_int(0x1014, 0)  # without the object it is the predefined one
+    told = service.read_optional_int(0x1014, 0)  # a drive without the object uses the predefined COB-ID
     if told is not None and told & COB_ID_MASK != emergency:
-        if not told & COB_ID_INVALID:  # an identifier in use does not change (CiA 301 7.5.2.17)
+        if not told & COB_ID_INVALID:  # a COB-ID in use must not be changed (CiA 301 7.5.2.17)
             write_checked(service, 0x1014, 0, told | COB_ID_INVALID, 4, "changing EMCY messages", mask=COB_ID_INVALID)
         write_checked(service, 0x1014, 0, emergency, 4, "EMCY messages", mask=COB_ID_MASK)
     silence.configure(service, config)
@@ -264,7 +265,7 @@ def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
-    """The mode with a target of zero; the display may follow a little later."""
+    """Set the mode with a target of zero; the display may follow a little later."""
     target, name = config.target, mode_text(config.mode)
     size = target.bits // 8
     try:

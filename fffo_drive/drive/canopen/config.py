@@ -37,7 +37,8 @@ from .silence import HEARTBEAT, LIFE_GUARDING, RPDO_TIMER, Detection, Reaction
 
 ModeDisplay = Literal["at_once", "with_sync", "not_checked"]
 
-# any cyclic master sends SYNC or commands within it, this program a heartbeat; heartbeats of many nodes take 1 s
+# every cyclic master sends SYNC or commands within this time, this program a heartbeat; heartbeats of nodes take up to
+# 1 s
 LISTEN_S = 0.5
 ONE_MASTER = (
     "one bus has one master, and several axes on one bus under one SYNC are not built yet: end the other master "
@@ -143,10 +144,10 @@ def traffic(config: CanopenDriveConfig) -> list[Traffic]:
         if 1 <= pdo.transmission <= MAX_SYNC_TYPE:
             name = f"TPDO{pdo.number}"
             frames.append(Traffic(name, pdo.cob_id, pdo.data_bytes, rate_hz / pdo.transmission))
-        else:  # on a change: with the SYNC after it (type 0), or kept apart by its inhibit time
+        else:  # on change: with the next SYNC (type 0), or limited by its inhibit time
             most_hz = 1e9 / pdo.inhibit_ns if pdo.inhibit_ns else rate_hz
             frames.append(Traffic(f"TPDO{pdo.number}", pdo.cob_id, pdo.data_bytes, most_hz, on_change=True))
-    guarded = config.silence_detection == LIFE_GUARDING  # a request and its answer, instead of two heartbeats
+    guarded = config.silence_detection == LIFE_GUARDING  # a request and its answer in place of two heartbeats
     ours, theirs = (config.node_id, config.heartbeat_ms) if guarded else (config.master_id, config.drive_heartbeat_ms)
     frames.append(Traffic("heartbeat", can.HEARTBEAT + ours, 1, 1e3 / config.heartbeat_ms))
     frames.append(Traffic("drive heartbeat", can.HEARTBEAT + config.node_id, 1, 1e3 / theirs))

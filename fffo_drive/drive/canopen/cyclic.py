@@ -111,7 +111,7 @@ def _receive(port: CanopenPort, tick: int, cutoff_ns: int) -> int:
         if left_ns <= 0 or wait_readable(port.scratch, port.rx_fd, left_ns) == 0:
             left_ns = 0
         count = 0
-        while count < FLOOD_CHECK and read_frame(port) == 1:  # all that is there, before deciding
+        while count < FLOOD_CHECK and read_frame(port) == 1:  # read everything in the queue before deciding
             count += 1
             take_frame(port, tick, True)
         complete = memory[ANSWERED] == mask

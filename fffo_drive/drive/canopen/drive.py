@@ -36,7 +36,7 @@ LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
 
 
 class CanopenDrive:
-    """The `Drive` protocol for a CANopen node. Two links: one for the loop only, one for everything else."""
+    """The `Drive` protocol for a CANopen node, on two links: one for the loop, one for everything else."""
 
     def __init__(self, config: CanopenDriveConfig) -> None:
         """Raises MappingError if the EDS (if one is given) shows that the drive cannot be used."""
@@ -54,10 +54,11 @@ class CanopenDrive:
         self._news = WarningNews(config.warning_codes)
 
     def listen(self) -> None:
-        """Take the bus's lease and begin to listen for others; `connect` does it unless it was done before.
+        """Take the lease of the bus and start to listen for other masters; `connect` does it if it was not done
+        before.
 
-        Nothing is sent, and the kernel buffers received frames: there is time for other work until `connect`. Raises
-        BusUnavailableError, with the bus released.
+        Nothing is sent, and the kernel buffers received frames, so that other work can be done before `connect`. Raises
+        BusUnavailableError, with the lease released.
         """
         try:
             self._listening = Listening(self.config, self.config.listen_s)
@@ -114,12 +115,12 @@ class CanopenDrive:
         return identity
 
     def _send_sync(self) -> None:
-        """On the loop's link, before the loop."""
+        """Send on the loop's link, before the loop runs."""
         assert self._link is not None
         self._link.send(pack_frame(can.SYNC))
 
     def _cyclic_filters(self) -> list[CanFilter] | None:
-        """The node's frames, and SYNC. None on the loopback bus, where lost frames are only counted without filters."""
+        """The node's frames and SYNC. None on the loopback bus, which counts lost frames only without filters."""
         if self.config.bus.startswith("loopback:"):
             return None
         identifiers = [pdo.cob_id for pdo in self.config.answers]
@@ -135,7 +136,7 @@ class CanopenDrive:
 
     @property
     def feedback(self) -> np.ndarray[Any, np.dtype[np.void]]:
-        """The port's memory; reading it here brings `dropped_frames` up to date, which the loop cannot."""
+        """The port's memory; reading it here updates `dropped_frames`, which the loop cannot."""
         feedback = self.port.feedback
         with self._lock, contextlib.suppress(OSError):
             if self._link is not None:
@@ -153,7 +154,7 @@ class CanopenDrive:
 
     @property
     def realtime(self) -> bool:
-        """The clock is the wall's."""
+        """Always true: the clock is the wall clock."""
         return True
 
     @property
@@ -183,7 +184,7 @@ class CanopenDrive:
         return "; ".join([*found, *errors, *supplies])
 
     def warnings(self) -> list[str]:
-        """What the drive has warned of since the last call, a sentence each; never waits."""
+        """Warnings of the drive since the last call, one sentence each; never waits."""
         service, port = self._service, self._port
         if service is None or port is None:
             return []
@@ -207,7 +208,7 @@ class CanopenDrive:
         return self._service
 
     def close(self, loop_ended: bool = True) -> None:
-        """After the loop: no torque, no voltage, pre-operational. Never raises.
+        """Release the drive after the loop: no torque, no voltage, pre-operational. Never raises.
 
         The drive is also told to stop monitoring our heartbeat, as an orderly release is not a fault. `loop_ended`
         False: the loop's link stays open, so that a descriptor to which a hung thread may still write is not reused.
@@ -221,7 +222,7 @@ class CanopenDrive:
                         pack_frame(self.config.command.cob_id, command_payload(self.config.command, self.config.mode))
                     )
                     link.send(pack_frame(can.SYNC))
-            with contextlib.suppress(BusUnavailableError):  # do not ask a silent drive three times
+            with contextlib.suppress(BusUnavailableError):  # a silent drive is not asked three times
                 target = self.config.target
                 for index, sub, data in (
                     (target.index, target.sub, bytes(target.bits // 8)),

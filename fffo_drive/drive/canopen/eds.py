@@ -54,7 +54,7 @@ def read_eds(path: str, node_id: int) -> Eds:
     except OSError as error:
         raise MappingError(f"EDS file {path}: {error.strerror}") from error
     text, remarks = decode(raw)
-    if "[deviceinfo]" not in text.lower():  # mandatory (CiA 306); and it says whose EDS it is
+    if "[deviceinfo]" not in text.lower():  # mandatory in CiA 306, and it names the device
         raise MappingError(f"EDS file {path}: has no section [DeviceInfo]; is it an EDS?")
     clean, repairs = tidy(text)
     remarks += repairs
@@ -84,12 +84,12 @@ def load_eds(path: str, node_id: int) -> Any:
 
 
 def _beginning(remarks: list[EdsRemark]) -> str:
-    """What was found before it failed, for the message."""
+    """The deviations before the failure, for the message."""
     return "".join(f"; {remark}" for remark in remarks[:3])
 
 
 def check_eds(dictionary: Any, config: CanopenDriveConfig) -> None:
-    """Refuse a drive that its EDS shows to be unfit. Raises MappingError with all that is missing."""
+    """Refuse a drive that is unsuitable according to its EDS. Raises MappingError with everything that is missing."""
     problems = list(_missing(dictionary, config))
     if problems:
         eds = Eds(str(config.eds), dictionary, ())
@@ -116,7 +116,7 @@ def supported_modes(dictionary: Any) -> int | None:
 
 
 def default_of(dictionary: Any, index: int, sub: int = 0) -> int | None:
-    """A number as the file has it: the value of a DCF before the default; None where it has none."""
+    """A number of the file: the value of a DCF, else the default; None without either."""
     return FileObjects(dictionary).value(index, sub)
 
 
@@ -130,7 +130,7 @@ def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
 
 
 def mapping_told(dictionary: Any) -> bool:
-    """False for a file that calls no object mappable: it leaves that to the drive."""
+    """False for a file that marks no object as mappable: then the drive decides."""
     return any(
         variable.pdo_mappable
         for found in dictionary.values()
@@ -139,7 +139,7 @@ def mapping_told(dictionary: Any) -> bool:
 
 
 def missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
-    """Why a PDO with these communication parameters cannot carry what we want of it."""
+    """Why a PDO with these communication parameters cannot be used as needed."""
     told = mapping_told(dictionary)
     for item in pdo.objects:
         variable = dictionary.get_variable(item.index, item.sub)

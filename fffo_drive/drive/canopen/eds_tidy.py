@@ -1,9 +1,9 @@
 """Repair of vendors' EDS files for a strict parser, with a remark for each repair.
 
-CiA 306 is an INI file in ASCII with numbers in C notation. Files in the wild are cp1252 or have a byte order mark,
-leave numbers empty, write them in other ways, count comment lines under another key, say things twice or spell keys
-in other cases. What can be meant in one way only is repaired; what cannot is left out. An empty default or limit is
-legal and gives no remark. Sections that are not used ([1003Name], [Tools], vendors' own) are skipped.
+CiA 306 is an INI file in ASCII with numbers in C notation. Real files are in cp1252 or have a byte order mark, have
+empty or differently written numbers, count comment lines under another key, repeat entries, or spell keys in other
+cases. An entry with only one possible meaning is repaired, any other is left out. An empty default or limit is legal
+and gives no remark. Unused sections ([1003Name], [Tools], vendors' own) are skipped.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class EdsSection:
         return self.values[key][0] if key in self.values else ""
 
     def line_of(self, key: str) -> int:
-        """Where a key stands; the section where it is missing."""
+        """The line of a key; the line of the section where the key is missing."""
         return self.values[key][1] if key in self.values else self.line
 
 
@@ -113,7 +113,7 @@ def tidy(text: str) -> tuple[str, list[EdsRemark]]:
 
 
 def number(text: str) -> int | None:
-    """A number in C notation and in the other ways in which it is found; None where it is none."""
+    """A number in C notation or one of the common variants; None where it is none."""
     compact = re.sub(r"[\s_]", "", text).lower().rstrip("ul")
     if re.fullmatch(r"[+-]?0x[0-9a-f]+|[+-]?[1-9][0-9]*|[+-]?0", compact):
         return int(compact, 0)
@@ -180,7 +180,7 @@ def _take(section: EdsSection, key: str, value: str, line: int, remarks: list[Ed
     section.values[name] = (value, line)
 
 
-# --- sections that are no objects
+# --- sections other than objects
 
 
 def _comments(sections: dict[str, EdsSection], remarks: list[EdsRemark]) -> Iterator[str]:
@@ -241,7 +241,7 @@ def _check_lists(sections: dict[str, EdsSection], kept: dict[str, EdsSection], r
 
 
 def _give_parent(objects: dict[str, EdsSection], parent: str, child: str, remarks: list[EdsRemark]) -> None:
-    """A sub-index needs an object that can have some."""
+    """A sub-index needs an object with sub-indices."""
     line = objects[child].line
     if parent not in objects:
         remarks.append(EdsRemark(line, f"[{child}] has no section [{parent}] above it; taken for a record"))
@@ -311,7 +311,7 @@ def _repair_access(section: EdsSection, remarks: list[EdsRemark]) -> None:
 
 
 def _repair_value(section: EdsSection, key: str, data_type: int, remarks: list[EdsRemark]) -> None:
-    """A default or limit: what does not fit its type is left out; empty means that there is none."""
+    """A default or limit: left out where it does not fit its type; empty where there is none."""
     if key not in section.values:
         return
     text, line = section.values[key]
@@ -345,7 +345,7 @@ def _repair_value(section: EdsSection, key: str, data_type: int, remarks: list[E
 
 
 def _plain(text: str) -> bool:
-    """As CiA 306 writes numbers; leading zeros (octal there, decimal for most who write them) are not plain."""
+    """A number in the notation of CiA 306; with leading zeros (octal there, decimal to most authors) it is not."""
     return bool(re.fullmatch(r"[+-]?(0[xX][0-9a-fA-F]+|0|[1-9][0-9]*)", text))
 
 

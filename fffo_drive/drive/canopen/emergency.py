@@ -28,10 +28,10 @@ ERROR_CODE, ERROR_HISTORY, DIGITAL_INPUTS, DC_LINK_MV = 0x603F, 0x1003, 0x60FD, 
 LONGEST_HISTORY = 3  # newest entries of 0x1003 that are reported
 BURST_NS = NS_PER_S  # EMCY this close together have one cause: all are reported
 LONGEST_BURST = 3
-OLD_NS = 2 * NS_PER_S  # from this age on, an EMCY is reported with its age
-WARNING_GAP_NS = NS_PER_S  # between two reports of the same warning
+OLD_NS = 2 * NS_PER_S  # an EMCY older than this is reported with its age
+WARNING_GAP_NS = NS_PER_S  # shortest time between two reports of the same warning
 INPUT_BITS = {0: "negative limit switch", 1: "positive limit switch", 2: "home switch", 3: "interlock (STO, enable)"}
-FIRST_VENDOR_INPUT = 16  # bits of 0x60FD from here on have the vendor's meaning
+FIRST_VENDOR_INPUT = 16  # bits of 0x60FD from here on are vendor-specific
 
 REGISTER_BITS = (
     "generic", "current", "voltage", "temperature", "communication", "device profile", "reserved", "manufacturer",
@@ -67,25 +67,25 @@ CLASSES = {  # upper half of a code
 
 
 def code_text(code: int) -> str:
-    """0x8611 (following error)."""
+    """For instance 0x8611 (following error)."""
     words = CODES.get(code) or CLASSES.get(code >> 8, "in no table")
     return f"0x{code:04X} ({words})"
 
 
 def register_text(register: int) -> str:
-    """0x21 (generic, device profile)."""
+    """For instance 0x21 (generic, device profile)."""
     names = [name for bit, name in enumerate(REGISTER_BITS) if register >> bit & 1]
     return f"0x{register:02X} ({', '.join(names) if names else 'no error: a warning'})"
 
 
 def emergency_text(emergency: Emergency) -> str:
-    """All contents of a message."""
+    """All fields of a message."""
     text = f"EMCY {code_text(emergency.code)}, error register {register_text(emergency.error_register)}"
     return text + (f", vendor bytes {emergency.vendor.hex(' ')}" if any(emergency.vendor) else "")
 
 
 def statusword_text(statusword: int, unserved_bits: Sequence[int] = ()) -> str:
-    """The state, and the bits that keep a drive from being enabled or from following; `unserved_bits`: never set."""
+    """The state, and the bits that prevent enabling or following; `unserved_bits`: never set by this drive."""
     unset = ~(statusword | sum(1 << bit for bit in unserved_bits))
     name = next((row.name for row in STATE_TABLE if row.state == state_of(statusword)), "no state of CiA 402")
     found = [f"statusword 0x{statusword:04X}: {name}"]
@@ -102,7 +102,7 @@ def statusword_text(statusword: int, unserved_bits: Sequence[int] = ()) -> str:
 
 
 def inputs_text(inputs: int) -> str:
-    """0x60FD: limit switches, home switch and interlock by CiA 402, the vendor's bits by number."""
+    """0x60FD: limit switches, home switch and interlock of CiA 402; vendor bits by number."""
     names = [name for bit, name in INPUT_BITS.items() if inputs >> bit & 1]
     vendors = [str(bit) for bit in range(FIRST_VENDOR_INPUT, 32) if inputs >> bit & 1]
     names += [f"the vendor's bits {', '.join(vendors)}"] if vendors else []
@@ -110,7 +110,7 @@ def inputs_text(inputs: int) -> str:
 
 
 def burst_text(emergencies: Iterable[Emergency], warning_codes: Sequence[int], now_ns: int) -> list[str]:
-    """The last EMCY with an error, and those just before it, in their order: one cause often sends several."""
+    """The last EMCY with an error, and those just before it, oldest first: one cause often sends several."""
     errors = [one for one in emergencies if one.code and one.code not in warning_codes]
     found = []
     for one in errors[-LONGEST_BURST:]:
@@ -124,9 +124,9 @@ def burst_text(emergencies: Iterable[Emergency], warning_codes: Sequence[int], n
 
 
 def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
-    """By SDO: error code and history; inputs and DC link. What the drive lacks or refuses is left out.
+    """Read by SDO: error code and history; inputs and DC link. Whatever the drive lacks or refuses is left out.
 
-    `heard`: an EMCY has reported the error already, so "no error" is omitted. Raises BusUnavailableError.
+    `heard`: an EMCY has already reported the error, so "no error" is omitted. Raises BusUnavailableError.
     """
     errors, supplies = [], []
     with contextlib.suppress(DriveRefusedError):
@@ -160,17 +160,19 @@ def _history(service: Service) -> list[str]:
 
 
 class WarningNews:
-    """Warnings of a drive, each once: EMCY of `codes`, and statusword bit 7. At most one report in WARNING_GAP_NS."""
+    """Warnings of a drive, each reported once: EMCY of `codes`, and statusword bit 7. At most one report per
+    WARNING_GAP_NS.
+    """
 
     def __init__(self, codes: Sequence[int]) -> None:
         self._codes = codes
-        self._heard_ns = 0  # of the last EMCY told
+        self._heard_ns = 0  # of the last EMCY reported
         self._told_ns = -WARNING_GAP_NS
         self._bit = False
         self._risen = False
 
     def look(self, emergencies: Iterable[Emergency], statusword: int, now_ns: int) -> list[str]:
-        """A sentence for each warning that is new; the same one several times is one sentence."""
+        """A sentence for each new warning; a repeated one gives one sentence."""
         bit = bool(statusword & STATUS_WARNING)
         self._risen |= bit and not self._bit
         self._bit = bit

@@ -20,7 +20,7 @@ from ...can.link import open_link
 from .config import ONE_MASTER, CanopenDriveConfig
 from .service import STATE_BOOT_UP, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_STOPPED
 
-MOST_FRAMES = 1 << 16  # looked at: more than a bus at 1 Mbit/s carries in 3 s
+MOST_FRAMES = 1 << 16  # frames examined: more than a bus at 1 Mbit/s carries in 3 s
 NODE_ID_MASK = 0x7F
 STATE_NAMES = {
     STATE_BOOT_UP: "boot-up",
@@ -32,14 +32,14 @@ TWO_NODES = "two nodes have this id, or its supply fails: look at both"
 
 
 class Obstacle(NamedTuple):
-    """A reason not to start on a bus, and what to do."""
+    """A reason not to start on a bus, with its remedy."""
 
     text: str
     remedy: str
 
 
 def masters_frames(config: CanopenDriveConfig) -> dict[int, str]:
-    """Identifiers that only a master of this bus or of this drive sends, and what each of them is."""
+    """COB-IDs that only a master of this bus or of this drive sends, with a description of each."""
     node, master = config.node_id, config.master_id
     commands = {base + node for base in (can.RPDO1, can.RPDO2, can.RPDO3, can.RPDO4)} | {config.command.cob_id}
     commands -= {pdo.cob_id for pdo in config.answers}
@@ -53,7 +53,7 @@ def masters_frames(config: CanopenDriveConfig) -> dict[int, str]:
 
 
 def frames_of_any_master() -> dict[int, str]:
-    """As `masters_frames`, where no drive is chosen yet: for any node, in the predefined connection set (CiA 301)."""
+    """As `masters_frames` before a drive is chosen: for any node, in the predefined connection set (CiA 301)."""
     found = {can.SYNC: "SYNC (0x080)", can.NMT: "NMT commands (0x000)"}
     for node in can.NODE_IDS:
         found[can.SDO_REQUEST + node] = f"SDO requests to node {node} (0x{can.SDO_REQUEST + node:03X})"
@@ -66,12 +66,12 @@ class _Life:
     """NMT states in the heartbeats of one node since its last boot-up."""
 
     def __init__(self) -> None:
-        self.states: list[int] = []  # each change
+        self.states: list[int] = []  # each change of state
         self.boot_ups = 0
         self.disagree = ""
 
     def take(self, state: int) -> None:
-        """No node takes a state again that it has left, but by a boot-up or for an NMT master, who is heard then."""
+        """A node returns to an earlier state only after a boot-up, or on an NMT command, which is heard as well."""
         if state == STATE_BOOT_UP:
             self.states.clear()
             self.boot_ups += 1
@@ -84,7 +84,7 @@ class _Life:
 class Heard:
     """Frames heard on a bus before anything is sent, and reasons not to start there.
 
-    With a configuration for its drive, without one for every node.
+    With a configuration: for its drive; without one: for every node.
     """
 
     def __init__(self, config: CanopenDriveConfig | None = None) -> None:
@@ -95,7 +95,7 @@ class Heard:
         self._lives: dict[int, _Life] = {}
 
     def take(self, frame: Frame) -> None:
-        """One frame of the bus, in their order."""
+        """Take one frame of the bus; frames come in order."""
         if frame.extended or frame.remote or frame.error:
             return
         if frame.can_id in self._of_masters:
@@ -138,7 +138,7 @@ class Listening:
         self._end_s = time.monotonic() + listen_s
 
     def heard(self) -> Heard:
-        """What came until `listen_s` were over, and until now. Raises LinkError."""
+        """Frames received until `listen_s` has passed, and until now. Raises LinkError."""
         heard = Heard(self._config)
         for _ in range(MOST_FRAMES):
             raw = self._link.receive(max(0.0, self._end_s - time.monotonic()))
@@ -148,5 +148,5 @@ class Listening:
         return heard
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Stop listening."""
         self._link.close()

@@ -22,17 +22,17 @@ REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
 SWITCH_GLOBAL, CONFIGURE_NODE_ID, STORE, SELECT, SELECTED = 0x04, 0x11, 0x17, 0x40, 0x44
 IDENTIFIED, FASTSCAN = 0x4F, 0x51
 WAITING = 0
-ANYBODY = 0x80  # fastscan: who has no id?
+ANYBODY = 0x80  # fastscan: is there a node without an id?
 ADDRESS_BITS = 32
-PATIENCE_S = (0.05, 0.2)  # for an answer; a scan that found no whole address is repeated with the next one
-QUIET_S = 0.005  # after an answer: others may say the same a little later
+PATIENCE_S = (0.05, 0.2)  # waiting time for an answer; a scan without a complete address is repeated with the next one
+QUIET_S = 0.005  # after an answer, for equal answers of other nodes
 MOST_NODES = 16
 
-Ask = Callable[[bytes, float], list[bytes]]  # request, patience (s) -> answers
+Ask = Callable[[bytes, float], list[bytes]]  # request, waiting time (s) -> answers
 
 
 class LssAddress(NamedTuple):
-    """0x1018 of a node: no two are the same."""
+    """0x1018 of a node: unique."""
 
     vendor_id: int
     product_code: int
@@ -41,7 +41,7 @@ class LssAddress(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For people."""
+        """For messages."""
         return (
             f"vendor 0x{self.vendor_id:08X}, product 0x{self.product_code:08X}, revision 0x{self.revision:08X}, "
             f"serial {self.serial_number}"
@@ -55,17 +55,19 @@ class LssMaster:
         self._ask, self._told = ask, told
 
     def nodes_without_id(self) -> list[LssAddress]:
-        """All of them, left without an id. Raises DriveRefusedError for answers that make no address."""
+        """All nodes without an id; they keep it that way. Raises DriveRefusedError for answers that form no address."""
         found: list[LssAddress] = []
         try:
             while len(found) < MOST_NODES and (address := self._scan()) is not None:
                 found.append(address)
         finally:
-            self._send(SWITCH_GLOBAL, WAITING)  # those that were found stopped waiting
+            self._send(SWITCH_GLOBAL, WAITING)  # nodes that were found no longer answer the scan
         return found
 
     def assign(self, address: LssAddress, node_id: int) -> bool:
-        """Give a node an id, with which it boots. True when the node has stored it. Raises DriveRefusedError."""
+        """Give a node an id, which it uses from the next boot. True when the node has stored it. Raises
+        DriveRefusedError.
+        """
         if node_id not in can.NODE_IDS:
             raise DriveRefusedError(f"node id {node_id}: 1 to 127")
         try:
@@ -80,10 +82,10 @@ class LssMaster:
                 raise DriveRefusedError(f"the node with {address.text} {said} when given the node id {node_id} (LSS)")
             return self._configure(STORE) == 0
         finally:
-            self._send(SWITCH_GLOBAL, WAITING)  # with this the id is in force
+            self._send(SWITCH_GLOBAL, WAITING)  # this activates the id
 
     def _configure(self, command: int, value: int = 0) -> int:
-        """The error byte of the answer, 0 for none; -1 for silence."""
+        """The error byte of the answer, 0 for no error; -1 for silence."""
         answers = self._ask(struct.pack("<BB6x", command, value), PATIENCE_S[-1])
         return next((answer[1] for answer in answers if answer[0] == command), -1)
 
@@ -107,7 +109,7 @@ class LssMaster:
         )
 
     def _parts(self, patience_s: float) -> Iterator[int]:
-        """Each part of the address; ends early where the node does not confirm one."""
+        """The parts of the address; ends early where the node does not confirm one."""
         count = len(LssAddress._fields)
         for part in range(count):
             number = 0
@@ -121,7 +123,7 @@ class LssMaster:
 
 
 class LssLink:
-    """The link of an LSS master on a bus; `ask` for `LssMaster`."""
+    """The link of an LSS master on a bus, with the `ask` that `LssMaster` needs."""
 
     def __init__(self, bus: str) -> None:
         """Raises LinkError."""
@@ -130,7 +132,7 @@ class LssLink:
     def ask(self, request: bytes, patience_s: float) -> list[bytes]:
         """Send and collect. Raises BusUnavailableError."""
         try:
-            while self._link.receive(0.0) is not None:  # what came too late belongs to no request
+            while self._link.receive(0.0) is not None:  # late answers belong to an earlier request
                 pass
             self._link.send(pack_frame(REQUEST_ID, request))
             answers: list[bytes] = []

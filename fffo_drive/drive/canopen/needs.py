@@ -12,7 +12,7 @@ from .service import object_name
 from .silence import DriveObjects
 
 DRIVE_PROFILE = 402  # low word of 0x1000; the type word is often 0 or the vendor's own
-VENDOR_MODES = 16  # bits of 0x6502 from which on modes are the vendor's
+VENDOR_MODES = 16  # modes of 0x6502 from this bit on are vendor-specific
 MODE_NAMES = {
     1: "profile position", 2: "velocity (vl)", 3: "profile velocity", MODE_PROFILE_TORQUE: "profile torque",
     6: "homing", 7: "interpolated position", 8: "cyclic synchronous position", 9: "cyclic synchronous velocity",
@@ -48,14 +48,14 @@ def mode_text(mode: int) -> str:
 
 
 def has_mode(modes: int, mode: int) -> bool:
-    """Whether 0x6502 names a mode; a negative one is the vendor's, and any of the upper bits may stand for it."""
+    """Whether 0x6502 lists a mode. For a negative, vendor-specific mode any of the upper bits counts."""
     if 1 <= mode <= VENDOR_MODES:
         return bool(modes >> (mode - 1) & 1)
     return bool(modes >> VENDOR_MODES)
 
 
 def check_device_type(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
-    """0x1000 names the device profile in its low word."""
+    """0x1000 must name the device profile in its low word."""
     told = objects.value(0x1000)
     if config.device_profile is None or (told is not None and told & 0xFFFF == config.device_profile):
         return []
@@ -68,7 +68,7 @@ def check_device_type(objects: DriveObjects, config: CanopenDriveConfig) -> list
 
 
 def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
-    """0x6502 names the mode that we use."""
+    """0x6502 must list the mode in use."""
     if not config.modes_told:
         return []
     told = objects.value(0x6502)
@@ -87,7 +87,7 @@ def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
 
 
 def needs(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
-    """Missing requirements: one sentence each, with the substitute if there is one."""
+    """Missing requirements, one sentence each, with an alternative where there is one."""
     wanted = [
         (CONTROLWORD, 0, "commands of state"),
         (STATUSWORD, 0, "its state"),

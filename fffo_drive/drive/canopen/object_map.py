@@ -35,7 +35,6 @@ COMMAND_OBJECTS = {CONTROLWORD: 16, TARGET_TORQUE: 16, TORQUE_OFFSET: 16, MODE: 
 
 EVERY_SYNC = 1
 ON_EVENT = 255
-ACYCLIC_SYNCHRONOUS = 0
 MAX_SYNC_TYPE = 240
 DEFAULT_STATUS_INHIBIT_NS = 2_000_000
 
@@ -88,7 +87,7 @@ class PdoMap(NamedTuple):
 
 
 class Scaling(NamedTuple):
-    """The only place where a drive's units become revolutions and amperes; negative if inverted."""
+    """The only place where a drive's units are converted to revolutions and amperes; negative if inverted."""
 
     velocity_rps_per_unit: float
     position_rev_per_count: float
@@ -139,7 +138,7 @@ def feedback_pdos(
 
 
 def pdo_table(answers: Sequence[PdoMap]) -> Table:
-    """One row a TPDO, shape (n, 3): COB-ID, length in bytes, 1 if it answers every SYNC."""
+    """One row per TPDO, shape (n, 3): COB-ID, length in bytes, 1 if it is sent with every SYNC."""
     return np.array([(p.cob_id, p.data_bytes, int(p.transmission == EVERY_SYNC)) for p in answers], np.int64)
 
 

@@ -18,7 +18,7 @@ from .silence import LIFE_GUARDING
 ANSWERED = 0  # TPDOs that answered this tick's SYNC, one bit each
 ANSWERED_TWICE = 1
 EXPECTED = 2  # the bits that have to come; 0 when SYNC could not be sent
-AMBIGUOUS = 3  # 1 when an answer to the SYNC before is still out
+AMBIGUOUS = 3  # 1 while an answer to the previous SYNC is outstanding
 POSITION_KNOWN = 4
 POSITION_RAW = 5
 POSITION_COUNTS = 6
@@ -26,7 +26,7 @@ NEXT_HEARTBEAT_NS = 7
 SEND_ATTEMPTS = 8  # on tx_fd by the loop
 CONTROLLER_OFF = 9  # error frame "bus off"
 INTERFACE_OFF = 10  # the kernel says that the interface is down or gone
-RETURNING = 11  # 1 from a loss of the bus until the drive was told to stop
+RETURNING = 11  # 1 from a loss of the bus until the drive has been told to stop
 MEMORY_WORDS = 12  # behind these: codes of EMCY that only warn (an array of their own costs 0.5 us in each cycle)
 
 Bytes = np.ndarray[Any, np.dtype[np.uint8]]
@@ -60,7 +60,7 @@ class CanopenPort(NamedTuple):
 
 
 class Descriptors(NamedTuple):
-    """What a port takes of a link."""
+    """The file descriptors that a port takes from a link."""
 
     rx_fd: int
     tx_fd: int
@@ -76,7 +76,7 @@ def make_port(config: CanopenDriveConfig, link: Link | Descriptors, queue: Queue
     memory = np.array([0] * MEMORY_WORDS + list(config.warning_codes), np.int64)
     command = config.command
     guarded = config.silence_detection == LIFE_GUARDING
-    if guarded:  # the question takes the place of our heartbeat
+    if guarded:  # the guarding request replaces our heartbeat
         heartbeat = can.pack_frame(can.HEARTBEAT + config.node_id, bytes(1), remote=True)
     else:
         heartbeat = can.pack_frame(can.HEARTBEAT + config.master_id, bytes([NMT_OPERATIONAL]))

@@ -30,7 +30,7 @@ FLAGS = can.EXTENDED_FLAG | can.REMOTE_FLAG
 
 @njit
 def _decode(port: CanopenPort, slot: int, tick: int) -> int:
-    """Take the fields of a TPDO out of the received frame into the feedback. Returns 0."""
+    """Decode the fields of a TPDO in the received frame into the feedback. Returns 0."""
     feedback = port.feedback[0]
     for row in range(port.fields.shape[0]):
         if port.fields[row, 0] != slot:
@@ -120,7 +120,7 @@ def _take_node_message(port: CanopenPort, can_id: int, length: int) -> int:
 
 @njit
 def _take_error_frame(port: CanopenPort, word: int) -> int:
-    """What the CAN controller reports. Returns 0."""
+    """Handle an error frame of the CAN controller. Returns 0."""
     port.feedback[0]["error_frames"] += 1
     if word & can.ERROR_BUS_OFF != 0:
         port.memory[CONTROLLER_OFF] = 1
@@ -145,10 +145,10 @@ def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
             slot = i
     node_message = can_id in (can.EMERGENCY + port.node_id, can.HEARTBEAT + port.node_id)
     if slot < 0 and not node_message:
-        if word == can.SYNC:  # ours are not among what a socket hears of itself, on either kind of link
+        if word == can.SYNC:  # a socket does not receive its own frames, on either kind of link
             port.feedback[0]["foreign_syncs"] += 1
         return 0
-    if word == port.question:  # which the service has sent
+    if word == port.question:  # sent by the service
         return 0
     length: Any = np.int64(port.received[can.LENGTH_OFFSET])
     if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.pdos[slot, 1]):
@@ -168,7 +168,7 @@ def read_frame(port: CanopenPort) -> int:
         n = recv(port.rx_fd, port.received.ctypes.data, can.FRAME_SIZE, MSG_DONTWAIT)
         if n == can.FRAME_SIZE:
             return 1
-        if n >= 0:  # a datagram that is no frame; the kernel filter keeps these away
+        if n >= 0:  # a datagram that is not a CAN frame; the kernel filter normally rejects these
             port.feedback[0]["bad_frames"] += 1
         elif n == -EAGAIN:
             return 0

@@ -28,7 +28,7 @@ PACE_S = 0.002  # between two requests: a CAN controller's queue holds ten frame
 ANSWER_S = 0.3  # after the last request
 NAME_TIMEOUT_S = 0.3
 NAME_ATTEMPTS = 2
-# 0x1018:01, as CiA gives them out: those that a public EDS or header of the vendor shows
+# 0x1018:01, as assigned by CiA: vendors whose public EDS or header shows the number
 VENDORS = {
     0x0000009A: "Elmo", 0x000000AB: "Copley", 0x000000FB: "maxon", 0x000001A3: "Technosoft", 0x0000026C: "Nanotec",
     0x00000469: "Roboteq",
@@ -36,7 +36,7 @@ VENDORS = {
 
 
 class NodeLink(Protocol):
-    """A link, or a script of one."""
+    """A link, or a scripted one in tests."""
 
     def send(self, frame: bytes) -> None:
         """Raises LinkError."""
@@ -64,19 +64,19 @@ class Sign:
 
     @property
     def state_name(self) -> str:
-        """The NMT state; empty where no heartbeat told one."""
+        """The NMT state; empty where no heartbeat reported one."""
         return "" if self.nmt_state is None else STATE_NAMES.get(self.nmt_state, f"0x{self.nmt_state:02X}")
 
 
 class Roll:
-    """The nodes of a bus, by the frames that came from them."""
+    """The nodes of a bus, from the frames that they sent."""
 
     def __init__(self, heard: Iterable[int] = ()) -> None:
-        """`heard`: ids whose heartbeat came before."""
+        """`heard`: ids whose heartbeat was heard before."""
         self._signs: dict[int, Sign] = {node_id: Sign(node_id) for node_id in heard if node_id in can.NODE_IDS}
 
     def take(self, frame: Frame) -> None:
-        """One frame of the bus, in their order."""
+        """Take one frame of the bus; frames come in order."""
         if frame.extended or frame.remote or frame.error:
             return
         node, data = frame.can_id & NODE_ID_MASK, frame.data

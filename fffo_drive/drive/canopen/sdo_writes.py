@@ -14,7 +14,7 @@ from .service import SdoRefusedError, Service, object_name
 
 WritePhase = Literal["before_mapping", "before_enable", "after_disable"]
 
-# objects that move an axis or belong to the bring-up, with the reason
+# objects that move an axis or belong to the bring-up, with the reason why they are refused
 _COMMANDS = "commands the drive: nothing but the loop may"
 _OWNED = "is written by the bring-up itself"
 RESERVED = {
@@ -47,7 +47,7 @@ class SdoWrite(NamedTuple):
 
 
 def reserved_reason(index: int) -> str:
-    """Why an object is not allowed in the list; empty if it is."""
+    """Why an object is refused in the list; empty if it is allowed."""
     return next((reason for indices, reason in RESERVED.items() if index in indices), "")
 
 

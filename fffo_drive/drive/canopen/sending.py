@@ -12,7 +12,7 @@ ENXIO, ENODEV, ENETDOWN = 6, 19, 100
 
 @njit
 def note_bus_state(port: CanopenPort) -> int:
-    """Make one flag of the reasons. Returns it."""
+    """Combine the reasons into one flag. Returns it."""
     off = 1 if port.memory[CONTROLLER_OFF] != 0 or port.memory[INTERFACE_OFF] != 0 else 0
     feedback = port.feedback[0]
     if off > feedback["bus_off"]:
@@ -24,7 +24,7 @@ def note_bus_state(port: CanopenPort) -> int:
 
 @njit
 def note_errno(port: CanopenPort, result: int) -> int:
-    """Learn from a failed call whether the interface is down or gone. Returns the new bus_off."""
+    """Derive the interface's state from a failed call. Returns the new bus_off."""
     if result in (-ENETDOWN, -ENODEV, -ENXIO):
         port.memory[INTERFACE_OFF] = 1
     return note_bus_state(port)
@@ -33,7 +33,7 @@ def note_errno(port: CanopenPort, result: int) -> int:
 @njit
 def send_frame(port: CanopenPort, address: int) -> int:
     """Send 16 bytes. Returns 0, or -errno (counted)."""
-    # counted before: the link takes its own frames off a counter that the kernel raises within send()
+    # counted first: the link subtracts its own frames from a counter that the kernel raises within send()
     port.memory[SEND_ATTEMPTS] += 1
     n = send(port.tx_fd, address, can.FRAME_SIZE, MSG_DONTWAIT)
     if n == can.FRAME_SIZE:

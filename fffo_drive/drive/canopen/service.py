@@ -32,7 +32,7 @@ STATE_BOOT_UP, STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0
 SDO_ABORT = 0x80  # command byte; the only request that is not answered
 ABSENT = (0x06020000, 0x06090011)  # abort codes: no such object, no such sub-index
 KEPT_EMERGENCIES = 64
-KEPT_ANSWERS = 128  # that nobody waits for; the client throws them away before its next request
+KEPT_ANSWERS = 128  # answers that nobody waits for; the client drops them before its next request
 RECEIVE_SLICE_S = 0.05
 
 T = TypeVar("T")
@@ -60,8 +60,8 @@ class Emergency(NamedTuple):
     vendor: bytes  # up to five bytes
 
 
-QUIET_TRIES = 20  # silences waited for, at most
-REQUESTS_THAT_COUNT = 2  # each answered twice before two nodes are said to have one id
+QUIET_TRIES = 20  # unanswered requests before an error
+REQUESTS_THAT_COUNT = 2  # requests answered twice before two nodes are reported to have one id
 _READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000
 _NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 
@@ -74,7 +74,7 @@ class _Client(SdoClient):
 
 
 def object_name(index: int, sub: int) -> str:
-    """0x6040:00, as all texts name an object."""
+    """For instance 0x6040:00, as all messages name an object."""
     return f"0x{index:04X}:{sub:02X}"
 
 
@@ -147,7 +147,7 @@ class Service:
         self._transact(index, sub, value, lambda: self._client.download(index, sub, data))
 
     def read_int(self, index: int, sub: int, *, signed: bool = False) -> int:
-        """An object as a number of whatever size the drive sends."""
+        """An object as a number, of whatever size the drive sends."""
         return int.from_bytes(self.read(index, sub), "little", signed=signed)
 
     def read_optional_int(self, index: int, sub: int, *, signed: bool = False) -> int | None:
@@ -188,7 +188,7 @@ class Service:
         """Raise DriveRefusedError when there were more SDO answers than requests, and two more requests show why."""
         if self._responses <= self._requests:
             return
-        # what is late comes once, a second node answers every time
+        # a late answer comes once, a second node answers every request
         if all(self._answers_to_one_request() > 1 for _ in range(REQUESTS_THAT_COUNT)):
             raise DriveRefusedError(
                 f"{self.link.spec}: more than one SDO answer to one request: two nodes have the id {self.node_id}; "
@@ -196,7 +196,9 @@ class Service:
             )
 
     def _answers_to_one_request(self) -> int:
-        """A node that was slow answers a former connection's requests late: after a silence, ask once and count."""
+        """Ask once after a silence and count the answers: a slow node may still answer requests of a former
+        connection.
+        """
         with self._transfer:
             for _ in range(QUIET_TRIES):
                 if not self._answers_beyond(self._responses):
@@ -215,13 +217,13 @@ class Service:
     # --- receiving ---
 
     def forget(self) -> None:
-        """Begin counting boot-ups anew; the NMT state is unknown."""
+        """Restart the count of boot-up messages; the NMT state is unknown."""
         with self._changed:
             self.boot_ups = 0
             self.nmt_state = -1
 
     def wait_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for something that a received frame changes. True when it came."""
+        """Wait for a condition that a received frame changes. True when it holds."""
         with self._changed:
             return self._changed.wait_for(condition, timeout_s)
 

@@ -1,4 +1,4 @@
-"""Service (SDO, NMT) frames from ordinary threads to the loop, which lets one out a tick, after the command.
+"""Service (SDO, NMT) frames from ordinary threads to the loop, which sends one per tick, after the command.
 
 One producer at a time (a lock on the Python side), one consumer (the loop), no lock between them.
 """
@@ -16,12 +16,12 @@ from ...jit import njit
 from ...jit.atomic import load_acquire, store_release
 
 SLOTS = 64
-HEAD, TAIL, CYCLE_NS = 0, 1, 2  # words: frames put, frames taken, when the loop last came by
-MAX_AGE_NS = 100_000_000  # an older frame is thrown away: its sender has given up on it
+HEAD, TAIL, CYCLE_NS = 0, 1, 2  # words: frames put, frames taken, time of the loop's last visit
+MAX_AGE_NS = 100_000_000  # an older frame is dropped: its sender has timed out
 
 
 class QueueMemory(NamedTuple):
-    """The compiled side: frames uint8 (SLOTS, 16), times int64 (SLOTS,) of putting, words int64 (3,)."""
+    """The compiled side: frames uint8 (SLOTS, 16), their times int64 (SLOTS,), words int64 (3,)."""
 
     frames: np.ndarray[Any, np.dtype[np.uint8]]
     times: np.ndarray[Any, np.dtype[np.int64]]
@@ -35,7 +35,7 @@ def new_queue_memory() -> QueueMemory:
 
 @njit
 def next_service_frame(memory: QueueMemory, now_ns: int) -> int:
-    """Slot of the oldest frame that is not stale, or -1. Stale ones are thrown away. Also notes `now_ns`."""
+    """Slot of the oldest frame that is not stale, or -1. Stale frames are dropped. Also notes `now_ns`."""
     store_release(memory.words, CYCLE_NS, now_ns)
     head = load_acquire(memory.words, HEAD)
     tail = memory.words[TAIL]
@@ -47,7 +47,7 @@ def next_service_frame(memory: QueueMemory, now_ns: int) -> int:
 
 @njit
 def drop_service_frames(memory: QueueMemory) -> int:
-    """Throw away all that waits (the bus is off: nothing old may go out later). Returns how many."""
+    """Drop all queued frames (the bus is off: no old frame may be sent later). Returns their number."""
     head = load_acquire(memory.words, HEAD)
     dropped = head - memory.words[TAIL]
     store_release(memory.words, TAIL, head)
@@ -56,7 +56,7 @@ def drop_service_frames(memory: QueueMemory) -> int:
 
 @njit
 def service_frame_sent(memory: QueueMemory) -> int:
-    """Free the slot that `next_service_frame` gave. Returns 0."""
+    """Free the slot returned by `next_service_frame`. Returns 0."""
     store_release(memory.words, TAIL, memory.words[TAIL] + 1)
     return 0
 
@@ -65,14 +65,14 @@ class ServiceQueue:
     """The Python side of the queue."""
 
     def __init__(self, loop_timeout_ns: int) -> None:
-        """`loop_timeout_ns`: without a sign of the loop for so long it counts as not running."""
+        """`loop_timeout_ns`: the loop counts as stopped when it has not visited the queue for this time."""
         self.memory = new_queue_memory()
         self._loop_timeout_ns = loop_timeout_ns
         self._lock = threading.Lock()
 
     @property
     def loop_runs(self) -> bool:
-        """True while the loop comes by; frames then have to go through the queue."""
+        """True while the loop visits the queue; frames must then go through it."""
         seen_ns = load_acquire(self.memory.words, CYCLE_NS)
         return seen_ns > 0 and time.monotonic_ns() - seen_ns < self._loop_timeout_ns
 

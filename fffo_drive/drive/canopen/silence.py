@@ -1,9 +1,9 @@
-"""What a drive does when the PC falls silent: how it notices, and how it then stops.
+"""The drive's reaction to a silent PC: how it detects the silence, and how it stops.
 
-CiA 301 has three ways to notice (heartbeat consumer 0x1016, life guarding 0x100C and 0x100D, deadline of an RPDO,
-sub-index 5 of 0x1400) and CiA 402 one way to react (0x6007); CiA 301's error behaviour 0x1029 stands beside it. Many
-drives lack one or the other. What stands in for it is named in the configuration and never chosen silently; to go
-without it must be accepted by name.
+CiA 301 has three ways to detect it (heartbeat consumer 0x1016, life guarding 0x100C and 0x100D, deadline of an RPDO,
+sub-index 5 of 0x1400), CiA 402 one reaction (0x6007), and CiA 301 also the error behaviour 0x1029. Many drives lack one
+or the other. A substitute is named in the configuration and never chosen silently; doing without must be accepted
+explicitly.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Reaction = Literal["abort_connection", "error_behaviour", "vendor", "none"]
 HEARTBEAT: Literal["heartbeat"] = "heartbeat"
 LIFE_GUARDING: Literal["life_guarding"] = "life_guarding"
 RPDO_TIMER: Literal["rpdo_timer"] = "rpdo_timer"
-PRE_OPERATIONAL_ON_ERROR = 0  # 0x1029:1; CiA 402 takes the leaving of OPERATIONAL as a lost connection
+PRE_OPERATIONAL_ON_ERROR = 0  # 0x1029:1; CiA 402 treats leaving OPERATIONAL as a lost connection
 CONSUMER, GUARD_TIME, LIFE_FACTOR = 0x1016, 0x100C, 0x100D
 MOST_CONSUMERS = 127
 HIGHEST_LIFE_FACTOR = 255
@@ -32,19 +32,19 @@ Object = tuple[int, int]  # index, sub-index
 
 
 class DriveObjects(Protocol):
-    """The objects of a drive, as its EDS or DCF has them, or as it answers on the bus."""
+    """The objects of a drive, from its EDS or DCF, or from its answers on the bus."""
 
     def has(self, index: int, sub: int = 0) -> bool:
         """True when there is such an object."""
         ...
 
     def value(self, index: int, sub: int = 0) -> int | None:
-        """Its number; None where it has none, or the file tells none."""
+        """Its value; None where it has none or the file gives none."""
         ...
 
 
 class Way(NamedTuple):
-    """One way: the objects that it takes, what it is in words."""
+    """One way: the objects that it needs, and a description."""
 
     objects: tuple[Object, ...]
     text: str
@@ -66,7 +66,7 @@ REACTIONS: dict[str, Way] = {
 
 
 def available(objects: DriveObjects, ways: dict[str, Way], rpdo: int = 1) -> list[str]:
-    """The ways that take objects and for which a drive has all of them, best first."""
+    """The ways that need objects and whose objects a drive has, best first."""
     return [
         name
         for name, way in ways.items()
@@ -75,7 +75,7 @@ def available(objects: DriveObjects, ways: dict[str, Way], rpdo: int = 1) -> lis
 
 
 def missing(objects: DriveObjects, detection: str, reaction: str, rpdo: int = 1) -> list[str]:
-    """What the chosen ways lack in this drive: one sentence each, with what stands in."""
+    """What the chosen ways lack in this drive: one sentence each, with a substitute."""
     found = []
     for key, chosen, ways, purpose in (
         ("silence_detection", detection, DETECTIONS, "the drive notices that the PC is silent"),
@@ -108,7 +108,7 @@ def configure(service: Service, config: CanopenDriveConfig) -> None:
     purpose = "no heartbeat beside life guarding" if guarded else "the drive's heartbeat"
     if guarded:
         write_if_present(service, 0x1017, 0, 0, 2, purpose)
-        write_checked(service, LIFE_FACTOR, 0, 0, 1, watch)  # not before the loop asks: see `begin`
+        write_checked(service, LIFE_FACTOR, 0, 0, 1, watch)  # not before the loop sends requests: see `begin`
         write_checked(service, GUARD_TIME, 0, config.heartbeat_ms, 2, watch)
     else:
         write_checked(service, 0x1017, 0, config.drive_heartbeat_ms, 2, purpose)
@@ -130,7 +130,7 @@ def configure(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def begin(service: Service, config: CanopenDriveConfig) -> None:
-    """Once the drive is operational: it watches for our questions, which the loop sends from its first tick on.
+    """Start monitoring once the drive is operational: the loop sends the guarding requests from its first tick on.
 
     Raises DriveRefusedError, BusUnavailableError.
     """
@@ -139,12 +139,12 @@ def begin(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def life_factor(config: CanopenDriveConfig) -> int:
-    """Guarding requests that may be missed, as the time-out of the heartbeat would have it."""
+    """Number of guarding requests that may be missed, for the time-out of the heartbeat."""
     return min(HIGHEST_LIFE_FACTOR, math.ceil(config.heartbeat_timeout_ms / config.heartbeat_ms))
 
 
 def consumer_entry(service: Service, master_id: int) -> int:
-    """Sub-index of 0x1016 that watches us, or a free one. Raises DriveRefusedError when all serve other nodes."""
+    """Sub-index of 0x1016 that monitors us, or a free one. Raises DriveRefusedError when all monitor other nodes."""
     entries = min(service.read_optional_int(CONSUMER, 0) or 1, MOST_CONSUMERS)
     if entries == 1:
         return 1
@@ -167,7 +167,9 @@ def consumer_entry(service: Service, master_id: int) -> int:
 
 
 def release(service: Service, config: CanopenDriveConfig) -> None:
-    """Leaving in order is no fault: the drive stops watching us. Raises DriveRefusedError, BusUnavailableError."""
+    """An orderly release is not a fault: the drive stops monitoring us. Raises DriveRefusedError,
+    BusUnavailableError.
+    """
     if config.silence_detection == LIFE_GUARDING:
         service.write(LIFE_FACTOR, 0, bytes(1))
     elif config.silence_detection == HEARTBEAT:

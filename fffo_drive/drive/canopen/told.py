@@ -1,4 +1,4 @@
-"""The objects of a drive that answers, each asked once: numbers, and what it does not tell with the reason."""
+"""The objects that a drive reports, each read once: their values, or why there is none."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .service import SdoRefusedError, object_name
 
 Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
 
-NO_DATA = 0x08000024  # abort code of an object that is there and empty, such as 0x1003:01 without errors
-MOST_SILENCES = 3  # objects in a row without an answer: then the drive has gone
-# what is read of a drive before anything is asked of it (CiA 301, CiA 402-2)
+NO_DATA = 0x08000024  # abort code of an object that exists but is empty, such as 0x1003:01 without errors
+MOST_SILENCES = 3  # objects in a row without an answer before the drive counts as gone
+# read from every drive first (CiA 301, CiA 402-2)
 WANTED: tuple[tuple[int, int], ...] = (
     (0x1000, 0), (0x1001, 0), (0x1003, 0), (0x1003, 1), (0x1003, 2), (0x1003, 3), (0x1005, 0), (0x100C, 0), (0x100D, 0),
     (0x1014, 0), (0x1016, 1), (0x1017, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4), (0x1029, 1),
@@ -21,13 +21,13 @@ WANTED: tuple[tuple[int, int], ...] = (
     (0x608F, 1), (0x608F, 2), (0x6090, 1), (0x6090, 2), (0x6091, 1), (0x6091, 2), (0x6092, 1), (0x6092, 2),
     (0x60A8, 0), (0x60A9, 0), (0x60C2, 1), (0x60C2, 2), (0x60FD, 0), (0x60FE, 1), (0x6502, 0),
 )  # fmt: skip
-CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # asked again once SYNC has run
+CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # read again once SYNC has run
 
 
 class ToldObjects:
-    """What a drive on the bus tells, as `DriveObjects` of the list of needs has it.
+    """Objects read from a drive on the bus, as the `DriveObjects` that the requirements are checked against.
 
-    `most_silences`: objects in a row without an answer, with which BusUnavailableError is raised.
+    `most_silences`: unanswered objects in a row that raise BusUnavailableError.
     """
 
     def __init__(self, read: Read, most_silences: int = MOST_SILENCES) -> None:
@@ -35,10 +35,10 @@ class ToldObjects:
         self._most_silences = most_silences
         self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
         self._silences = 0
-        self.unreadable: dict[str, str] = {}  # objects that are there, or may be, and tell nothing: the reason
+        self.unreadable: dict[str, str] = {}  # objects that exist, or may exist, but have no value: the reason
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """False where the drive says that it lacks the object. Raises BusUnavailableError."""
+        """False where the drive reports that it lacks the object. Raises BusUnavailableError."""
         return self._ask(index, sub)[0]
 
     def value(self, index: int, sub: int = 0) -> int | None:
@@ -51,13 +51,13 @@ class ToldObjects:
         return value if value is None or value < 1 << bits - 1 else value - (1 << bits)
 
     def ask_all(self, told: Callable[[float], None] = lambda share: None) -> None:
-        """Read all that is wanted; `told` gets the share done."""
+        """Read all of `wanted`; `told` gets the fraction done."""
         for k, (index, sub) in enumerate(WANTED, 1):
             self._ask(index, sub)
             told(k / len(WANTED))
 
     def ask_again(self, read: Read, indices: Iterable[int] = CHANGING) -> None:
-        """Read these objects anew, by another way; what does not answer then stays as it was."""
+        """Read these objects again by another route; an object without an answer keeps its earlier value."""
         wanted = set(indices)
         before = dict(self._known)
         self._read, self._silences = read, 0
@@ -70,12 +70,12 @@ class ToldObjects:
         self._read = None
 
     def ask_no_more(self) -> None:
-        """The way to the drive is closed: what was not asked yet is not there."""
+        """The connection is closed: objects not read yet count as absent."""
         self._read = None
 
     @property
     def told(self) -> dict[str, int]:
-        """0x6041:00 -> number, of all that was asked."""
+        """0x6041:00 -> number, for all objects read."""
         return {object_name(*where): value for where, (_, value) in sorted(self._known.items()) if value is not None}
 
     def _ask(self, index: int, sub: int) -> tuple[bool, int | None]:

@@ -1,7 +1,7 @@
-"""What a drive, or its file, says of its units: counts of a revolution, velocity, ratings, the shortest period.
+"""Units that a drive, or its file, reports: counts per revolution, velocity, ratings, shortest period.
 
 SI unit notation of 0x60A8 and 0x60A9: CiA 303-2 (prefix, numerator, denominator); factor group: CiA 402-2 (0x608F,
-0x6090 to 0x6092). A ratio of 1 to 1 means that nobody set it: no encoder has one count.
+0x6090 to 0x6092). A ratio of 1 to 1 counts as not set: no encoder has one count.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MILLI = 1e-3
 
 
 def units_told(objects: DriveObjects, torque_unit_nm: float = MILLI, current_unit_a: float = MILLI) -> dict[str, Any]:
-    """Keys of an axis file's drive section that the drive tells; what it leaves open is not there.
+    """Keys of an axis file's drive section that the drive reports; others are absent.
 
     `torque_unit_nm`, `current_unit_a`: of 0x6076 and 0x6075, mNm and mA in CiA 402.
     """
@@ -40,12 +40,12 @@ def units_told(objects: DriveObjects, torque_unit_nm: float = MILLI, current_uni
 
 
 def counts_increments(unit: int | None) -> bool:
-    """Whether a position with this unit (0x60A8; 0 and None: no unit is told) is one in increments of the encoder."""
+    """Whether a position with this unit (0x60A8; 0 and None: no unit reported) is in encoder increments."""
     return not unit or unit >> 16 & 0xFF == INCREMENTS
 
 
 def remarks_told(objects: DriveObjects) -> list[str]:
-    """What of the units must be known before an axis is commissioned."""
+    """Remarks on the units that must be read before an axis is commissioned."""
     found = []
     motor, shaft = objects.value(0x6091, 1), objects.value(0x6091, 2)
     if motor and shaft and motor != shaft:
@@ -63,21 +63,21 @@ def remarks_told(objects: DriveObjects) -> list[str]:
 
 
 def highest_rate_hz(lowest_exponent: int | None) -> int | None:
-    """The rate that 0x60C2 admits when its exponent cannot go below this one; None where nothing is told."""
+    """The rate that 0x60C2 allows when its exponent cannot go lower; None where nothing is reported."""
     if lowest_exponent is None or not -6 < lowest_exponent < 0:
         return None
     return int(10**-lowest_exponent)
 
 
 def units_per_turn(unit: int, increments: float | None) -> float | None:
-    """Units of a position in one revolution, by its SI unit; None for another unit, or untold increments."""
+    """Position units per revolution, from the SI unit; None for another unit, or increments of unknown size."""
     exponent, numerator = _prefix(unit), unit >> 16 & 0xFF
     turn = {REVOLUTIONS: 1.0, INCREMENTS: increments, DEGREES: 360.0, RADIANS: 2.0 * math.pi}.get(numerator)
     return None if turn is None else turn / 10.0**exponent
 
 
 def velocity_units_per_rps(unit: int, increments: float | None) -> float | None:
-    """0x606C for one rev/s, by its SI unit: an angle or increments, a second or a minute; None for another."""
+    """0x606C for 1 rev/s, from the SI unit: an angle or increments, per second or minute; None for others."""
     turn = units_per_turn(unit, increments)
     seconds = {PER_SECOND: 1.0, PER_MINUTE: 60.0}.get(unit >> 8 & 0xFF)
     return None if turn is None or seconds is None else turn * seconds
@@ -89,13 +89,13 @@ def _prefix(unit: int) -> int:
 
 
 def _ratio(objects: DriveObjects, index: int) -> float | None:
-    """Increments of a revolution (0x608F), or a second (0x6090); None where nobody set it."""
+    """Increments per revolution (0x608F), or per second (0x6090); None where not set."""
     above, below = objects.value(index, 1), objects.value(index, 2)
     return above / below if above and below and above > below else None
 
 
 def _gear(objects: DriveObjects, unit: int | None) -> float:
-    """Revolutions of the motor's shaft for one of what a unit counts (0x6091); increments count the motor's own."""
+    """Motor revolutions per revolution of the counted position (0x6091); increments always count the motor's own."""
     if not unit or unit >> 16 & 0xFF == INCREMENTS:
         return 1.0
     motor, shaft = objects.value(0x6091, 1), objects.value(0x6091, 2)

@@ -1,13 +1,13 @@
 "use strict";
-// Pictures that are computed from rows at the full rate: spectrum, step response, phase. Each says which signals it
+// Charts computed from rows at the full rate: spectrum, step response, phase. Each declares the signals that it
 // needs and takes them as a RowStore; settings are a plain object, so that a saved view holds them.
 
 const PEAKS = 5;
-const LEAST_REVOLUTIONS = 2; // fewer tell no order from the next
+const LEAST_REVOLUTIONS = 2; // fewer do not separate neighbouring orders
 const SEGMENTS = 4.5; // that many lengths of a segment fit in the window: eight of them, overlapping by half
-const LONGEST_LAG_S = 0.25, LAG_SHARE = 0.25; // searched for, and of the window
+const LONGEST_LAG_S = 0.25, LAG_SHARE = 0.25; // longest lag searched for, and its largest share of the window
 const LEAST_ROWS = 64;
-const TOGETHER = 3, SHOWN_BEYOND = 1.5; // neighbours with coherence make the last frequency that is shown, and so much more
+const TOGETHER = 3, SHOWN_BEYOND = 1.5; // coherent neighbours that set the highest frequency shown, and the margin above it
 
 class Analysis extends OwnAxisChart {
   // options: {name: {label, choices: [[value, text]]}}
@@ -64,7 +64,7 @@ class Spectrum extends Analysis {
 
   take(rows) {
     const { signal, over, size, window } = this.settings;
-    if (!rows || rows.count < LEAST_ROWS) { this.empty("waits for rows at the full rate"); return; }
+    if (!rows || rows.count < LEAST_ROWS) { this.empty("waiting for rows at the full rate"); return; }
     const [[x, filled], position] = this.numbers(rows, this.names);
     let at = rows.rate, values = x, span = `${shown(x.length / rows.rate)} s at ${rows.rate} Hz`;
     if (over === "order") {
@@ -73,7 +73,7 @@ class Spectrum extends Analysis {
       [values, at, span] = [turned.x, turned.perRev, `${shown(turned.revolutions)} revolutions in one direction`];
     }
     const found = Dsp.spectrum(values, at, window, size === "rms");
-    const unit = this.view.unitOf(signal), inX = this.spec.x.unit, begin = 1; // bin 0 is the mean, which is taken away
+    const unit = this.view.unitOf(signal), inX = this.spec.x.unit, begin = 1; // bin 0 is the mean, which is subtracted
     const abscissa = Array.from(found.at.subarray(begin)), bins = Array.from(found.size.subarray(begin), (v) => (this.log ? v || null : v));
     this.found = { ...found, peaks: Dsp.peaks(abscissa, bins, PEAKS, 2 * found.resolution) };
     const peaks = this.found.peaks.map(([k, x_]) => `${shown(x_, 4)} ${inX} ${shown(bins[k])} ${unit}`);
@@ -122,13 +122,13 @@ class StepResponse extends Analysis {
     }
   }
 
-  get names() { return []; } // it takes what the trigger has taken, not what comes
+  get names() { return []; } // it uses the rows of the trigger, not live ones
   apply() {
     const { response, reference } = this.settings;
     this.titled(`Step response of ${response}`, this.view.unitOf(response));
     if (this.rows) this.compute();
   }
-  take() { if (!this.rows) this.empty("waits for a trigger on the step: level trigger on the reference, or “Trigger on its middle”"); }
+  take() { if (!this.rows) this.empty("waiting for a trigger on the step: level trigger on the reference, or “Trigger on its middle”"); }
 
   // rows around a trigger, all signals, and its time in seconds
   triggered(rows, time) {
@@ -189,21 +189,21 @@ class Phase extends Analysis {
 
   take(rows) {
     const { reference, response, as } = this.settings;
-    if (!rows || rows.count < LEAST_ROWS) { this.empty("waits for rows at the full rate"); return; }
+    if (!rows || rows.count < LEAST_ROWS) { this.empty("waiting for rows at the full rate"); return; }
     const [[x], [y]] = this.numbers(rows, [reference, response]), { rate } = rows;
     if ([x, y].some((signal) => Math.max(...signal) === Math.min(...signal))) { this.empty(`${x.every((v) => v === x[0]) ? reference : response} does not change within the window: no phase`); return; }
     const segment = 2 ** Math.floor(Math.log2(x.length / SEGMENTS)), found = Dsp.crossSpectrum(x, y, rate, segment);
     const most = Math.max(1, Math.round(Math.min(LONGEST_LAG_S * rate, LAG_SHARE * x.length))), lag = Dsp.lag(x, y, most);
     const lagMs = (k) => -found.phase[k] / 360 / found.at[k] * 1000;
     const at = Array.from(found.at.subarray(1)), clear = at.map((_, i) => found.coherence[i + 1] >= found.needed);
-    const last = clear.findLastIndex((_, i) => i >= TOGETHER && clear.slice(i - TOGETHER, i + 1).every(Boolean)); // single ones are chance
+    const last = clear.findLastIndex((_, i) => i >= TOGETHER && clear.slice(i - TOGETHER, i + 1).every(Boolean)); // a single one may be chance
     this.seen = last < 0 ? null : Math.min(rate / 2, SHOWN_BEYOND * at[last]);
     this.found = { ...found, lag };
     this.show([at, at.map((_, i) => (clear[i] ? (as === "ms" ? lagMs(i + 1) : found.phase[i + 1]) : null)), Array.from(found.coherence.subarray(1))]);
     let k = 1;
     for (let i = 2; i < found.cross.length; i++) if (found.cross[i] > found.cross[k]) k = i;
-    const over = lag.clear ? `lag ${shown(1000 * lag.samples / rate)} ms (correlation ${shown(lag.correlation, 2)})` : `no lag can be told: correlation ${shown(lag.correlation, 2)}`;
-    const there = found.coherence[k] >= found.needed ? `${shown(found.phase[k])}°, ${shown(lagMs(k))} ms` : "phase cannot be told";
+    const over = lag.clear ? `lag ${shown(1000 * lag.samples / rate)} ms (correlation ${shown(lag.correlation, 2)})` : `lag not determined: correlation ${shown(lag.correlation, 2)}`;
+    const there = found.coherence[k] >= found.needed ? `${shown(found.phase[k])}°, ${shown(lagMs(k))} ms` : "phase not determined";
     this.say(`${over}; strongest together at ${shown(found.at[k])} Hz: ${there}, coherence ${shown(found.coherence[k], 2)}; below ${shown(found.needed, 2)} (${found.segments} segments) no phase is drawn`);
   }
 }

@@ -5,7 +5,7 @@ class Captures {
   constructor(wire) {
     this.wire = wire;
     this.number = 0;
-    this.waiting = []; // the first one is under way
+    this.waiting = []; // the first one is being answered
   }
 
   // the fields of rows that hold only these signals, in this order

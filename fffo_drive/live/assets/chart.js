@@ -1,9 +1,9 @@
 "use strict";
-// One picture: its name line, a plot, two cursors, and the zoom of its values. What is drawn is its heirs' affair.
+// One chart: its title line, a plot, two cursors, and the zoom of its values. Subclasses draw the content.
 // Series differ in dash and weight as well as in colour and carry their names and values.
 
-const WHEEL_ZOOM = 1.25, PAN_SHARE = 0.1; // of what is shown, each
-const CURSOR_STEPS = 400; // Shift and an arrow: this share of what is shown, or the next point where points are wider apart
+const WHEEL_ZOOM = 1.25, PAN_SHARE = 0.1; // shares of the range on display
+const CURSOR_STEPS = 400; // Shift and an arrow move by this fraction of the range on display, or to the next point if that is farther
 
 function cssColour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
 function signed(text) { return text.replace("-", "−"); }
@@ -19,13 +19,13 @@ function element(tag, parent, text, attributes = {}) {
   return parent.appendChild(made);
 }
 
-// two places on an abscissa that one or several charts share
+// two cursor positions on an abscissa, shared by one or several charts
 class Cursors {
   constructor() { this.at = { a: null, b: null }; this.active = "a"; this.charts = new Set(); }
 
   set(name, x) { this.at[name] = x; this.active = name; this.charts.forEach((chart) => chart.redraw()); }
 
-  // a click: the first, the second, then the nearer one
+  // a click sets the first, the second, then the nearer one
   click(x) {
     const { a, b } = this.at;
     this.set(a === null ? "a" : b === null ? "b" : Math.abs(a - x) <= Math.abs(b - x) ? "a" : "b", x);
@@ -128,7 +128,7 @@ class Chart {
     return this.log ? uPlot.rangeLog(low, high, 10, false) : uPlot.rangeNum(low, high, 0.1, true);
   }
 
-  // what is shown of the abscissa; heirs with their own come before
+  // the range of the abscissa; subclasses with their own override it
   select(from, to) { this.view.select(from, to); }
   reset() { this.setY(null); this.view.reset(); }
   panX(share) { this.view.pan(share); }
@@ -148,7 +148,7 @@ class Chart {
     else { const [l, h] = [Math.log(min), Math.log(max)]; this.setY([Math.exp(way(l, l, h)), Math.exp(way(h, l, h))]); }
   }
 
-  // about a place in the height of the plot, 0 at its bottom
+  // about a point in the height of the plot, 0 at its bottom
   zoomY(factor, share = 0.5) { this.mapY((v, min, max) => { const middle = min + share * (max - min); return middle + (v - middle) * factor; }); }
   panY(share) { this.mapY((v, min, max) => v + share * (max - min)); }
 
@@ -157,7 +157,7 @@ class Chart {
     return { left: (e.clientX - box.left) / box.width, up: 1 - (e.clientY - box.top) / box.height, onValues: e.clientX < box.left };
   }
 
-  // the page scrolls with the wheel: over the numbers at the left, or with Shift, it zooms the values; with Ctrl the abscissa
+  // the wheel scrolls the page; over the axis numbers, or with Shift, it zooms the values; with Ctrl the abscissa
   wheel(e) {
     const { up, onValues } = this.place(e), factor = (e.deltaY || e.deltaX) > 0 ? WHEEL_ZOOM : 1 / WHEEL_ZOOM;
     if (!onValues && !e.shiftKey && !e.ctrlKey) return;
@@ -165,7 +165,7 @@ class Chart {
     if (e.ctrlKey) this.zoomX(factor); else this.zoomY(factor, Math.min(1, Math.max(0, up)));
   }
 
-  // the numbers at the left, dragged, move the values; Shift and the plot moves both
+  // dragging the axis numbers moves the values; Shift and dragging the plot moves both
   grab(e) {
     const { onValues } = this.place(e);
     if (e.button !== 0 || (!onValues && !e.shiftKey)) return;
@@ -182,7 +182,7 @@ class Chart {
     addEventListener("mouseup", end);
   }
 
-  // returns whether the key was for the picture
+  // returns whether the chart used the key
   key(e) {
     const shift = e.shiftKey && (e.key === "ArrowLeft" ? -1 : e.key === "ArrowRight" ? 1 : 0);
     if (shift) this.moveCursor(shift);
@@ -207,7 +207,7 @@ class Chart {
   putCursor(name) {
     const { min: from, max: to } = this.plot.scales.x, at = this.plot.data[0];
     if (from == null) return;
-    const [min, max] = at.length ? [Math.max(from, at[0]), Math.min(to, at[at.length - 1])] : [from, to]; // where there is something
+    const [min, max] = at.length ? [Math.max(from, at[0]), Math.min(to, at[at.length - 1])] : [from, to]; // where there are points
     const mouse = this.plot.cursor.left >= 0 ? this.plot.posToVal(this.plot.cursor.left, "x") : null, now = this.cursors.at[name];
     const free = now !== null && now >= min && now <= max ? now : min + (name === "a" ? 1 : 2) / 3 * (max - min);
     this.cursors.set(name, this.nearest(mouse === null ? free : mouse));
@@ -221,7 +221,7 @@ class Chart {
     this.cursors.set(name, Math.min(max, Math.max(min, to)));
   }
 
-  // of series i where a cursor stands
+  // value of series i at a cursor
   valueAt(i, x) {
     const { data } = this.plot;
     if (!data[0].length || x < data[0][0] || x > data[0][data[0].length - 1]) return null;
@@ -263,7 +263,7 @@ class Chart {
     this.cursorLine.textContent = told.filter(Boolean).join(" · ");
   }
 
-  // values at the crosshair of any picture; the last ones without
+  // values at the crosshair of any chart; without one the latest
   read(u) {
     const at = u.cursor.idx;
     this.crossed = at != null && u.cursor.left >= 0;
@@ -273,7 +273,7 @@ class Chart {
 }
 Chart.current = null;
 
-// a chart with an abscissa of its own, not the time that all others share
+// a chart with its own abscissa instead of the shared time
 class OwnAxisChart extends Chart {
   constructor(spec, parent, view) { super(spec, parent, view); this.xRange = null; }
 
@@ -291,7 +291,7 @@ class OwnAxisChart extends Chart {
   zoomX(factor) { this.mapX((v, min, max) => (min + max) / 2 + (v - (min + max) / 2) * factor); }
 
   key(e) {
-    if (e.target === this.plotAt) { // with the focus: else these keys are those of the time
+    if (e.target === this.plotAt) { // only with the focus: otherwise these keys act on the time
       if (e.key === "+" || e.key === "=") { this.zoomX(0.5); return true; }
       if (e.key === "-") { this.zoomX(2); return true; }
       if (e.key === "0") { this.reset(); return true; }

@@ -1,5 +1,5 @@
 "use strict";
-// The pictures over time, friction over velocity, and the bars of the lateness.
+// The charts over time, friction over velocity, and the lateness bars.
 
 const PICTURES = [
   { title: "Velocity", unit: "rps", series: [
@@ -66,10 +66,10 @@ function pictureOf(field, parent, view) {
   return new Picture({ title: field.name, unit: field.unit || "-", series }, parent, view);
 }
 
-const MOST_POINTS = 600; // of the map, as many as it has bins in 12 s: each is a circle to draw
-const NEAR_SHARE = 0.01; // of the velocities shown: a cursor on the map tells the median of the points so near
+const MOST_POINTS = 600; // of the map, the bins of 12 s: each is a circle to draw
+const NEAR_SHARE = 0.01; // of the velocities shown: a cursor on the map gives the median of the points this near
 
-// friction over velocity, while it turns: what the current leaves beside the inertia feed-forward, and what the observer makes of it
+// friction over velocity in motion: motor torque less the inertia feed-forward, and the observer's estimate
 class FrictionMap extends OwnAxisChart {
   constructor(parent, view) {
     super({ title: "Friction over velocity", unit: "Nm", x: { unit: "rps" }, series: [
@@ -104,7 +104,7 @@ class FrictionMap extends OwnAxisChart {
   }
 }
 
-// how many ticks woke how late, as bars with their shares written beside them
+// lateness of the ticks as bars, with their shares in numbers
 class Histogram {
   constructor(table, edges) {
     this.counts = new Array(edges.length + 1).fill(0);

@@ -1,6 +1,6 @@
 "use strict";
-// The connection, and what the page asks the axis for. A stop needs the key, and waits for nothing else: without a
-// connection it makes one.
+// The connection, and the page's commands. A stop needs the key and waits for nothing else: without a
+// connection it opens one.
 
 const RECONNECT_MS = 1000, STOP_ANSWER_MS = 3000;
 
@@ -56,19 +56,19 @@ class Wire {
     return this.open ? this.ask({ do: "call", method, params }) : Promise.resolve({ error: "no connection to the daemon" });
   }
 
-  // resolves with {error} when nothing confirms it in time: then the operator has to act otherwise
+  // resolves with {error} when it is not confirmed in time: the operator must then act by other means
   stop() {
-    const late = new Promise((resolve) => setTimeout(() => resolve({ error: "nothing confirmed the stop in 3 s" }), STOP_ANSWER_MS));
+    const late = new Promise((resolve) => setTimeout(() => resolve({ error: "the stop was not confirmed within 3 s" }), STOP_ANSWER_MS));
     if (this.open) return Promise.race([this.ask({ do: "stop" }), late]);
     const id = ++this.number;
     const answer = new Promise((resolve) => this.waiting.set(id, resolve));
     this.unsent = [JSON.stringify({ do: "stop", id })];
     if (this.socket.readyState !== WebSocket.CONNECTING) this.connect();
-    late.then(() => { this.unsent = []; }); // never minutes later
+    late.then(() => { this.unsent = []; }); // never sent minutes later
     return Promise.race([answer, late]);
   }
 
-  // returns whether it was asked
+  // returns whether it was sent
   capture(id, seconds, untilTick, signals) {
     if (this.open) this.socket.send(JSON.stringify({ do: "capture", id, seconds, until_tick: untilTick, signals }));
     return this.open;

@@ -3,10 +3,10 @@
 // tests/live/test_dsp.py compares each function with NumPy and SciPy.
 
 const Dsp = (() => {
-  const CORRELATION_NEEDED = 0.6; // below, the largest of many correlations is chance or another signal
-  const COHERENCE_CHANCE = 0.001; // probability with which two unrelated signals would pass for related at a frequency
+  const CORRELATION_NEEDED = 0.6; // below it, the largest correlation may be chance or another signal
+  const COHERENCE_CHANCE = 0.001; // probability that two unrelated signals appear coherent at a frequency
   const RISE_FROM = 0.1, RISE_TO = 0.9;
-  const STEP_REST = 0.1; // of the step: as much may the reference move before it and at the end
+  const STEP_REST = 0.1; // share of the step that the reference may move before it and at the end
   const STEP_END = 0.15; // of the time after the step: what counts as the final value
 
   const mean = (x) => { let sum = 0; for (const v of x) sum += v; return sum / Math.max(1, x.length); };
@@ -57,8 +57,8 @@ const Dsp = (() => {
     return [out, filled];
   }
 
-  // One-sided spectrum of x without its mean: a sine has its amplitude (or its rms) where it stands. `rate`: samples
-  // per unit of the abscissa. Padded to a power of two; `resolution` is what can be told apart.
+  // One-sided spectrum of x without its mean: a sine gives its amplitude (or rms) at its frequency. `rate`: samples
+  // per unit of the abscissa. Padded to a power of two; `resolution`: smallest distance of two lines.
   function spectrum(x, rate, kind, rms) {
     const count = x.length, n = powerOfTwo(count), w = weights(kind, count), level = mean(x);
     const re = new Float64Array(n), im = new Float64Array(n);
@@ -92,7 +92,7 @@ const Dsp = (() => {
   // x at equal steps of position, over the longest way in one direction: {x, perRev, revolutions}. Where the position
   // steps back (its noise, at low speed) samples are left out.
   function overPosition(x, position) {
-    const reversals = [0], hysteresis = 0.02; // revolutions: less is the sensor's noise, no reversal
+    const reversals = [0], hysteresis = 0.02; // revolutions; less is sensor noise, not a reversal
     let extreme = 0, direction = 0;
     for (let i = 1; i < x.length; i++) {
       const way = position[i] - position[extreme];
@@ -118,7 +118,7 @@ const Dsp = (() => {
   }
 
   // Welch: Hann segments that overlap by half, each without its mean. Phase of y after x in degrees (a lag is negative),
-  // coherence, and `needed`: below it two unrelated signals look alike as often as COHERENCE_CHANCE.
+  // coherence, and `needed`: unrelated signals exceed this coherence with probability COHERENCE_CHANCE.
   function crossSpectrum(x, y, rate, segment) {
     const w = weights("hann", segment), step = segment / 2, bins = segment / 2 + 1;
     const xx = new Float64Array(bins), yy = new Float64Array(bins), real = new Float64Array(bins), imaginary = new Float64Array(bins);
@@ -147,8 +147,8 @@ const Dsp = (() => {
     return { at, phase, coherence, cross, segments, needed };
   }
 
-  // By how many samples y comes after x: the largest correlation within `most` samples, between the samples by a
-  // parabola; each shift is measured on what overlaps. `clear`: large enough, and no largest at the end of the search.
+  // Lag of y behind x in samples: the largest correlation within `most` samples, interpolated by a
+  // parabola; each shift uses the overlapping part. `clear`: large enough, and not at the end of the search range.
   function lag(x, y, most) {
     const count = x.length, n = powerOfTwo(2 * count), meanX = mean(x), meanY = mean(y);
     const re = new Float64Array(n), im = new Float64Array(n), xs = new Float64Array(count + 1), ys = new Float64Array(count + 1);
@@ -176,7 +176,7 @@ const Dsp = (() => {
   }
 
   // Figures of a step at `t0` (s): {rise, overshoot, settling, final, ...}, or {problem} in words. Rise: 10 to 90 % of
-  // the response's own way; overshoot in per cent of it; settling: from t0 until it stays within `band` of its final value.
+  // the response's total change; overshoot in per cent of it; settling: from t0 until it stays within `band` of its final value.
   function step(time, reference, response, t0, band) {
     let at = 0;
     while (at < time.length && time[at] < t0) at++;

@@ -4,18 +4,18 @@
   const AT_REST = ["offline", "connected", "ready", "fault"];
   const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
   const FRAME_MS = 20, SILENT_MS = 1500, STALE_MS = 2500, TELL_MS = 200;
-  const ANALYSE_MS = 400; // from one computation on live rows to the next
-  const MARGIN_BINS = 2; // a trigger is seen at the end of its bin, and its rows are taken from before
-  const MOST_SIGNALS = 6; // pictures of chosen signals
+  const ANALYSE_MS = 400; // between two computations on live rows
+  const MARGIN_BINS = 2; // a trigger is detected at the end of its bin; its rows begin earlier
+  const MOST_SIGNALS = 6; // charts of selected signals
   const ANALYSES = [["spectrum", "Spectrum", "s", Spectrum], ["step", "Step", "t", StepResponse], ["phase", "Phase", "p", Phase]];
-  // paused: `view` is the time that is shown, of `shown`. `held`: what a trigger has taken and the next one replaces.
-  // `taken`: the rows at the full rate behind either
+  // paused: `view` is the time range of `shown` on display. `held`: rows of a trigger, replaced by the next one.
+  // `taken`: the full-rate rows of either
   const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, analyses: {}, own: new Map() };
   const views = new Views(localStorage), time = new Cursors();
   let pictures = [], histogram = null, dirty = true, drawnMs = 0, costMs = 0, heardMs = 0, toldMs = 0, computedMs = 0, computeCostMs = 0, again = true;
 
   const token = location.hash.slice(1) || sessionStorage.getItem("scope-token") || "";
-  if (location.hash) { // out of the address bar, for the next screenshot
+  if (location.hash) { // removed from the address bar, so that no screenshot shows it
     sessionStorage.setItem("scope-token", token);
     history.replaceState(null, "", location.pathname);
   }
@@ -27,28 +27,28 @@
 
   function say(text, bad) { $("said").textContent = text; $("said").className = bad ? "bad" : ""; }
 
-  // what the page knows of its connection: none, open and not heard of yet, open and silent, with or without the key
+  // state of the connection: none, open without a message yet, open and silent, with or without the key
   const link = { open: false, may: token ? null : false, heardMs: -Infinity };
 
   function connection(open) {
     Object.assign(link, { open, may: token ? null : false, heardMs: -Infinity });
     if (!open) captures.broken();
-    if (!open) mayCommand(false); // Stop stays as it is: it makes a connection
+    if (!open) mayCommand(false); // Stop stays enabled: it opens a connection
     tellLink();
   }
 
   function tellLink() {
     const silent = performance.now() - link.heardMs > STALE_MS;
-    const text = !link.open ? "no connection to the daemon: what is shown is old"
+    const text = !link.open ? "no connection to the daemon: the data shown are old"
       : link.heardMs < 0 ? "connected, waiting for the daemon"
-      : silent ? `no status for ${((performance.now() - link.heardMs) / 1000).toFixed(0)} s: what is shown is old`
-      : link.may === null ? "connected" : link.may ? "connected, with the key" : "connected, to look only";
+      : silent ? `no status for ${((performance.now() - link.heardMs) / 1000).toFixed(0)} s: the data shown are old`
+      : link.may === null ? "connected" : link.may ? "connected, with the key" : "connected, view only";
     if ($("connection").textContent !== text) $("connection").textContent = text;
     document.body.classList.toggle("cut", !link.open || (link.heardMs > 0 && silent));
   }
   setInterval(tellLink, 500);
 
-  function rights({ role, may }) { // a key that is not the daemon's (it was started anew) gives none
+  function rights({ role, may }) { // an old key (the daemon was restarted) gives none
     Object.assign(link, { may: role !== "look", role });
     tellLink();
     mayCommand(may.includes("enable"));
@@ -61,7 +61,7 @@
   function mayCommand(may) {
     scope.mayCommand = may;
     $("commands").disabled = !may;
-    $("rights").hidden = may || link.may === null; // not told yet, or not connected: nobody has refused anything
+    $("rights").hidden = may || link.may === null; // unknown yet, or not connected: nothing was refused
   }
 
   function mayStop(may) {
@@ -70,7 +70,7 @@
     $("may-look").hidden = may;
   }
 
-  // what comes
+  // received messages
 
   function hear(message) {
     if (message.kind === "hello") hello(message);
@@ -170,7 +170,7 @@
     say(`Trigger: ${trigger.name}; the rest of the window is being taken`);
   }
 
-  // a loop that has ended sends no more: what there is, is taken
+  // a loop that has ended sends no more: use the rows there are
   setInterval(() => { const { pending } = scope.trigger; if (pending && !pending.taking && !scope.view && performance.now() - heardMs > SILENT_MS) fire(); }, 250);
 
   async function fire() {
@@ -180,7 +180,7 @@
     const buffer = await captures.take(Math.min(most, pending.seconds + margin), Math.ceil(pending.until * scope.rate));
     if (trigger.pending !== pending) return; // paused, or another trigger was chosen meanwhile
     trigger.pending = null;
-    if (!buffer.byteLength || scope.view) { say("The rows of the trigger are not kept any more", true); return; }
+    if (!buffer.byteLength || scope.view) { say("The rows of the trigger are no longer stored", true); return; }
     const rows = new RowStore(buffer, scope.fields, scope.rate), signal = TRIGGER_SIGNALS[trigger.settings.kind] || trigger.settings.signal;
     const time = trigger.exact(rows.time, rows.values(signal).map(Number), pending.time), before = pending.seconds * trigger.settings.pre / 100;
     const view = [time - before, time - before + pending.seconds];
@@ -215,15 +215,15 @@
     say(scope.trigger.on ? `Trigger waits for a ${scope.trigger.name}` : "Trigger off");
   }
 
-  // a level trigger on the middle of what a signal does in the window
+  // a level trigger at the middle of a signal's range in the window
   function arm(signal) {
     const [store, from, to] = looked(), [begin, end] = store.between(from, to);
     const low = Math.min(...store.column(signal, 0, begin, end, 1).filter((v) => v != null)), high = Math.max(...store.column(signal, 1, begin, end, 1).filter((v) => v != null));
-    if (!(high > low)) { say(`${signal} does not change within the window: give the level of its step yourself`, true); return; }
+    if (!(high > low)) { say(`${signal} does not change within the window: enter the trigger level`, true); return; }
     setTrigger({ kind: "level", signal, level: +((low + high) / 2).toPrecision(4) });
   }
 
-  // what is saved, is what is looked at
+  // save the rows on display
 
   async function save() {
     const buffer = scope.taken || await captures.take(Math.min(scope.seconds, scope.captureS || 10), null);
@@ -254,14 +254,14 @@
     scope.shown = scope.shown || (store === scope.store ? store.snapshot() : store);
     scope.view = view || [from, to];
     scope.trigger.pending = null;
-    $("pause").textContent = "Go on (space)";
+    $("pause").textContent = "Resume (space)";
     $("pause").setAttribute("aria-pressed", "true");
     document.body.classList.add("paused");
     again = dirty = true;
     if (first && !scope.taken) fetchPaused(from, to);
   }
 
-  // the rows behind the bins, as far as they are kept
+  // the full-rate rows of the bins, where still stored
   async function fetchPaused(from, to) {
     const { shown } = scope, buffer = await captures.take(Math.min(to - from, scope.captureS || 10), Math.ceil(to * scope.rate));
     if (!buffer.byteLength || scope.shown !== shown) return; // live again
@@ -279,7 +279,7 @@
     again = dirty = true;
   }
 
-  // back to live with everything as it was
+  // return to live with the settings as they were
   function reset() {
     time.clear();
     pictures.forEach((picture) => { if (picture.yRange) picture.setY(null); });
@@ -294,11 +294,11 @@
     pause([middle - half, middle + half]);
   }
 
-  const changed = () => { $("view").value = ""; }; // what is shown is no saved view any more
+  const changed = () => { $("view").value = ""; }; // the settings no longer match a saved view
   const timeView = { cursors: time, sync: "scope", select, reset, pan: (share) => zoom(1, share), zoom: (factor) => zoom(factor, 0), changed };
   const ownView = () => ({ changed, arm, again: () => { again = true; }, unitOf: (name) => (scope.fields.find((f) => f.name === name) || {}).unit || "-" });
 
-  // pictures of chosen signals, and computed ones
+  // charts of selected signals, and computed ones
 
   function addSignal(name) {
     const field = scope.fields.find((f) => f.name === name);
@@ -365,7 +365,7 @@
     };
   }
 
-  // returns what of it this axis does not have
+  // returns the signals of the view that this axis lacks
   function apply(view) {
     const known = (name) => scope.fields.some((f) => f.name === name), missing = [...view.signals, view.trigger.signal].filter((name) => !known(name));
     [...scope.own.keys()].forEach(removeSignal);
@@ -413,7 +413,7 @@
     const begun = performance.now();
     scope.pictures = (scope.pictures || 0) + 1;
     const [store, from, to] = looked();
-    // nobody reads numbers faster than this, and each of them lays the page out anew
+    // faster changes cannot be read, and each change costs a page layout
     const tell = Boolean(scope.view || scope.held) || ms - toldMs > TELL_MS;
     for (const picture of pictures) picture.draw(store, from, to, scope.constant, tell);
     if (tell) {
@@ -445,18 +445,18 @@
     say(answer.error ? `${text}: ${answer.error}` : `${text}: done`, Boolean(answer.error));
   }
 
-  // what gives torque or motion says in which epoch it was asked: a stop that this page has not shown yet refuses it
+  // commands that give torque or motion name their epoch: they are refused after a stop not yet shown here
   function epoch() { return Number.isInteger(scope.epoch) ? { epoch: scope.epoch } : {}; }
 
   async function stop() {
-    if ($("stop").disabled) { say("Stop is not available: this page only looks. Use the emergency stop of the machine.", true); return; }
+    if ($("stop").disabled) { say("Stop is not available: this page is view only. Use the emergency stop of the machine.", true); return; }
     scope.unconfirmed = false;
     say("Stop …");
     const answer = await wire.stop();
     if (answer.error && AT_REST.includes(scope.state) && wire.open) say(`Stop: the axis is at rest already (${answer.error})`);
     else if (answer.error) { scope.unconfirmed = true; say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true); }
     else if (AT_REST.includes(answer.result.state)) say("Stop: the axis is at rest, no torque");
-    else say(answer.result.method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
+    else say(answer.result.method === "quick_stop" ? "Quick stop requested" : "Stop: braking to standstill, then no torque");
   }
 
   $("stop").onclick = stop;

@@ -56,7 +56,7 @@ class Store {
   }
 }
 
-// rows at the full rate, looked at like bins of one row; a signal is decoded when it is asked for
+// full-rate rows with the interface of bins of one row; a signal is decoded on first use
 class RowStore {
   constructor(buffer, fields, rate) {
     Object.assign(this, { buffer, fields, rate, decoded: {}, scaled: {} });
@@ -67,7 +67,7 @@ class RowStore {
   values(name) { return (this.decoded[name] ||= columnsOf(this.buffer, this.fields, [name])[name]); }
   get now() { return this.count ? this.time[this.count - 1] : 0; }
 
-  // the rows of a time
+  // the rows of a time range
   cut(from, to) {
     const size = rowBytes(this.fields);
     return new RowStore(this.buffer.slice(this.place(from) * size, this.place(to) * size), this.fields, this.rate);

@@ -1,9 +1,9 @@
 "use strict";
-// When to hold the pictures: a reversal of the reference, a fault, or a signal that crosses a level. Looked for in the
-// bins, so that nothing between two pictures is missed; the rows at the full rate then give the exact time.
+// When to hold the charts: a reversal of the reference, a fault, or a signal that crosses a level. Looked for in the
+// bins, so that nothing between two redraws is missed; the full-rate rows then give the exact time.
 
 const TRIGGER_SIGNALS = { reversal: "reference_rps", fault: "trip" };
-const AUTO_S = 1; // without an event for so long and for the window, `auto` shows what comes
+const AUTO_S = 1; // after this time and the window without an event, `auto` shows live rows
 
 class Trigger {
   constructor() {
@@ -15,7 +15,7 @@ class Trigger {
     this.begin();
   }
 
-  // another loop, or other settings: what was before says nothing
+  // another loop or other settings: forget earlier bins
   begin() { this.last = null; this.sign = 0; this.pending = null; }
 
   get on() { return this.settings.kind !== "none"; }
@@ -27,7 +27,7 @@ class Trigger {
     const at = index[TRIGGER_SIGNALS[kind] || signal] * 3, [low, high, last] = bin.subarray(at, at + 3), before = this.last;
     this.last = last;
     if (kind === "fault") return before === 0 && high > 0;
-    if (kind === "reversal") { // a rest between two directions is none
+    if (kind === "reversal") { // a rest between two directions does not count
       const sign = Math.abs(last) > 1e-6 ? Math.sign(last) : this.sign, turned = this.sign !== 0 && sign !== this.sign;
       this.sign = sign;
       return turned;
@@ -37,7 +37,7 @@ class Trigger {
     return (edge !== "falling" && rising) || (edge !== "rising" && falling);
   }
 
-  // the exact time in rows at the full rate, the crossing nearest to where the bins have seen it
+  // the exact time in full-rate rows: the crossing nearest to the one in the bins
   exact(time, values, near) {
     const { kind, level, edge } = this.settings, at = kind === "level" ? level : 0;
     let best = null;

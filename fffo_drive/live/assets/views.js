@@ -1,5 +1,5 @@
 "use strict";
-// Views by name in the browser's storage, and as small JSON files. A view is what the page is set to, not what it shows.
+// Views by name in the browser's storage, and as small JSON files. A view holds the settings of the page, not its data.
 
 const VIEW_FORMAT = "fffo-drive scope view", VIEW_VERSION = 1, VIEWS_KEY = "fffo-scope-views";
 const KINDS = {
@@ -16,7 +16,7 @@ function isTable(value) { return value !== null && typeof value === "object" && 
 class Views {
   constructor(storage) { this.storage = storage; }
 
-  // what an older page or another program has left there is no reason to show nothing
+  // data left there by an older page or another program must not stop this page
   get all() {
     try {
       const found = JSON.parse(this.storage.getItem(VIEWS_KEY));
@@ -30,7 +30,7 @@ class Views {
 
   static file(name, view) { return JSON.stringify({ format: VIEW_FORMAT, version: VIEW_VERSION, name, view }, null, 1) + "\n"; }
 
-  // {name, view} of a file; an Error says in words what is wrong with it
+  // {name, view} of a file; an Error says what is wrong with it
   static read(text) {
     let content;
     try { content = JSON.parse(text); } catch { throw new Error("it is no JSON"); }

@@ -1,5 +1,5 @@
 "use strict";
-// What comes over the WebSocket, taken apart, and rows of a capture as CSV: exactly the numbers that the loop wrote.
+// Decoding of WebSocket frames, and rows of a capture as CSV: exactly the numbers that the loop wrote.
 
 const READ = {
   "<u8": (view, at) => view.getBigUint64(at, true), "<i8": (view, at) => view.getBigInt64(at, true),
@@ -31,7 +31,7 @@ function columnsOf(buffer, fields, names) {
   return columns;
 }
 
-// one part of the CSV for each thousand rows: a Blob takes them as they are
+// one part of the CSV for each thousand rows, as a Blob accepts
 function csvParts(buffer, fields) {
   const columns = columnsOf(buffer, fields), names = fields.map((f) => f.name);
   const count = columns[names[0]].length, parts = [names.join(",") + "\n"];

@@ -67,19 +67,6 @@ MEMORY_SLOTS = 72
 
 REST_SPEED_DEFAULT_RPS = 0.02  # some counts of a 15-bit resolver in the memory of a filter; creep in presliding is less
 
-MOTION_NAMES = {
-    "time_s": TIME_S,
-    "velocity_rps": VELOCITY_RPS,
-    "acceleration_rps2": ACCELERATION_RPS2,
-    "motor_angle_rev": MOTOR_ANGLE_REV,
-    "sensor_angle_rev": SENSOR_ANGLE_REV,
-    "current_a": CURRENT_A,
-    "friction_nm": FRICTION_NM,
-    "travel_rev": TRAVEL_REV,
-    "direction": DIRECTION,
-    "contact_level_nm": CONTACT_LEVEL_NM,
-}
-
 
 class AxisFacts(NamedTuple):
     """Inputs of an effect in addition to the axis."""

@@ -99,7 +99,7 @@ def effects_along(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """(torque of the effects (n,) Nm, error of the sensor (n,) rev) along a followed record.
 
-    `motion` (n, slots.N_MOTION), columns as in slots.MOTION_NAMES. The same kernels as in a simulation, from rest; with
+    `motion` (n, slots.N_MOTION), columns as numbered in `slots`. The same kernels as in a simulation, from rest; with
     `feedforward` the current of the motion is that without the effects.
     """
     table = effect_table(terms, axis, period_s, facts, feedforward)

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-NORMAL_95 = 1.959964
+from fffo_drive.units import NORMAL_95
+
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
 RESAMPLES = 4000
 CORES = 2.0  # that a diagnosis may have, by its target
