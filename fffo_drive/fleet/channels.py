@@ -116,7 +116,7 @@ class FleetPrior(NamedTuple):
 
     columns: tuple[str, ...]
     covariance: Floats  # (p, p) between runs, with the temperature taken out
-    weather_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
+    ambient_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
     slope: Floats  # (p,) per step of temperature
     slope_sd: Floats  # (p,) between drives
     line: Floats  # (p,) what a step of temperature moves, or one like it where none is logged
@@ -385,7 +385,7 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     y = np.full((stack.time_s.size, size), np.nan)
     variance = np.ones_like(y)
     steps = np.nan_to_num(stack.temperature)
-    for logged, covariance in ((True, prior.covariance), (False, prior.weather_covariance)):
+    for logged, covariance in ((True, prior.covariance), (False, prior.ambient_covariance)):
         every = np.flatnonzero(stack.logged == logged)
         if not every.size:
             continue

@@ -31,6 +31,7 @@ from ..report.document import (
 )
 from ..report.figures import Dash, Figure, PlotAxis, Series
 from ..report.page import ReportPaths, refuse_other_report, write_report
+from ..units import NORMAL_95
 from .adding import Given, entry_of
 from .difference import CONFIDENCE, LARGEST_P, Difference, difference
 from .history import (
@@ -46,7 +47,7 @@ from .history import (
 from .regress import PARAMETERS, solve
 from .schema import BAND_EDGES_HZ, ORDERS, table_of, unit_of
 from .store import FleetStore
-from .words import NORMAL_95, day_of, word_of
+from .words import day_of, word_of
 from .work import record_row
 
 Floats = npt.NDArray[np.float64]

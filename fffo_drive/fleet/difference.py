@@ -193,7 +193,7 @@ def _mean_difference(stack: Stack, fleet: FleetPrior, prior: ChannelPrior, group
     """Generalised least squares of each set; a run far from its set's mean counts for less."""
     logged = bool(stack.logged[0])
     size = len(stack.columns)
-    inverse = inverse_total(stack.information, fleet.covariance if logged else fleet.weather_covariance)
+    inverse = inverse_total(stack.information, fleet.covariance if logged else fleet.ambient_covariance)
     known = np.isfinite(stack.temperature) & (np.einsum("nii->n", inverse) > 0.0)
     steps = np.where(known, stack.temperature, 0.0)
     theta = stack.theta - steps[:, None] * fleet.slope * logged

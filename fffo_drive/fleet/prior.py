@@ -50,7 +50,7 @@ class Population(NamedTuple):
     covariance: Floats  # (p, p) between drives
     scatter: Floats  # (p, p) between runs of one drive, beside their information
     drives: int
-    warming: Warming | None = None  # None: weather is in the scatter
+    warming: Warming | None = None  # None: the scatter includes that of temperature
     model: str = ""
 
     def at(self, temperature_degc: float | None) -> tuple[Floats, Floats]:
@@ -145,7 +145,7 @@ def population_of(histories: Mapping[str, RunHistory], model: str = "") -> Popul
     """Fit a population to drives of one model. Raises ValueError for fewer than LEAST_DRIVES.
 
     Where temperatures are logged (of LEAST_DRIVES at least, which alone then count), the posterior is the drive at the
-    temperature of its runs. Else weather is in the scatter, and it is the drive on the average of the weather.
+    temperature of its runs. Else the scatter includes that of temperature, and it is the drive at its mean temperature.
     """
     if len(histories) < LEAST_DRIVES:
         raise ValueError(f"{len(histories)} drives: a population needs {LEAST_DRIVES} at least")
@@ -159,7 +159,7 @@ def population_of(histories: Mapping[str, RunHistory], model: str = "") -> Popul
     fleet, _ = learned(stack)
     scale = np.median(stack.scales, axis=0)
     size = np.outer(scale, scale)
-    scatter = fleet.covariance if logged.size else fleet.weather_covariance
+    scatter = fleet.covariance if logged.size else fleet.ambient_covariance
     steps = stack.temperature[np.isfinite(stack.temperature)]
     middle = float(steps.mean()) if steps.size else 0.0
     mean, covariance, drives = _between(stack, scatter, scale, middle if logged.size else None)

@@ -28,12 +28,13 @@ from ..report.document import (
 )
 from ..report.figures import Figure, PlotAxis, Series
 from ..report.page import ReportPaths, refuse_other_report, write_report
+from ..units import NORMAL_95
 from .history import RunHistory
 from .regress import PARAMETERS
 from .spread import LEAST_DRIVES, OUTSIDE_P, ModelSpread, Outsider, QuantitySpread
 from .store import StoreStatus
 from .watch import Watched, alarm_text
-from .words import NORMAL_95, day_of, short_of, word_of
+from .words import day_of, short_of, word_of
 
 Floats = npt.NDArray[np.float64]
 

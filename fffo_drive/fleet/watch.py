@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..documents import counted
+from ..units import NORMAL_95
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory
@@ -22,7 +23,6 @@ from .history import RunHistory
 Floats = npt.NDArray[np.float64]
 
 DEFAULT_ALARMS_PER_DRIVE_YEAR = 0.01
-CONFIDENCE_SDS = 1.96  # of an interval: 95 %
 FIRST_WITHIN = 8  # runs before and after the detector's guess, among which the first run is looked for
 SAME_FIT = 3.84  # rise of the squared misfit, in variances, that leaves a first run possible: 95 % of chi-squared
 RAMP_RUNS = (4, 6, 8, 12, 16, 24)
@@ -216,7 +216,7 @@ def _described(
     change: _Change, raised: int, others: tuple[str, ...],
 ) -> Alarm:  # fmt: skip
     column = stack.columns[c] if c < len(stack.columns) else None
-    reach = CONFIDENCE_SDS * change.sd
+    reach = NORMAL_95 * change.sd
     if column is None:
         share, interval = math.expm1(change.size), (math.expm1(change.size - reach), math.expm1(change.size + reach))
         scale, size = "its size before", None
@@ -271,7 +271,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
             known = stack.information[runs][:, place, place] > 0.0
             values = np.where(known, stack.theta[runs][:, place], np.nan)
             usual, now = float(np.nanmedian(values[:-RECENT])), float(np.nanmedian(values[-RECENT:]))
-            sd = math.sqrt(prior.weather_covariance[place, place])
+            sd = math.sqrt(prior.ambient_covariance[place, place])
             if abs(now - usual) > OUTSIDE_SDS * sd:
                 found.append(Undecided(drive, (
                     f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "

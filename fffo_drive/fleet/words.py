@@ -6,8 +6,6 @@ from datetime import UTC, datetime
 
 from .spread import RESIDUAL
 
-NORMAL_95 = 1.96  # standard deviations to each side of a 95 % interval
-NORMAL_95 = 1.96  # standard deviations to each side of a 95 % interval
 WORDS = {
     "inertia_nm_s2_per_rev": "inertia",
     "viscous_nm_per_rps": "viscous friction",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from ..identification.population import AgainstPopulation
+from ..units import NORMAL_95
 from .document import Cell, Heading, Row, Table, number
 
-NORMAL_95 = 1.96  # standard deviations to each side of a 95 % interval
 DASH = Cell(text="–")
 
 

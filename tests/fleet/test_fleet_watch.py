@@ -1,4 +1,4 @@
-"""Watching drives: the rate of false alarms, planted changes, weather that is no wear, and what cannot be told."""
+"""Watching drives: the rate of false alarms, planted changes, temperature that is no wear, and what cannot be told."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drawn(
     number: int, change: dict[int, float] | None = None, at: int = 25, runs: int = 50, season_k: float = 10.0,
     logged: bool = True, ripple: float = 1.0, gap: float = 1.0,
 ) -> RunHistory:  # fmt: skip
-    """A drive's records: weather with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
+    """A drive's records: temperature with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
     rng = np.random.default_rng([11, number])
     warmer_k = season_k * np.sin(2.0 * np.pi * (np.arange(runs) / 52.0 + rng.random())) + 2.0 * rng.standard_normal(
         runs
@@ -84,16 +84,16 @@ def watched(noise: Floats, rate: float, change: float = 0.0, at: int = 25) -> De
     """Drives (d, n, c) of scale 0.03 about levels of their own, with a thermometer, and a step in channel 0."""
     drives, runs, channels = noise.shape
     rng = np.random.default_rng(2)
-    weather = rng.standard_normal((drives, runs, 1))
+    ambient = rng.standard_normal((drives, runs, 1))
     slopes = 0.05 * rng.standard_normal((drives, 1, channels))
-    y = 0.03 * noise + 0.3 * rng.standard_normal((drives, 1, channels)) + slopes * weather
+    y = 0.03 * noise + 0.3 * rng.standard_normal((drives, 1, channels)) + slopes * ambient
     y[:, at:, 0] += change
     prior = ChannelPrior(
         np.zeros((channels, 3)), np.tile(np.diag([100.0, 3.0, 3.0]), (channels, 1, 1)), np.full(channels, 9e-4),
         np.full(channels, 4.0), np.zeros(channels),
     )  # fmt: skip
     count = drives * runs
-    covariates = np.column_stack([weather.ravel(), np.zeros(count)])
+    covariates = np.column_stack([ambient.ravel(), np.zeros(count)])
     return detect(
         np.arange(0, count + 1, runs), np.tile(np.arange(runs) * WEEK_S, drives), y.reshape(count, channels),
         np.ones((count, channels)), covariates, prior, rate,
@@ -204,12 +204,12 @@ def test_a_constant_torque_is_named() -> None:
 
 
 @pytest.mark.parametrize("logged", [True, False])
-def test_weather_is_no_wear(logged: bool) -> None:
+def test_a_change_of_temperature_is_no_wear(logged: bool) -> None:
     """A season of 40 % of viscous and 8 % of Coulomb friction."""
     assert watch(fleet(logged=logged), 0.01).found.alarms == ()
 
 
-def test_without_a_temperature_a_change_along_the_line_of_weather_is_a_doubt_and_no_alarm() -> None:
+def test_without_a_temperature_a_change_along_the_line_of_temperature_is_a_doubt_and_no_alarm() -> None:
     change = {VISCOUS: 0.9, COULOMB: 0.18, STRIBECK: 0.18}  # 45 K colder
     found = watch(fleet(change=change, at=40, logged=False), 1e-3).found
     assert [alarm.law for alarm in found.alarms if alarm.drive == "0"] == []

@@ -1,7 +1,8 @@
 """Simulated lives: drives of one model over a year of weekly runs, each run on the simulated drive's own plant.
 
-The plant has five frictional surfaces, roughness, a gap and cogging: laws that no fit of the records shares. Weather is
-season, hour and warm-up; the load and the profile of a run are drawn. Wear is a change of the plant's configuration.
+The plant has five frictional surfaces, roughness, a gap and cogging: laws that no fit of the records shares.
+Temperature follows season, hour and warm-up; the load and the profile of a run are drawn. Wear is a change of the
+plant's configuration.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ Floats = npt.NDArray[np.float64]
 WEEK_S = 7.0 * 86400.0
 BEGIN_S = 1_735_689_600.0  # 2025-01-01
 JITTER_S = 1.5 * 86400.0  # of a weekly run
-LARGEST_K = 15.0  # of weather, from the mean
+LARGEST_K = 15.0  # of temperature, from the mean
 SEASON_K, HOUR_K, CHANCE_K = 7.0, 4.0, 2.0
 VISCOUS_PER_K = (-0.022, 0.004)  # mean and spread over drives
 COULOMB_PER_K = (-0.004, 0.001)
@@ -72,7 +73,7 @@ def wear_share(life: Life, run: int) -> float:
     return 1.0 if life.ramp == 0 else min(1.0, (run - life.first + 1) / life.ramp)
 
 
-def weather_k(time_s: float, rng: np.random.Generator, season_turns: float) -> float:
+def ambient_k(time_s: float, rng: np.random.Generator, season_turns: float) -> float:
     """Temperature less its mean at a time of the year, within LARGEST_K."""
     season = SEASON_K * math.sin(2.0 * math.pi * (time_s / (365.25 * 86400.0) + season_turns))
     hour = HOUR_K * math.sin(2.0 * math.pi * (time_s % 86400.0) / 86400.0)
@@ -114,7 +115,7 @@ def life_runs(life: Life, nominal: PlantConfig, period_s: float, seed: int) -> l
     for run in range(life.runs):
         rng = np.random.default_rng([seed, life.number, 2, run])
         time_s = BEGIN_S + run * WEEK_S + float(rng.uniform(-JITTER_S, JITTER_S))
-        warmer_k = weather_k(time_s, rng, season)
+        warmer_k = ambient_k(time_s, rng, season)
         if rng.random() < 0.3:
             payload = int(rng.integers(0, len(PAYLOADS)))
         share = wear_share(life, run)

@@ -2,7 +2,7 @@
 
 A drawn run is a run of a real drive without wear, chosen at random in blocks of neighbours: its information, its speed,
 and what its estimates deviate from the drive's own level and temperature slope, of all columns and amplitudes at once.
-Level, slopes, weather and times are drawn anew, and wear adds what the same wear adds to real records on the mean.
+Level, slopes, temperatures and times are drawn anew, and wear adds what the same wear adds to real records on the mean.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from lives_plant import (
     NONE,
     WEEK_S,
     Life,
+    ambient_k,
     life_runs,
     recorded,
     wear_share,
-    weather_k,
 )
 
 from fffo_drive.evaluation.campaign import Candidate, Case
@@ -184,7 +184,7 @@ def drawn_life(generator: Generator, life: Life, seed: int, order: float) -> Run
     size = generator.amplitude_levels[own]
     season = rng.random()
     times = np.sort(BEGIN_S + np.arange(life.runs) * WEEK_S + rng.uniform(-JITTER_S, JITTER_S, life.runs))
-    warmer_k = np.array([weather_k(float(t), rng, season) for t in times])
+    warmer_k = np.array([ambient_k(float(t), rng, season) for t in times])
     theta, information = np.empty((life.runs, p)), np.empty((life.runs, p, p))
     waves, speed, gap_sd = np.empty((life.runs, 3)), np.empty(life.runs), np.empty(life.runs)
     from_level, of_waves = generator.wears.get(life.wear, (np.zeros(p), np.zeros(3)))
