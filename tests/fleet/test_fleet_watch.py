@@ -28,7 +28,7 @@ def drawn(
     number: int, change: dict[int, float] | None = None, at: int = 25, runs: int = 50, season_k: float = 10.0,
     logged: bool = True, ripple: float = 1.0, gap: float = 1.0,
 ) -> RunHistory:  # fmt: skip
-    """A drive's records: temperature with a season, scatter with heavy tails, and a step of some columns, over LEVEL."""
+    """A drive's records: seasonal temperature, scatter with heavy tails, and a step of some columns, over LEVEL."""
     rng = np.random.default_rng([11, number])
     warmer_k = season_k * np.sin(2.0 * np.pi * (np.arange(runs) / 52.0 + rng.random())) + 2.0 * rng.standard_normal(
         runs
