@@ -21,8 +21,8 @@ from .scenes import load_rows
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# largest rms change of an effect's strength between two parts of the data, as a share of it: 22 right findings on measured
-# machines and drives d02 to d08 change by 0.26 at most
+# largest rms change of an effect's strength between two parts of the data, as a share of it: 22 right findings on
+# measured machines and drives d02 to d08 change by 0.26 at most
 STEADY = 0.3
 DETERMINED = 0.1  # share of such a change's square that the rest of the fit must not be able to represent
 
