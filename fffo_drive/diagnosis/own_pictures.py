@@ -224,11 +224,12 @@ def _reversal(seen: _Seen) -> Picture | None:
         title=_title(seen, "torque around reversals"),
         x_label="time since the reversal",
         x_unit="s",
-        y_label="residual torque in the new direction",
+        y_label="residual torque",
         y_unit="Nm",
         curves=tuple(seen.curves(since, kept, drawn, ("without the effect", "with it"))),
         note="All reversals of the fit runs.",
-        says="Residual around each reversal, without and with the effect: means with 95 % intervals.",
+        says="Residual around each reversal, positive in the new direction, without and with the effect: means with 95 % "
+        "intervals.",
         marks=(PictureMark(0.0, "reversal"),),
     )
 

@@ -222,7 +222,7 @@ def _drift(name: str, told: Sequence[tuple[RunLook, Estimate]], scale: float) ->
     text = (
         f"{WORDS[name]} drifts from run to run, from {values[0]:.4g} to {values[-1]:.4g} "
         f"({100.0 * (values[-1] - values[0]) / scale:+.0f} %) in {begins[-1] - begins[0]:.4g} s. Let the axis warm up "
-        "and repeat the first run at the end: what comes back is the motion's doing, what does not is time's"
+        "and repeat the first run at the end: what recovers depends on the motion, what does not depends on time"
     )
     return Remark("drift", (name,), tuple(look.name for look, _ in ordered), text)
 

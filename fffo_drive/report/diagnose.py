@@ -22,7 +22,7 @@ from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import NORMAL_95, inertia_kg_m2
 from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
-from .diagnose_verdict import diagnosis_verdict, names_of, unproven
+from .diagnose_verdict import diagnosis_verdict, lead_first, names_of
 from .document import (
     Cell,
     Heading,
@@ -110,7 +110,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
         Section(
             "What convinces",
             "Each effect over the quantity that it depends on.",
-            effect_figures(sorted(accepted, key=unproven), words),
+            effect_figures(lead_first(accepted), words),
         ),
         Section(
             "Before and after",

@@ -52,7 +52,8 @@ def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
 
 def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path: str, words: DiagnosisWords) -> Verdict:
     """The first effect that the held-out runs show in five lines; the others by name."""
-    shown = [finding for finding in effects if not unproven(finding)] or list(effects)
+    effects = lead_first(effects)
+    shown = [finding for finding in effects if not unproven(finding)] or effects
     lead = shown[0]
     others = list(dict.fromkeys(plain_name(finding) for finding in shown[1:]))
     more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
@@ -62,7 +63,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     cause = "" if law.name == "lookup" or lead.alternatives else f" Usually: {law.cause}."
     step, next_line = _next(lead, model_path)
     return Verdict(
-        headline=words.text(f"The model lacks {plain_name(lead)}{more}.{cause}"),
+        headline=words.text(f"The model lacks: {plain_name(lead)}{more}.{cause}"),
         finding=f"{len(shown)} effects" if len(shown) > 1 else words.text(plain_name(lead)),
         confidence=_confidence(diagnosis, lead),
         next_step=step,
@@ -249,8 +250,13 @@ def _reason(finding: Finding, words: DiagnosisWords) -> str:
 
 
 def unproven(finding: Finding) -> bool:
-    """The held-out runs were asked, and do not show it."""
+    """The held-out runs excite it and do not show it."""
     return finding.held_out_gain is not None and not finding.held_out_gain[0] > 0.0
+
+
+def lead_first(findings: Sequence[Finding]) -> list[Finding]:
+    """Effects that the headline may name before those in doubt and the forms of friction, then the proven ones."""
+    return sorted(findings, key=lambda finding: (finding.is_form or bool(finding.doubt), unproven(finding)))
 
 
 def names_of(names: Sequence[str]) -> str:

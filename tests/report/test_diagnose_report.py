@@ -105,7 +105,7 @@ def diagnosis(**changes):
 
 def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     report = diagnosis_report(SOURCE, diagnosis())
-    assert report.verdict.headline == "The model lacks cogging or torque ripple."
+    assert report.verdict.headline == "The model lacks: cogging or torque ripple."
     assert (report.verdict.finding, report.verdict.confidence) == ("cogging or torque ripple", "cannot tell")
     lines = {line.label: line for line in report.verdict.lines}
     assert list(lines) == ["Where", "How big", "How sure", "Next"]
@@ -128,7 +128,7 @@ def test_a_certain_finding_is_told_with_cause_place_size_and_the_command_that_ad
     sure = finding(alternatives=())
     verdict = diagnosis_report(SOURCE, diagnosis(findings=(sure, finding(name="backlash", alternatives=())))).verdict
     assert verdict.headline == (
-        "The model lacks cogging, and backlash. Usually: the motor's magnets against the teeth of its stator."
+        "The model lacks: cogging, and backlash. Usually: the motor's magnets against the teeth of its stator."
     )
     assert (verdict.finding, verdict.confidence, verdict.next_step) == ("2 effects", "certain", "adopt it")
     assert verdict.lines[-1].command == "fffo-drive adopt model_after.yaml --axis AXIS.yaml"
@@ -432,10 +432,14 @@ DOUBT = "its strength changes by 60 % from slow to fast motion: it may be part o
 def test_what_is_in_doubt_is_said_beside_the_effect_and_leads_no_page():
     doubtful = finding(alternatives=(), doubt=DOUBT)
     page = diagnosis_report(SOURCE, diagnosis(findings=(doubtful, finding(name="unbalance", alternatives=()))))
-    assert page.verdict.headline.startswith("The model lacks weight of an unbalanced load")
+    assert page.verdict.headline.startswith("The model lacks: weight of an unbalanced load")
     assert [DOUBT in reason for reason in page.verdict.reasons[:2]] == [True, False]
     table = {table.name: table for table in page.tables}["found"]
     assert ["its name is in doubt" in str(row) for row in table.rows] == [True, False]
+    hidden = finding(name="unbalance", alternatives=(), held_out_gain=(-3.0, 5.0))
+    weak = diagnosis_report(SOURCE, diagnosis(findings=(replace(doubtful, own_picture=None), hidden)))
+    assert weak.verdict.headline.startswith("The model lacks: weight of an unbalanced load")
+    assert weak.figures[0].name == "effect-1-own"  # the headline's
     alone = diagnosis_report(
         SOURCE, diagnosis(findings=(doubtful,), verdict="unexplained", headline="Something is there.")
     ).verdict
