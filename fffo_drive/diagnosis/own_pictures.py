@@ -228,8 +228,7 @@ def _reversal(seen: _Seen) -> Picture | None:
         y_unit="Nm",
         curves=tuple(seen.curves(since, kept, drawn, ("without the effect", "with it"))),
         note="All reversals of the fit runs.",
-        says="Residual around each reversal, positive in the new direction, without and with the effect: means with 95 % "
-        "intervals.",
+        says="Residual, positive in the new direction, without and with the effect: means with 95 % intervals.",
         marks=(PictureMark(0.0, "reversal"),),
     )
 
