@@ -331,9 +331,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "warm-up, random profiles) and reduced to its record. A quarter of the drives each has no wear, Coulomb "
         "friction +10 % (level and stiction), the gap +20 %, the ripple doubled; at once or over 4 to 11 runs.",
         "- Drawn: runs of real drives without wear in blocks of five neighbours, with temperature, slopes and times "
-        "drawn anew; wear adds what it adds to real records on the mean (tools/benchmarks/lives_records.py) "
+        "drawn anew; wear adds what it adds to real records on the mean (tools/benchmarks/lives_records.py). "
         f"{100 * WORN_SHARE:.0f} % of the second fleet wear, a third by each law.",
-        f"- Seeds: the method was chosen on real lives of seeds {CHOSEN_ON} and 5; {len(chosen_on)} drives of the "
+        f"- Seeds: the method was chosen on real lives of seeds {CHOSEN_ON}, 5 and 8; {len(chosen_on)} drives of the "
         "first are what the drawn ones are drawn from"
         f"; the real figures are of seed {MEASURED_ON}, the drawn ones of seeds {HEALTHY} and "
         f"{WORN}.",
