@@ -84,11 +84,6 @@ def histories_by_model(store: FleetStore) -> dict[str, dict[str, RunHistory]]:
     return {model: _by_drive(table.filter(pc.field("model") == model)) for model in models}
 
 
-def histories_of_model(store: FleetStore, model: str) -> dict[str, RunHistory]:
-    """Histories of all drives of one model, by drive."""
-    return _by_drive(store.records(("drive", *HISTORY_COLUMNS), pc.field("model") == model))
-
-
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
     if not table.num_rows:
         return {}

@@ -15,7 +15,7 @@ from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation, PopulationRow, finite
 from ..recording.errors import did_you_mean
 from .adding import Given, entry_of
-from .history import histories_of_model
+from .history import histories
 from .measure import balance_of_record, temperature_of
 from .place import is_url
 from .prior import LEAST_DRIVES, Population, Posterior, RunEstimate, population_from_plain, population_of, posterior
@@ -76,7 +76,7 @@ def population_at(source: str, who: Who) -> Population:
             f"--prior {source}: no record of model {model!r}: {did_you_mean(model, models)}: give --prior-model "
             "NAME, or add runs of such drives"
         )
-    drives = histories_of_model(store, model)
+    drives = histories(store, model)
     drives.pop(who.drive, None)  # it is what is asked
     found = population_of(drives, model) if len(drives) >= LEAST_DRIVES else None
     least = LEAST_DRIVES if found is None else len(found.names) + 2  # or no drive shows a direction of the covariance

@@ -15,7 +15,7 @@ import fffo_drive as fd
 from fffo_drive.cli import main
 from fffo_drive.diagnosis.base import BASE, NAMES, BasePrior, population_prior, wide_prior
 from fffo_drive.documents import DocumentError
-from fffo_drive.fleet.history import histories_of_model
+from fffo_drive.fleet.history import histories
 from fffo_drive.fleet.prior import population_of
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.identification.coordinates import PARAMETERS
@@ -104,7 +104,7 @@ def test_a_drive_of_another_population_is_told_and_gets_its_own_fit(store, unlik
 
 
 def test_a_population_s_file_and_the_library_say_the_same(store, short, facts_file, tmp_path, capsys):
-    population = population_of(histories_of_model(FleetStore(str(store)), "M1"), "M1")
+    population = population_of(histories(FleetStore(str(store)), "M1"), "M1")
     path = tmp_path / "population.json"
     path.write_text(json.dumps(population.as_plain()))
     assert identified(short, facts_file, tmp_path / "a", "--prior", str(path), "--prior-model", "M1", "--json") == 0
