@@ -28,8 +28,9 @@ REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to i
 # of Kp and Ki at rest, the largest first: half costs nothing in motion and covers an axis that differs by 30 %
 # (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
-# of the largest hold with the margin at rest: a contact that is loaded towards its Coulomb friction is softer
-HOLD_SHARE = 0.25
+# of the largest hold with the margin at rest, times the share of Kp and Ki: a contact that is loaded towards its
+# Coulomb friction is softer, and where the share is small, the hold must be slow as well (results/chain.md)
+HOLD_SHARE = 0.5
 FRICTION_SPAN = 100.0  # required range of friction damping
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
@@ -199,7 +200,7 @@ def hold_gain(stuck: LinearAxis, gains: Gains) -> float:
 
     contact, constant = stuck.contact_nm_per_rev, stuck.torque_constant_nm_per_a
     most = math.sqrt(contact / stuck.inertia_nm_s2_per_rev) * contact / constant
-    return HOLD_SHARE * largest_that(most, holds)
+    return HOLD_SHARE * gains.rest_share * largest_that(most, holds)
 
 
 def rest_share(stuck: LinearAxis, proportional: float, integral: float) -> float:

@@ -53,7 +53,7 @@ from fffo_drive.jit import njit
 NAME = "position_hold"
 FIRST = 6000  # no choice was made on axes from here to 6999
 AXES = 20
-SHARES = (0.0625, 0.125, 0.25, 0.5, 1.0)  # of the largest gain with the margin at rest
+SHARES = (0.0625, 0.125, 0.25, 0.5, 1.0)  # of the largest gain with the margin at rest, times the share of Kp and Ki
 TRAVELS = (1.0, 8.0, 128.0)  # in dead bands, beside the one in use
 NOT_HELD = "not held"
 
@@ -237,7 +237,7 @@ def label(name: str) -> str:
         return name
     if kind == "share":
         return f"{value} of the largest gain, {HELD_DEAD_BANDS:g} dead bands"
-    return f"{HOLD_SHARE:g} of the largest gain, {value} dead bands"
+    return f"{HOLD_SHARE:g} of the largest gain times the share at rest, {value} dead bands"
 
 
 def grid_rows(found: list[Outcome]) -> list[list[str]]:
