@@ -116,7 +116,7 @@ def test_the_report_is_json_with_all_its_keys():
         assert set(content) == {
             "format", "tool", "verdict", "headline", "effects", "friction_form", "before", "after", "unexplained_rest",
             "runs_look", "first_p", "ceiling", "units", "false_alarm_rate", "runs", "channels", "tried", "cautions",
-            "settings", "seconds",
+            "settings", "seconds", "prior",
         }  # fmt: skip
         assert content["runs"] == {"fit": ["run-1", "run-2"], "held_out": ["run-31"]}
     content = report(found())

@@ -135,7 +135,8 @@ def test_a_worker_that_is_killed_loses_one_unit_which_is_made_again(six_runs, me
 
     def kill(_share):
         if len(killed) < 3:
-            victim = multiprocessing.active_children()[0]
+            # one that was killed just now may still be listed
+            victim = next(one for one in multiprocessing.active_children() if one.pid not in killed)
             os.kill(victim.pid, signal.SIGKILL)
             killed.append(victim.pid)
 

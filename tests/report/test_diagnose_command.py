@@ -31,7 +31,8 @@ def command(tmp_path, monkeypatch):
     def call(found, *words):
         given = []
 
-        def diagnose(fit, held_out, facts, model, settings, progress):
+        def diagnose(fit, held_out, facts, model, settings, progress, prior):
+            assert prior is None
             given.append(settings)
             return found
 

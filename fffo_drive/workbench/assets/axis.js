@@ -120,7 +120,7 @@
     for (const radio of document.querySelectorAll("input[name=friction]")) radio.disabled = s === "" || !may("toggle");
     for (const button of document.querySelectorAll("#gains button")) button.disabled = s === "" || !may("set") || (button.dataset.trial && (!TORQUE.includes(s) || !bench.state.may_try));
     const silent = axis.source && axis.status && !fresh();
-    $("axis-link").textContent = !axis.source ? "" : axis.status === null ? "no connection to the daemon: what is shown is old" : silent ? "no status for some seconds: what is shown is old" : "";
+    $("axis-link").textContent = !axis.source ? "" : axis.status === null ? "no connection to the daemon: the data shown are old" : silent ? "no status for some seconds: the data shown are old" : "";
     document.body.classList.toggle("cut", Boolean(axis.source) && !fresh());
   }
   setInterval(allow, 500);

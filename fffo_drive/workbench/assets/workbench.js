@@ -25,7 +25,7 @@
       $("connection").textContent = "";
       show();
     } catch (error) {
-      $("connection").textContent = "no connection to the workbench: what is shown is old";
+      $("connection").textContent = "no connection to the workbench: the data shown are old";
     }
     timer = setTimeout(look, state && running() ? BUSY_MS : IDLE_MS);
   }
