@@ -15,16 +15,16 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     """--prior and --prior-model."""
     parser.add_argument(
         "--prior", metavar="STORE|FILE",
-        help="begin from what drives of this model are: store of `fffo-drive fleet`, or a population's file",
+        help="use other drives of this model as prior: a store of `fffo-drive fleet`, or a population file",
     )  # fmt: skip
-    parser.add_argument("--prior-model", metavar="NAME", help="type of the drive in STORE (default: what the runs say)")
+    parser.add_argument("--prior-model", metavar="NAME", help="model of the drive in STORE (default: as in the runs)")
 
 
 def prior_of(options: argparse.Namespace, runs: Sequence[str | Path], facts: DriveFacts) -> AgainstPopulation | None:
     """The runs against the population of --prior; None without it. Raises DocumentError, DataError."""
     if options.prior is None:
         if options.prior_model is not None:
-            raise DocumentError("--prior-model: says which drives of a store are meant: give the store with --prior")
+            raise DocumentError("--prior-model names a drive model in a store: give the store with --prior")
         return None
     try:
         from ..fleet.standing import files_against_population
