@@ -80,9 +80,14 @@ def balance_of_record(record: Record, facts: DriveFacts) -> Balance:
 
 def temperature_of(columns: Mapping[str, Any]) -> float | None:
     """Mean temperature (degC) of a run by its columns; None where it was not logged."""
-    values = np.asarray(columns.get(TEMPERATURE.name, []), dtype=np.float64)
-    values = values[np.isfinite(values)]
+    values = _temperatures_degc(columns)
     return float(values.mean()) if values.size else None
+
+
+def _temperatures_degc(columns: Mapping[str, Any]) -> Floats:
+    """Those that were logged. (n,)"""
+    values = np.asarray(columns.get(TEMPERATURE.name, []), dtype=np.float64)
+    return values[np.isfinite(values)]
 
 
 def _balance(balance: Balance, estimates: Estimates) -> dict[str, Any]:
@@ -170,10 +175,7 @@ def _rms(values: Floats) -> float:
 
 
 def _temperature(log: Run | LogTable) -> dict[str, Any]:
-    if TEMPERATURE.name not in log.columns:
-        return {}
-    values = np.asarray(log.columns[TEMPERATURE.name], dtype=np.float64)
-    values = values[np.isfinite(values)]
+    values = _temperatures_degc(log.columns)
     if not values.size:
         return {}
     mean, low, high = float(values.mean()), float(values.min()), float(values.max())

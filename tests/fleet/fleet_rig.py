@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
+import yaml
 
 from fffo_drive.fleet.adding import Given, add_runs
 from fffo_drive.fleet.regress import STRIBECK_RPS
@@ -71,3 +73,11 @@ def filled_store(address, paths, drive="d1", model="m1"):
 def files_of(root: Path) -> dict[str, bytes]:
     """Every file below a directory, by its name relative to it."""
     return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def facts_file(tmp_path_factory):
+    """Facts of the rig's drives, as a file."""
+    path = tmp_path_factory.mktemp("facts") / "facts.yaml"
+    path.write_text(yaml.safe_dump(FACTS.model_dump(exclude_defaults=True)))
+    return path

@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 
 import duckdb
 import pytest
-import yaml
-from fleet.fleet_rig import FACTS, TRUTH, write_run
+from fleet.fleet_rig import TRUTH, write_run
 
 from fffo_drive.cli import main
 
@@ -17,13 +16,6 @@ DAY_S = 86_400
 START_S = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp())
 DRIVES, RUNS = 6, 4
 OUTSIDE, CHANGED = 2, 4  # a drive with half as much friction again, and one that changed after its second run
-
-
-@pytest.fixture(scope="module")
-def facts_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("facts") / "facts.yaml"
-    path.write_text(yaml.safe_dump(FACTS.model_dump(exclude_defaults=True)))
-    return path
 
 
 @pytest.fixture(scope="module")

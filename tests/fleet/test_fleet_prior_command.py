@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
-from fleet.fleet_rig import FACTS, TRUTH, write_run
+from fleet.fleet_rig import TRUTH, write_run
 
 import fffo_drive as fd
 from fffo_drive.cli import main
@@ -31,13 +30,6 @@ def truth_of(drive, **more):
     """A drive of the population."""
     draw = np.random.default_rng([5, drive])
     return {name: value * (1.0 + SPREAD * draw.standard_normal()) for name, value in TRUTH.items()} | more
-
-
-@pytest.fixture(scope="module")
-def facts_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("facts") / "facts.yaml"
-    path.write_text(yaml.safe_dump(FACTS.model_dump(exclude_defaults=True)))
-    return path
 
 
 @pytest.fixture(scope="module")

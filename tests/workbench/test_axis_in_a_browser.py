@@ -9,7 +9,7 @@ import time
 import pytest
 import yaml
 from live.served import Served
-from workbench.test_workbench_in_a_browser import COMPILING_S, CONFIGS, SERIOUS, Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import COMPILING_S, CONFIGS, Shown, cache_of_a_user  # noqa: F401
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.commissioning.record import read_record
@@ -19,7 +19,6 @@ from fffo_drive.workbench.bench import AUDIT_NAME, Workbench
 from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.browser, pytest.mark.timeout(900)]
-NARROW = {"width": 420, "height": 900}
 
 
 @pytest.fixture(scope="module")
@@ -265,14 +264,8 @@ def test_a_status_that_is_old_allows_nothing_but_a_stop(shown):
 
 
 def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     shown.enable()
-    for width in (None, NARROW):
-        if width:
-            shown.page.set_viewport_size(width)
-        found = axe.run(shown.page).response["violations"]
-        assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
-    assert shown.page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]
+    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
 
 
 # what a shared machine needs to be commissioned: a plant that SYNC steps, a slow loop, and patience

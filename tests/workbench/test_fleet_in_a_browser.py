@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
-from fleet.fleet_rig import write_run
-from fleet.test_fleet_command import DRIVES, OUTSIDE, RUNS, facts_file, fleet  # noqa: F401
-from workbench.test_workbench_in_a_browser import SERIOUS, Shown, cache_of_a_user  # noqa: F401
+from fleet.fleet_rig import facts_file, write_run  # noqa: F401
+from fleet.test_fleet_command import DRIVES, OUTSIDE, RUNS, fleet  # noqa: F401
+from workbench.test_workbench_in_a_browser import Shown, cache_of_a_user  # noqa: F401
 
 from fffo_drive.workbench.bench import Workbench
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
-NARROW = {"width": 420, "height": 900}
 IDLE_TAB = "fffoFleet.state && !fffoWorkbench.state.jobs.some((job) => job.state === 'running')"
 
 
@@ -84,15 +83,9 @@ def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_
 
 
 def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     shown.do("#fleet-report")
     shown.page.frame_locator("#fleet-viewer").locator("figure canvas").first.wait_for()
-    for width in (None, NARROW):
-        if width:
-            shown.page.set_viewport_size(width)
-        found = axe.run(shown.page).response["violations"]
-        assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
-    assert shown.page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]
+    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
 
 
 def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, chromium, tmp_path):  # noqa: F811

@@ -21,6 +21,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PATIENCE_S = 120.0
 COMPILING_S = 600.0  # the first start of a loop, or a diagnosis, on a busy machine
 SCREEN = {"width": 1280, "height": 800}
+NARROW = {"width": 420, "height": 900}
 SERIOUS = ("serious", "critical")
 
 
@@ -45,6 +46,15 @@ class Shown:
             assert time.monotonic() < deadline_s, f"never: {expression}; {self.job}"
             time.sleep(0.1)
         return value
+
+    def is_found_by_a_screen_reader_and_fits_a_narrow_screen(self):
+        """Assert that axe finds nothing serious at either width, and that the narrow page does not scroll sideways."""
+        axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+        for width in (SCREEN, NARROW):
+            self.page.set_viewport_size(width)
+            found = axe.run(self.page).response["violations"]
+            assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
+        assert self.page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]
 
     @property
     def job(self):
@@ -137,12 +147,8 @@ def test_a_run_is_recorded_identified_and_tuned_with_keys_alone(shown):
 
 
 def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     shown.record("identify")
-    found = axe.run(shown.page).response["violations"]
-    assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
-    shown.page.set_viewport_size({"width": 420, "height": 800})
-    assert shown.page.evaluate("document.documentElement.scrollWidth") <= 420
+    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
 
 
 def test_what_a_key_does_not_allow_cannot_be_pressed(tmp_path, chromium):
