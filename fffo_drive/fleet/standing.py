@@ -77,15 +77,15 @@ def population_at(source: str, who: Who) -> Population:
             "NAME, or add runs of such drives"
         )
     drives = histories(store, model)
-    drives.pop(who.drive, None)  # it is what is asked
+    drives.pop(who.drive, None)  # the drive itself is no part of its prior
     found = population_of(drives, model) if len(drives) >= LEAST_DRIVES else None
     least = LEAST_DRIVES if found is None else len(found.names) + 2  # or no drive shows a direction of the covariance
     if found is None or found.drives < least:
         beside = f" beside {who.drive}" if who.drive else ""
         raise DocumentError(
-            f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two more than "
-            f"parameters ({len(PARAMETERS) + 2} at most): add runs of more drives with `fffo-drive fleet add`, or "
-            "leave --prior away"
+            f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two "
+            f"more drives than parameters (at most {len(PARAMETERS) + 2}): add runs of more drives with `fffo-drive fleet add`, or "
+            "run without --prior"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""A drive beside what drives of its model are: prior, its own runs and both together, for fits and pages.
+"""A drive beside the population of its model: prior, its own runs and both together, for fits and pages.
 
 The numbers are those of the force balance (`fleet.regress`), which every run of every drive has in common. The
 population is fitted in `fleet.prior`; here is what a fit, a diagnosis and a page need of it.
@@ -28,7 +28,7 @@ LARGEST_LOG_SD = 2.0  # of a fit's parameter: beyond a factor of seven nothing i
 TOLD_SD = 2.0  # of a parameter's deviation, from which on it is named as one that is out
 ADVICE = (
     "The prior was not used. Check the drive's type, its load, the torque constant and the units of the run; if they "
-    "are right, the drive is unlike the others: record a full recipe and leave --prior away"
+    "are right, the drive differs from the others: record the full recipe and run without --prior"
 )
 
 
@@ -94,7 +94,7 @@ def with_population(model: ModelFile, fit: Fit, against: AgainstPopulation) -> M
     """A fitted model with what the population adds: inertia, viscous and Coulomb friction, and what goes with them.
 
     The population is a measurement of these three beside the runs, each with its covariance, in the coordinates of the
-    fit: where runs say much, the model stays as it was fitted, and where they say nothing, it is the population's.
+    fit: parameters that the runs determine stay as fitted, the others become those of the population.
     Unchanged for a drive of another population.
     """
     rows = [(k, row) for k, row in enumerate(against.rows) if row.name in FROM_POPULATION and row.prior > 0.0]

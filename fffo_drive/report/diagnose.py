@@ -55,9 +55,9 @@ GAINS = (
     f"and an effect of {100.0 * NEGLIGIBLE:g} % of the torque look like this."
 )
 FROM_PRIOR = (
-    " Inertia, viscous and Coulomb friction have the population as prior: where the runs say little, they are its. It "
-    "decides no effect: the base is taken out of the evidence of each, wherever it stands. The intervals are those of "
-    "the runs alone."
+    " Inertia, viscous and Coulomb friction have the population as prior: it "
+    "supplies what the runs determine poorly. It decides no finding: the base model is projected out of the evidence "
+    "of every effect. The intervals are those of the runs alone."
 )
 FORM = (
     "How the friction differs from that of a single 2SEP surface. This is part of the model, not an additional effect."

@@ -1,4 +1,4 @@
-"""The table of a drive beside what drives of its model are: prior, its own runs, and both together."""
+"""The table of a drive beside the population of its model: prior, its own runs, and both together."""
 
 from __future__ import annotations
 

@@ -236,7 +236,7 @@ def label(name: str) -> str:
     if name == NOT_HELD:
         return name
     if kind == "share":
-        return f"{value} of the largest gain, {HELD_DEAD_BANDS:g} dead bands"
+        return f"{value} of the largest gain times the share at rest, {HELD_DEAD_BANDS:g} dead bands"
     return f"{HOLD_SHARE:g} of the largest gain times the share at rest, {value} dead bands"
 
 
