@@ -84,8 +84,8 @@ def population_at(source: str, who: Who) -> Population:
         beside = f" beside {who.drive}" if who.drive else ""
         raise DocumentError(
             f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two "
-            f"more drives than parameters (at most {len(PARAMETERS) + 2}): add runs of more drives with `fffo-drive fleet add`, or "
-            "run without --prior"
+            f"more drives than parameters (at most {len(PARAMETERS) + 2}): add runs of more drives with "
+            "`fffo-drive fleet add`, or run without --prior"
         )
     return found
 
