@@ -276,7 +276,7 @@ def test_a_rest_is_never_silent():
         assert report.verdict.alarm == (verdict == "nothing_carries_over")
         if verdict != "nothing_carries_over":
             assert any(
-                "Unexplained: 4.0 mNm rms; at best 2.0 mNm rms would be left." in line.text
+                "Unexplained: 4.0 mNm rms, which a better model could reduce to 2.0 mNm." in line.text
                 for line in report.verdict.lines
             )
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))

@@ -74,7 +74,7 @@ class Tpdo(Timed):
             self.check_event()
 
     def frame(self) -> bytes:
-        """The PDO with the values of now."""
+        """The PDO with the present values."""
         self._pack_into(self._template, DATA_OFFSET, *self._pick(self.od.values))
         return bytes(self._template)
 
