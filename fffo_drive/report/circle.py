@@ -198,7 +198,7 @@ def _verdict(source: CircleSource) -> Verdict:
     confidence: Confidence = "certain"
     finding, step = "nothing missing", "nothing to do"
     if source.verdict == "nothing_carries_over":
-        finding, step = "nothing that carries over", "keep the model"
+        finding, step = "nothing confirmed", "keep the model"
         headline = "Nothing that was found lowers the error of the held-out run: the model is unchanged."
     elif not source.effects:
         headline = "The diagnosis found nothing that the model lacks: the model is unchanged."

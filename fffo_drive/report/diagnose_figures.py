@@ -64,8 +64,8 @@ def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
 def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:
     """The figures of each finding: the one that its law declares, and the residual over its axis."""
     found = []
-    for number, finding in enumerate((f for f in findings if f.picture is not None or f.own_picture is not None), 1):
-        both = {f"effect-{number}-own": finding.own_picture, f"effect-{number}": finding.picture}
+    for number, finding in enumerate((f for f in findings if f.picture is not None or f.law_picture is not None), 1):
+        both = {f"effect-{number}-own": finding.law_picture, f"effect-{number}": finding.picture}
         found += [(name, picture) for name, picture in both.items() if picture is not None and picture.curves]
     width = "full" if len(found) == 1 else "half"
     return tuple(_effect(name, picture, width, words) for name, picture in found)

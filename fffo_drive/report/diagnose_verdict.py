@@ -39,7 +39,7 @@ def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
 
 def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
     return Verdict(
-        headline=diagnosis.headline, finding="nothing that carries over", confidence="certain",
+        headline=diagnosis.headline, finding="nothing confirmed", confidence="certain",
         next_step="keep the model in service", alarm=True,
         lines=[
             Line(label="How sure", text="What was found on the fitted runs does not lower the error of the "

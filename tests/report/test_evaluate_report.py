@@ -49,7 +49,7 @@ def test_a_loop_that_came_too_late_and_a_run_that_stopped_early_are_drawn_and_sa
     assert [s.name for s in drawn["From 0.5 s"].series] == ["reference", "pi", "pi+fffo"]
     assert [s.name for s in drawn["From 1.8 s"].series] == ["reference", "pi"]
     assert drawn["From 1.8 s"].series[1].y.size == 400
-    assert "was too late" in render_page(report)
+    assert "the loop skipped 10 %" in render_page(report)
 
 
 def test_runs_of_one_controller_with_two_models_are_two(monkeypatch):
