@@ -1,4 +1,4 @@
-"""The page of a circle says what became of the diagnosis: adopted, refused, nothing confirmed, an unexplained residual."""
+"""The page of a circle states the result of the diagnosis: adopted, refused, nothing confirmed, a residual."""
 
 from __future__ import annotations
 
