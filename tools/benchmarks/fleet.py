@@ -19,7 +19,7 @@ NAME = "fleet"
 PURPOSE = (
     "A record of a simulated run of 60 s at 2 kHz: processor time after imports, and bytes. Then a store of records "
     "drawn around such runs (two models, 50 weekly runs per drive; 20,000 drives are a million records) is queried by "
-    "`fleet report` and by DuckDB, each in a process of its own."
+    "`fleet report`, `fleet watch` and DuckDB, each in a process of its own."
 )
 RUNS, DRIVES, SAMPLE_DRIVES = 50, 20_000, 400
 CPU_S, BYTES = 0.3, 4096
@@ -165,6 +165,7 @@ def run() -> int:
                 *program, "report", store, "--out", f"{folder}/page"],
             "fleet report --serial (the history of one drive)": [
                 *program, "report", store, "--serial", "SN000007", "--out", f"{folder}/page7"],
+            "fleet watch (every drive's own history)": [*program, "watch", store],
             "DuckDB: mean and spread by drive": [sys.executable, "-c", QUERY, store],
         }.items():  # fmt: skip
             figures = [timed(command) for _ in range(options.passes or (1 if options.sample else 3))]
