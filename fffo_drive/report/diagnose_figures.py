@@ -121,7 +121,7 @@ def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figur
             title=f"{run.name} ({roles[run.role]})",
             caption="Smallest and largest residual in each interval.",
             x=PlotAxis("time", "s"),
-            y=PlotAxis(f"{words.torque} that is left", words.torque_unit),
+            y=PlotAxis(f"residual {words.torque}", words.torque_unit),
             series=(
                 _envelope("before", run.time_s, run.before_low_nm, run.before_high_nm, BEFORE),
                 _envelope("after", run.time_s, run.after_low_nm, run.after_high_nm, AFTER),

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample: resampling says nothing about it
+RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample, which cannot be resampled
 LEAST_STRETCHES = 8
 
 

@@ -42,7 +42,7 @@ class Tuned(NamedTuple):
 
 
 def tune(model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None) -> Tuned:
-    """Choose gains for the linear axis of a model. Raises DocumentError where none has the wanted margins.
+    """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
     fitted delay too short; the longer of the two is designed for.
@@ -128,6 +128,6 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
         raise DocumentError(
-            f"with the wanted crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
+            f"with the requested crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
     raise DocumentError(f"{model.name}: {text}No crossover gives them: require smaller margins")

@@ -77,7 +77,7 @@ HELD: dict[str, dict[str, Any]] = {
 }
 GAINS = ("observer_nm_per_rev", "proportional_a_per_rps", "integral_time_s")
 SHARES = (0.25, 0.5, 0.75, 1.5, 2.0)  # of the nearest point's gains
-APART = 0.15  # a value that is nearer to the nearest point's tells nothing new
+APART = 0.15  # values closer than this to that of the nearest point are left out
 NEAR = 1.1  # within this factor a ratio counts as reached
 TRIALS, SAMPLE_TRIALS = 90, 2  # of each of the four searches
 

@@ -190,7 +190,7 @@ class FaultInjector(Timed):
         self.renew()
 
     def renew(self) -> None:
-        """Take the rules of the wire anew: from the faults in effect, and the identifiers in use."""
+        """Set the rules of the wire again from the faults in effect and the identifiers in use."""
         self.sent.rules.clear()
         self.received.rules.clear()
         for fault in self._active:
