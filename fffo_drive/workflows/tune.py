@@ -128,6 +128,6 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
         raise DocumentError(
-            f"with the requested crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
+            f"with a crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
     raise DocumentError(f"{model.name}: {text}No crossover gives them: require smaller margins")
