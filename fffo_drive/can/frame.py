@@ -88,11 +88,6 @@ def _stuffable_bits(data_bytes: int, extended: bool) -> int:
     return (54 if extended else 34) + 8 * data_bytes
 
 
-def shortest_bits(data_bytes: int, *, extended: bool = False) -> int:
-    """Bits of a frame without one stuff bit, interframe space included: 47 + 8 n for an 11-bit identifier."""
-    return _stuffable_bits(data_bytes, extended) + _UNSTUFFED_TAIL
-
-
 def longest_bits(data_bytes: int, *, extended: bool = False) -> int:
     """Worst case of Davis et al. 2007: g + 8 n + 13 + floor((g + 8 n - 1) / 4), with g = 34 or 54."""
     stuffable = _stuffable_bits(data_bytes, extended)

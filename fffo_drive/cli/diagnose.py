@@ -78,7 +78,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.alpha is not None:
         settings = settings._replace(false_alarm_rate=options.alpha)
 
-    def told(records: list[Record], coverage: Coverage, facts: DriveFacts) -> None:
+    def covered(records: list[Record], coverage: Coverage, facts: DriveFacts) -> None:
         for record in records:
             for warning in record.warnings:
                 print(f"warning: {warning}", file=sys.stderr)
@@ -94,7 +94,7 @@ def execute(options: argparse.Namespace) -> int:
     done = diagnose_recordings(
         options.fit, options.held_out, out, facts_file=Path(options.drive) if options.drive else None,
         model_file=Path(options.model) if options.model else None, name=options.name, settings=settings,
-        without=options.without, told=told, bar=partial(progress_bar, quiet=options.json), prior=prior,
+        without=options.without, covered=covered, bar=partial(progress_bar, quiet=options.json), prior=prior,
     )  # fmt: skip
     if done.removed is not None:
         print(f"{done.removed}: from an earlier diagnosis, removed: these runs give no model", file=sys.stderr)

@@ -78,7 +78,7 @@ def graded(
     )
 
 
-def told(
+def judged(
     name: str, verdict: Verdict, text: str, remedy: str = "", numbers: Mapping[str, float] | None = None
 ) -> CheckRecord:
     """A check of a fact rather than of a number."""

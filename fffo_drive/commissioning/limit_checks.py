@@ -9,7 +9,7 @@ import numpy as np
 
 from ..control.envelope import LIMIT_CURRENT, TRIP_TEXTS
 from .estimate import fall_rate_rps2
-from .judge import Range, graded, not_done, told
+from .judge import Range, graded, judged, not_done
 from .motion import PulseMotion, pulse_windows, responses
 from .motion_checks import MOVED_REV, NOISE_SIGMAS
 from .record import FAILED, OK, WARNING, CheckRecord
@@ -36,14 +36,14 @@ def current_limit(motion: PulseMotion, limit_a: float, asked_a: float, resolutio
         f"{asked_a:.3g} A requested with a limit of {limit_a:.3g} A: {highest_a:.3g} A sent, {moved_rev:.2g} rev moved"
     )
     if highest_a > limit_a + resolution_a or not told_limited or not motion.enabled.any():
-        return told("current_limit", FAILED, text, ENVELOPE_REMEDY, numbers)
+        return judged("current_limit", FAILED, text, ENVELOPE_REMEDY, numbers)
     if moved_rev > MOVED_REV:
         remedy = (
             "the axis moved at a current that had not moved it: friction is uneven, or the drive makes more current "
             "than requested"
         )
-        return told("current_limit", WARNING, text, remedy, numbers)
-    return told("current_limit", OK, text, numbers=numbers)
+        return judged("current_limit", WARNING, text, remedy, numbers)
+    return judged("current_limit", OK, text, numbers=numbers)
 
 
 def trip_row(motion: PulseMotion) -> int:
@@ -66,7 +66,7 @@ def stop_after_trip(
         text = f"no trip at a limit of {limit:.3g} {unit}; the axis reached {reached:.3g} {unit}"
         if reached <= limit:
             return not_done(name, f"{text}, less than with the same pulse before: repeat")
-        return told(name, FAILED, text, ENVELOPE_REMEDY, {"limit": limit, "peak_rps": peak_rps})
+        return judged(name, FAILED, text, ENVELOPE_REMEDY, {"limit": limit, "peak_rps": peak_rps})
     after = motion.part(np.arange(motion.size) >= row)
     left = np.flatnonzero(~after.enabled)
     left_s = float(after.time_s[left[0]] - after.time_s[0]) if left.size else math.nan
@@ -87,22 +87,22 @@ def stop_after_trip(
     text = f"tripped at {limit:.3g} {unit}, at rest {stop_s * 1e3:.0f} ms and {way_rev:.3g} rev later"
     trip = int(motion.trip[row])
     if trip != expected_trip:
-        return told(name, FAILED, f"another trip came first: {TRIP_TEXTS[trip]}", ENVELOPE_REMEDY, numbers)
+        return judged(name, FAILED, f"another trip came first: {TRIP_TEXTS[trip]}", ENVELOPE_REMEDY, numbers)
     if (after.command_a != 0.0).any():
-        return told(name, FAILED, "current was commanded after the trip", ENVELOPE_REMEDY, numbers)
+        return judged(name, FAILED, "current was commanded after the trip", ENVELOPE_REMEDY, numbers)
     if not left_s <= LEAVE_S:
         remedy = "the drive stays in Operation Enabled after a trip: check its reaction to the controlword (0x6040)"
-        return told(name, FAILED, f"{text}; the drive did not let go", remedy, numbers)
+        return judged(name, FAILED, f"{text}; the drive did not let go", remedy, numbers)
     if not stands:
         remedy = "the axis coasts on: let the drive brake (0x605A, 0x6085), add a brake, or leave it more room"
-        return told(
+        return judged(
             name,
             FAILED,
             f"the axis still moved {after.time_s[-1] - after.time_s[0]:.1f} s after the trip",
             remedy,
             numbers,
         )
-    return told(name, OK, text, numbers=numbers)
+    return judged(name, OK, text, numbers=numbers)
 
 
 def quick_stop(stops: Sequence[PulseMotion], coasting: Sequence[PulseMotion]) -> CheckRecord:
@@ -120,7 +120,7 @@ def quick_stop(stops: Sequence[PulseMotion], coasting: Sequence[PulseMotion]) ->
             falls_s.append((HIGH - LOW) * speed_rps / coast)
     if not braked:
         remedy = "repeat with a larger --speed; until then do not rely on the quick stop"
-        return told("quick_stop", FAILED, "the axis was too slow, or did not stop: nothing to compare", remedy)
+        return judged("quick_stop", FAILED, "the axis was too slow, or did not stop: nothing to compare", remedy)
     ratio = float(np.mean(np.divide(braked, free)))
     numbers = {
         "deceleration_rps2": float(np.mean(braked)),
@@ -133,7 +133,7 @@ def quick_stop(stops: Sequence[PulseMotion], coasting: Sequence[PulseMotion]) ->
     )
     if ratio < BRAKES_OK and max(falls_s) < SHORTEST_FALL_S:
         remedy = "friction alone stops the axis as fast; repeat with a larger --speed to see the drive brake"
-        return told("quick_stop", WARNING, text, remedy, numbers)
+        return judged("quick_stop", WARNING, text, remedy, numbers)
     remedy = (
         "the drive does not brake: set 0x605A (quick stop option) to 2 or 6 and a steep 0x6085 (quick stop "
         "deceleration); without it every trip coasts"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..model.parameters import ModelFile
 from .estimate import GainFit, HeldCurrent, ScaleFit
-from .judge import Range, factor, graded, told, within
+from .judge import Range, factor, graded, judged, within
 from .motion import PulseMotion, PulseResponse
 from .objects import NamePlate
 from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
@@ -57,7 +57,7 @@ def beliefs_of(model: ModelFile) -> Beliefs:
 def standstill(motion: PulseMotion) -> CheckRecord:
     """Without voltage the axis must be at rest, and the feedback must show it."""
     if not motion.size:
-        return told(
+        return judged(
             "standstill", FAILED, "no feedback after SYNC", "see the TPDO mapping and the cut-off (loop.cutoff_share)"
         )
     wandered_rev = float(np.ptp(motion.position_rev))
@@ -70,11 +70,11 @@ def standstill(motion: PulseMotion) -> CheckRecord:
     text = f"position varies by {wandered_rev:.2g} rev, velocity {offset_rps:+.2g} rps on average"
     if wandered_rev > STILL_REV:
         remedy = "the axis moves without torque, or the sensor does not work: hold the load, check the sensor's wiring"
-        return told("standstill", FAILED, text, remedy, numbers)
+        return judged("standstill", FAILED, text, remedy, numbers)
     if abs(offset_rps) > OFFSET_RPS:
         remedy = "the velocity word has an offset at rest: check 0x606C and the tracking loop's tuning"
-        return told("standstill", WARNING, text, remedy, numbers)
-    return told("standstill", OK, text, numbers=numbers)
+        return judged("standstill", WARNING, text, remedy, numbers)
+    return judged("standstill", OK, text, numbers=numbers)
 
 
 def has_moved(move: PulseResponse, noise_rps: float, period_s: float) -> bool:
@@ -114,7 +114,7 @@ def signs(moves: Sequence[PulseResponse]) -> list[CheckRecord]:
             "that 0x6064 is mapped as a signed 32-bit word of the same sensor"
         )
     return [
-        told(name, FAILED if name == wrong else OK, text, remedy if name == wrong else "", numbers)
+        judged(name, FAILED if name == wrong else OK, text, remedy if name == wrong else "", numbers)
         for name in ("torque_sign", "velocity_sign", "position_sign")
     ]
 
@@ -158,9 +158,9 @@ def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declare
                 f"set drive.counts_per_rev to what {plate.counts_object} says; if they differ on purpose, a position "
                 "factor (0x6091, 0x6092) is active: set it to 1"
             )
-            return told(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
+            return judged(name, FAILED, text, remedy, {"declared": declared, "object_608f": object_608f})
     if suspected and name not in suspected:
-        return told(name, OK, text + CLEARED)
+        return judged(name, OK, text + CLEARED)
     would = f" ({declared / fit.ratio:.6g} counts would agree with the velocity)" if declared and fit.ratio else ""
     remedy = f"correct drive.counts_per_rev{would}, or the position factors 0x608F, 0x6091, 0x6092 in the drive"
     limits = within(1.0, SCALE_OK, SCALE_WARNING)
@@ -172,7 +172,7 @@ def _velocity_units(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts:
     declared, object_6090 = facts.velocity_units_per_rps, plate.velocity_units_per_rps
     text = f"integrated velocity is {fit.ratio:.4g} of the travel by the position"
     if suspected and name not in suspected:
-        return told(name, OK, text + CLEARED)
+        return judged(name, OK, text + CLEARED)
     would = f" ({declared * fit.ratio:.6g} units for one rev/s would agree with the position)" if declared else ""
     remedy = f"correct drive.velocity_units_per_rps{would}; see 0x6090, 0x6094 and the unit of 0x606C in the manual"
     check = graded(name, fit.ratio, 1.0, within(1.0, SCALE_OK, SCALE_WARNING), "-", text, remedy)
@@ -225,9 +225,9 @@ def current_scale(
         text += f"; rated torque over rated current is {of_plate:.3f} of the model's Kt"
         if within(1.0, PLATE_OK, PLATE_WARNING).verdict(of_plate) != OK and limits.verdict(ratio) == OK:
             remedy = "0x6076 over 0x6075 differs from the torque constant of the model: make them agree"
-            return told("current_scale", WARNING, text, remedy, numbers)
+            return judged("current_scale", WARNING, text, remedy, numbers)
     if not samples and held is None:
-        return told("current_scale", WARNING, "the drive reported no current during the pulses", remedy, numbers)
+        return judged("current_scale", WARNING, "the drive reported no current during the pulses", remedy, numbers)
     return graded("current_scale", ratio, 1.0, limits, "-", text, remedy, numbers)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from ..drive.canopen.units_told import counts_increments, units_told
+from ..drive.canopen.reported_units import counts_increments, reported_units
 from ..drive.port import DriveRefusedError
 
 PERMILLE = 1000.0
@@ -59,11 +59,11 @@ def read_name_plate(source: object, current_unit_a: float = 1e-3) -> NamePlate:
     if not isinstance(source, ObjectSource):
         return NamePlate()
     objects = _Objects(source)
-    told = units_told(objects)
+    reported = reported_units(objects)
     torque, current = objects.value(0x6076), objects.value(0x6075)
     return NamePlate(
-        told.get("counts_per_rev"),
-        told.get("velocity_units_per_rps"),
+        reported.get("counts_per_rev"),
+        reported.get("velocity_units_per_rps"),
         torque * 1e-3 / (current * current_unit_a) if torque and current else None,
         current * current_unit_a if current else None,
         "0x608F" if counts_increments(objects.value(0x60A8)) else "0x60A8",

@@ -38,7 +38,7 @@ from .estimate import (
     travel_ratio,
     update_interval_s,
 )
-from .judge import CHECKS, not_done, told
+from .judge import CHECKS, judged, not_done
 from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
 from .objects import PERMILLE, NamePlate, ObjectSource, read_name_plate, read_number
@@ -177,7 +177,7 @@ class _Procedure:
             pairs = int(LONGEST_MEASURING_S / (2.0 * (probe.length_s + rest_s)))
             if pairs < 1:
                 text = f"the axis coasts for {rest_s / REST_FACTOR:.1f} s after a pulse"
-                self.add(told("motion", FAILED, text, "repeat with a smaller --speed"))
+                self.add(judged("motion", FAILED, text, "repeat with a smaller --speed"))
                 raise _SurpriseError(text)
             profile = pulses.measuring_pairs(
                 probe.amplitude_a, probe.length_s, rest_s, self.rig.period_s, min(MEASURING_PAIRS, pairs)
@@ -216,7 +216,7 @@ class _Procedure:
                 "the drive or this PC does not keep time: see realtime.*, the load of the bus (fffo-drive config "
                 "check) and its wiring, then repeat"
             )
-        self.add(told("motion", FAILED, f"{run.fault_text}, with pulses of {current_a:.3g} A", remedy))
+        self.add(judged("motion", FAILED, f"{run.fault_text}, with pulses of {current_a:.3g} A", remedy))
 
     def _note_rest(self, motion: PulseMotion) -> None:
         if motion.size:
@@ -256,7 +256,7 @@ class _Procedure:
         speeds = [move.speed_rps for move in best.moves]
         pulse = f"{best.amplitude_a:.3g} A for {best.length_s * 1e3:.0f} ms"
         text = f"{pulse}: {speeds[0]:.3g} rps forwards, {speeds[-1]:.3g} backwards"
-        self.add(told("motion", OK, text, numbers={"current_a": best.amplitude_a, "speed_rps": min(speeds)}))
+        self.add(judged("motion", OK, text, numbers={"current_a": best.amplitude_a, "speed_rps": min(speeds)}))
         return best
 
     def _amplitudes(self) -> Iterator[tuple[float, float]]:
@@ -296,7 +296,7 @@ class _Procedure:
         else:
             text = f"the axis moves one way with {moved_a:.3g} A, not the other way with {self.bounds.current_a:.3g} A"
             remedy = "a load pulls it, or it is at an end stop: balance or move it, or give a larger --current"
-        self.add(told("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
+        self.add(judged("motion", FAILED, text, remedy, {"current_a": self.bounds.current_a}))
 
     def _hold(self, runner: Runner, current_a: float) -> HeldCurrent | None:
         """0x6078 over the commanded current, with the axis at rest under it. None if it cannot be determined."""
@@ -349,7 +349,7 @@ class _Procedure:
                 "is the brake released and the axis free, or does a load swing on an elastic coupling? If it needs "
                 "more, give a larger --current or --speed"
             )
-            self.add(told("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
+            self.add(judged("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
         raise _SurpriseError(text)
 
     def _is_not_rigid(self, unexplained: float) -> None:
@@ -360,7 +360,7 @@ class _Procedure:
             "backlash, an elastic coupling or strong cogging? The torque per inertia and the delay below are rough; "
             "identify and diagnose the axis before its gains are raised"
         )
-        self.add(told("motion", WARNING, text, remedy, moved.numbers | {"unexplained_share": unexplained}))
+        self.add(judged("motion", WARNING, text, remedy, moved.numbers | {"unexplained_share": unexplained}))
 
     def _trusted_gain(self, by_velocity: float, scale: ScaleFit) -> float:
         """Acceleration per ampere, by the word with the right scale."""

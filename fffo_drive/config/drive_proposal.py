@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.needs import has_mode, mode_text
 from ..drive.canopen.object_map import STANDARD_SLOTS
+from ..drive.canopen.reported_units import reported_units, unit_remarks
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS, DriveObjects, available
-from ..drive.canopen.units_told import remarks_told, units_told
 from ..drive.cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
 from .drive_section import RATED_CURRENT_UNITS, RATED_TORQUE_UNITS, CanopenDriveSection
 
@@ -80,9 +80,9 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Dri
         put("status_event", 0, f"TPDO{event} has no inhibit time: the statusword with the SYNC after a change")
     unit_nm = RATED_TORQUE_UNITS[given.get("rated_torque_unit", "mNm")]
     unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
-    for key, value in units_told(objects, unit_nm, unit_a).items():
+    for key, value in reported_units(objects, unit_nm, unit_a).items():
         put(key, value, "reported by the drive")
-    return DriveProposal(section, sources, tuple(stand_ins), tuple(remarks_told(objects)))
+    return DriveProposal(section, sources, tuple(stand_ins), tuple(unit_remarks(objects)))
 
 
 def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:

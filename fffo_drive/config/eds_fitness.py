@@ -16,7 +16,7 @@ from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
 from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, FileObjects, check_device_type, check_modes, needs
 from ..drive.canopen.object_map import EVERY_SYNC, ON_EVENT, PdoMap
-from ..drive.canopen.units_told import highest_rate_hz
+from ..drive.canopen.reported_units import highest_rate_hz
 from .drive_proposal import DriveProposal, config_of, propose
 
 # objects that we use where a drive has them, and what for

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 PARSE_ERROR = -32700
@@ -187,6 +186,3 @@ def finite(content: Json) -> Json:
     if isinstance(content, list | tuple):
         return [finite(value) for value in content]
     return content
-
-
-Answer = Callable[[Json], None]

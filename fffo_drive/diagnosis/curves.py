@@ -124,7 +124,7 @@ def curves(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
             shapes = {**_shapes(axis.kind, knots), "scale": axis.scale, "of_current": axis.of_current}
             at = rows.joined(abscissa(scenes, axis))
             weight = rows.joined(factor(scene, axis.kind) for scene in scenes)
-            yield Curve(UNKNOWN + axis.word, shapes, hats(at, knots) * weight[:, None])
+            yield Curve(UNKNOWN + axis.word, shapes, linear_basis(at, knots) * weight[:, None])
     yield from _springs(rows, scenes)
 
 
@@ -158,7 +158,9 @@ def coarse_tables(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curv
             if (axis.word, axis.scale) not in hat:
                 at = rows.joined(abscissa(scenes, axis))
                 knots = np.unique(np.quantile(at[rows.kept], np.linspace(0.01, 0.99, COARSE)))
-                hat[axis.word, axis.scale] = hats(np.clip(at, knots[0], knots[-1]), knots) if knots.size >= 3 else None
+                hat[axis.word, axis.scale] = (
+                    linear_basis(np.clip(at, knots[0], knots[-1]), knots) if knots.size >= 3 else None
+                )
         first, second = (hat[axis.word, axis.scale] for axis in pair)
         if first is not None and second is not None:
             weight = rows.joined(factor(scene, pair.along.kind) for scene in scenes)[:, None]
@@ -242,12 +244,12 @@ def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_:
         units = (load_along(scene, name, {**shapes, f"y{k:02d}": 1.0}) for k in range(values_of(shapes)))
         return np.stack([filter_.rows(unit) for unit in units], axis=1)
     weight = factor(scene, shapes["kind"])
-    first, *second = (hats(abscissa([scene], axis)[0], knots).T for axis, knots in axes_of_curve(name, shapes))
+    first, *second = (linear_basis(abscissa([scene], axis)[0], knots).T for axis, knots in axes_of_curve(name, shapes))
     levels = [weight] if not second else [hat * weight for hat in second[0]]
     return np.stack([filter_.rows(hat * level) for level in levels for hat in first], axis=1)
 
 
-def hats(places: Floats, knots: Floats, beyond: float | None = None) -> Floats:
+def linear_basis(places: Floats, knots: Floats, beyond: float | None = None) -> Floats:
     """Linear interpolation weights, one column per knot. (n, k)
 
     Beyond the last knot its value holds, or `beyond` where given.

@@ -28,7 +28,7 @@ from .base import BASE, NAMES, population_prior
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
 from .gates import NEGLIGIBLE, needed_rows
-from .own_pictures import own_picture
+from .law_pictures import law_picture
 from .pictures import ceiling, picture, run_figures
 from .proof import Proof, error_figures, inertia_of
 from .propose import WAVE_RUNG
@@ -310,7 +310,7 @@ def _finding(
         torque_rms_nm=float(np.sqrt(np.mean(torque**2))),
         rivals=tuple(_rival(note, *one) for one in note.rivals),
         picture=picture(data, selected.fitted, number),
-        own_picture=own_picture(data, selected.fitted, number),
+        law_picture=law_picture(data, selected.fitted, number),
         gain=(note.gain.value, note.gain.sd),
         held_out_gain=unseen,
         regime_before=before,

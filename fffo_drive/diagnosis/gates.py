@@ -93,7 +93,7 @@ def needed_rms_nm(data: Data, fitted: Fitted) -> float:
 def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
     """Why the last effect of a model is rejected; empty where nothing contradicts it."""
     effect = fitted.effects[-1]
-    reason = misshapen(data, fitted, reference, ablate)
+    reason = implausibility(data, fitted, reference, ablate)
     if reason:
         return reason
     if law_of(effect.name).shown_by_current and "current" not in ablate:
@@ -105,7 +105,7 @@ def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablat
     return ""
 
 
-def misshapen(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
+def implausibility(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
     """Why a model is physically implausible (an implausible shape, or a shrunken axis); empty where it is not."""
     for effect in () if "shapes" in ablate else fitted.effects:
         reason = _shape_objection(data, effect)

@@ -120,7 +120,7 @@ class Finding:
     torque_rms_nm: float = 0.0  # of the effect, where the axis moves in the fit runs
     rivals: tuple[Rival, ...] = ()
     picture: Picture | None = None  # the residual over its axis
-    own_picture: Picture | None = None  # the figure that its law declares (`Law.figure`)
+    law_picture: Picture | None = None  # the figure that its law declares (`Law.figure`)
     gain: tuple[float, float] | None = None  # nats on rows outside the fit, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where there is too little of that

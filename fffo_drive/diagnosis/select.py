@@ -39,7 +39,7 @@ from .fitting import (
     torque_of,
     with_levels,
 )
-from .gates import ReferenceAxis, misshapen, objection
+from .gates import ReferenceAxis, implausibility, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect, load_rows, strength_columns
 
@@ -59,7 +59,7 @@ LAW_OF_CURVE = 0.75  # a law with more than this share of a curve's gain takes p
 LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
 
 
-class Standing(NamedTuple):
+class ScoredFit(NamedTuple):
     """A hypothesis with the figures for its comparison."""
 
     fitted: Fitted
@@ -139,30 +139,30 @@ class Selector:
     def run(self, data: Data) -> Selection:
         """Climb the ladder, then let all remaining effects compete. `data` as they are at the start."""
         whole = data
-        data, standing, accepted = self._ladder(data)
-        self.reference = ReferenceAxis.of(data, standing.fitted, standing.matrix)
+        data, scored, accepted = self._ladder(data)
+        self.reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
         for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
             while len(accepted) < MOST_EFFECTS:
                 self.told((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
-                found = self._round(data, standing, accepted, rung)
+                found = self._round(data, scored, accepted, rung)
                 if found is None:
                     break
                 accepted = found[2]
-                data, standing = self._freed(whole, *found[:2])
+                data, scored = self._freed(whole, *found[:2])
             if rung == WAVE_RUNG:
-                self.ladder = standing.fitted
-                self.reference = self.reference.and_then(ReferenceAxis.of(data, standing.fitted, standing.matrix))
-        data, standing, accepted = self._pruned(data, standing, accepted, refit=True)
+                self.ladder = scored.fitted
+                self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
+        data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
         plain = base_of(data)
         assert self.ladder is not None
-        stands = {note.name for note in accepted}  # an effect found beside another cannot replace it
-        accepted = [replace(one, family=tuple(n for n in one.family if n not in stands)) for one in accepted]
+        kept = {note.name for note in accepted}  # an effect found beside another cannot replace it
+        accepted = [replace(one, family=tuple(n for n in one.family if n not in kept)) for one in accepted]
         return Selection(
-            data, plain, standing.fitted, standing.matrix, tuple(accepted), tuple(self.refused.values()),
+            data, plain, scored.fitted, scored.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios, self._negligible_nm,
         )  # fmt: skip
 
-    def _ladder(self, data: Data) -> tuple[Data, Standing, list[Accepted]]:
+    def _ladder(self, data: Data) -> tuple[Data, ScoredFit, list[Accepted]]:
         """The first rungs: the smallest set of their laws that unseen rows do not distinguish from the best set.
 
         They are fitted together with a rigid base from the start: a base that was fitted without them, or has more
@@ -175,41 +175,41 @@ class Selector:
         laws = [name for name in laws if "ladder" not in self.ablate and self._distinct(rigid, name)]
         sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]
 
-        def fitted(data: Data, chosen: tuple[str, ...]) -> Standing:
+        def fitted(data: Data, chosen: tuple[str, ...]) -> ScoredFit:
             own = [starting_effect(name, self.facts) for name in chosen]
-            return stand(data, fit(data, data.start, own, LADDER_ITERATIONS))
+            return scored_fit(data, fit(data, data.start, own, LADDER_ITERATIONS))
 
-        standings = list(in_threads(lambda chosen: fitted(rigid, chosen), sets))
-        chosen = self._smallest(rigid, sets, standings)
-        simple = standings[chosen]
+        fits = list(in_threads(lambda chosen: fitted(rigid, chosen), sets))
+        chosen = self._smallest(rigid, sets, fits)
+        simple = fits[chosen]
         whole, bare = in_threads(lambda own: fitted(data, own), (sets[chosen], ()))
         folds = data.folds
         if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, folds).holds:
-            data, whole, bare = rigid, simple, standings[0]
+            data, whole, bare = rigid, simple, fits[0]
         share = share_gone(bare.fitted, whole.fitted)
         if not sets[chosen] or share < LEAST_SHARE:
             return *settled(data, bare.fitted), []
         accepted = [
             Accepted(name, gain(bare.unseen, whole.unseen, folds), 0.0, share, family, (), len(sets))
-            for name, family in zip(sets[chosen], self._families(sets, standings, chosen, folds), strict=True)
+            for name, family in zip(sets[chosen], self._families(sets, fits, chosen, folds), strict=True)
         ]
-        data, standing = settled(data, whole.fitted)
-        return self._pruned(data, standing, accepted)
+        data, scored = settled(data, whole.fitted)
+        return self._pruned(data, scored, accepted)
 
-    def _freed(self, whole: Data, data: Data, standing: Standing) -> tuple[Data, Standing]:
+    def _freed(self, whole: Data, data: Data, scored: ScoredFit) -> tuple[Data, ScoredFit]:
         """Free the full base friction, where the ladder kept a rigid base and a later effect makes it determinable."""
         if data.free == whole.free or self.facts.units == "linear":
-            return data, standing
+            return data, scored
         freed = data._replace(free=whole.free, start=whole.start)
         static, coulomb = (NAMES.index(name) for name in ("static_nm", "coulomb_nm"))
-        physical = standing.fitted.physical.copy()
+        physical = scored.fitted.physical.copy()
         physical[static] *= whole.start[static] / whole.start[coulomb]
-        found = stand(freed, fit(freed, physical, standing.fitted.effects, LADDER_ITERATIONS))
-        if not gain(standing.unseen, found.unseen, data.folds).holds:
-            return data, standing
+        found = scored_fit(freed, fit(freed, physical, scored.fitted.effects, LADDER_ITERATIONS))
+        if not gain(scored.unseen, found.unseen, data.folds).holds:
+            return data, scored
         return settled(freed, found.fitted)
 
-    def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing]) -> int:
+    def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], fits: Sequence[ScoredFit]) -> int:
         """The smallest set that is not worse than the best; among equal sizes the first that is not worse than the
         others.
 
@@ -217,16 +217,16 @@ class Selector:
         """
         folds = data.folds
 
-        def best(of: Sequence[int]) -> Standing:
-            return standings[min(of, key=lambda k: float(standings[k].unseen.sum()))]
+        def best(of: Sequence[int]) -> ScoredFit:
+            return fits[min(of, key=lambda k: float(fits[k].unseen.sum()))]
 
         first = best(range(len(sets)))
-        size = min(len(own) for own, one in zip(sets, standings, strict=True) if not _worse(first, one, folds))
+        size = min(len(own) for own, one in zip(sets, fits, strict=True) if not _worse(first, one, folds))
         alike = [k for k, own in enumerate(sets) if len(own) == size]
-        return next(k for k in alike if not _worse(best(alike), standings[k], folds))
+        return next(k for k in alike if not _worse(best(alike), fits[k], folds))
 
     def _families(
-        self, sets: Sequence[tuple[str, ...]], standings: Sequence[Standing], chosen: int, folds: Folds
+        self, sets: Sequence[tuple[str, ...]], fits: Sequence[ScoredFit], chosen: int, folds: Folds
     ) -> list[tuple[str, ...]]:
         """For each law of the chosen set, the laws that could replace it."""
         own = sets[chosen]
@@ -234,9 +234,9 @@ class Selector:
         for name in own:
             rest = set(own) - {name}
             found.append(tuple(
-                next(iter(set(other) - rest)) for other, one in zip(sets, standings, strict=True)
+                next(iter(set(other) - rest)) for other, one in zip(sets, fits, strict=True)
                 if len(other) == len(own) and rest < set(other) and name not in other
-                and not _worse(standings[chosen], one, folds)
+                and not _worse(fits[chosen], one, folds)
             ))  # fmt: skip
         return found
 
@@ -248,20 +248,20 @@ class Selector:
         return quick_score(evidence_of(data, start, jacobian(data, start)), data.white(own)).rank > 0
 
     def _round(
-        self, data: Data, standing: Standing, accepted: list[Accepted], rung: int
-    ) -> tuple[Data, Standing, list[Accepted]] | None:
+        self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int
+    ) -> tuple[Data, ScoredFit, list[Accepted]] | None:
         """Add one effect; None where none remains on this rung."""
-        evidence = self._evidence(data, standing.fitted, standing.matrix)
-        proposals = self.search.proposals(data, standing.fitted, evidence, rung)
+        evidence = self._evidence(data, scored.fitted, scored.matrix)
+        proposals = self.search.proposals(data, scored.fitted, evidence, rung)
         tried = self.search.tried
         if rung == LAW_RUNG and not self.first:
             self.first = tuple(ranked(proposals, key=lambda one: -one.worth))
             self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
-        laws, free = self._contenders(data, standing, evidence, proposals, tried)
-        believed = self._believed(data, standing, evidence, laws, tried)
-        free = _beyond_laws(standing, believed, free, evidence.folds)[:CURVES_REFITTED]
-        believed += self._believed(data, standing, evidence, free, tried)
-        if rung == LAW_RUNG and self._contradicted(data, standing, evidence, believed):
+        laws, free = self._contenders(data, scored, evidence, proposals, tried)
+        believed = self._believed(data, scored, evidence, laws, tried)
+        free = _beyond_laws(scored, believed, free, evidence.folds)[:CURVES_REFITTED]
+        believed += self._believed(data, scored, evidence, free, tried)
+        if rung == LAW_RUNG and self._contradicted(data, scored, evidence, believed):
             return None
         if not believed:
             return None
@@ -280,13 +280,13 @@ class Selector:
             tuple((item[0].name, item[2].value) for item in believed if item[0].name != chosen[0].name), tried,
         )  # fmt: skip
         found = self._pruned(*renewed(data, chosen[1].fitted), [*accepted, note])
-        reason = misshapen(found[0], found[1].fitted, self.reference, self.ablate)
+        reason = implausibility(found[0], found[1].fitted, self.reference, self.ablate)
         if reason:  # a reason that arose at the noise levels of the new model
             self.barred.add(chosen[0].name)
             self.refused[chosen[0].name] = Refused(
-                chosen[0].name, reason, share_gone(standing.fitted, chosen[1].fitted), note.p
+                chosen[0].name, reason, share_gone(scored.fitted, chosen[1].fitted), note.p
             )
-            return self._round(data, standing, accepted, rung)
+            return self._round(data, scored, accepted, rung)
         state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
         if state in self.visited:  # a cycle: adding one effect removes another, and the reverse
             return None
@@ -294,20 +294,20 @@ class Selector:
         return found
 
     def _contradicted(
-        self, data: Data, standing: Standing, evidence: Evidence, believed: Sequence[tuple[Proposal, Standing, Gain]]
+        self, data: Data, scored: ScoredFit, evidence: Evidence, believed: Sequence[tuple[Proposal, ScoredFit, Gain]]
     ) -> bool:
         """Whether a separate inertia per run explains unseen rows, and no effect explains them better."""
         rows = data.rows
-        inertia = standing.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
+        inertia = scored.fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]
         columns = np.stack(
             [np.where(rows.run == k, inertia * rows.acceleration_rps2, 0.0) for k in range(data.runs)], axis=1
         )
         own = quick_score(evidence, data.white(columns))
         if data.runs < 2 or own.explained < LEAST_SHARE * evidence.energy:
             return False
-        matrix = np.concatenate([standing.matrix, data.white(columns)], axis=1)
-        loss = unseen_loss(standing.fitted.white, matrix, evidence.folds)
-        if not gain(standing.unseen, loss, evidence.folds).holds:
+        matrix = np.concatenate([scored.matrix, data.white(columns)], axis=1)
+        loss = unseen_loss(scored.fitted.white, matrix, evidence.folds)
+        if not gain(scored.unseen, loss, evidence.folds).holds:
             return False
         if any(not gain(result.unseen, loss, evidence.folds).holds for _, result, _ in believed):
             return False
@@ -317,10 +317,10 @@ class Selector:
         return True
 
     def _contenders(
-        self, data: Data, standing: Standing, evidence: Evidence, proposals: Sequence[Proposal], tried: int
+        self, data: Data, scored: ScoredFit, evidence: Evidence, proposals: Sequence[Proposal], tried: int
     ) -> tuple[list[Contender], list[Contender]]:
         """Laws and free curves beyond chance, the largest linear gain first."""
-        taken = {e.name for e in standing.fitted.effects}
+        taken = {e.name for e in scored.fitted.effects}
         able = [
             one for one in proposals
             if one.score.p * tried <= self.rate and one.score.explained > LEAST_SHARE * evidence.energy
@@ -330,28 +330,28 @@ class Selector:
         for one in ranked(able, key=lambda one: -one.worth):
             if sum(other.name == one.name for other in picked) < TRIED_A_KIND and len(picked) < TRIED:
                 picked.append(one)
-        losses = list(in_threads(lambda one: _linear(data, standing, one, evidence.folds), picked))
-        gains = [gain(standing.unseen, loss, evidence.folds) for loss in losses]
+        losses = list(in_threads(lambda one: _linear(data, scored, one, evidence.folds), picked))
+        gains = [gain(scored.unseen, loss, evidence.folds) for loss in losses]
         order = [k for k in ranked(range(len(picked)), key=lambda k: -gains[k].value) if gains[k].holds]
         found = [Contender(picked[k], losses[k]) for k in order]
         laws = [one for one in found if not one.proposal.name.startswith(UNKNOWN)]
         return laws[:REFITTED], [one for one in found if one.proposal.name.startswith(UNKNOWN)]
 
     def _believed(
-        self, data: Data, standing: Standing, evidence: Evidence, contenders: Sequence[Contender], tried: int
-    ) -> list[tuple[Proposal, Standing, Gain]]:
+        self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int
+    ) -> list[tuple[Proposal, ScoredFit, Gain]]:
         """Contenders that, refitted with everything, still have enough gain and no objection."""
         both = "two_starts" not in self.ablate
 
-        def stands(one: Contender) -> Standing:
+        def refit(one: Contender) -> ScoredFit:
             promised = one.proposal.score.explained / evidence.energy
-            return stand(data, refitted(data, standing.fitted, one.proposal, promised, both))
+            return scored_fit(data, refitted(data, scored.fitted, one.proposal, promised, both))
 
-        standings = list(in_threads(stands, contenders))
+        fits = list(in_threads(refit, contenders))
         found = []
-        for (one, _), result in zip(contenders, standings, strict=True):
-            own = gain(standing.unseen, result.unseen, evidence.folds)
-            share = share_gone(standing.fitted, result.fitted)
+        for (one, _), result in zip(contenders, fits, strict=True):
+            own = gain(scored.unseen, result.unseen, evidence.folds)
+            share = share_gone(scored.fitted, result.fitted)
             if not own.holds or share < LEAST_SHARE:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
@@ -370,66 +370,66 @@ class Selector:
         return 0.0 if self.reference is None or "least_torque" in self.ablate else self.reference.negligible_nm
 
     def _pruned(
-        self, data: Data, standing: Standing, accepted: list[Accepted], refit: bool = False
-    ) -> tuple[Data, Standing, list[Accepted]]:
+        self, data: Data, scored: ScoredFit, accepted: list[Accepted], refit: bool = False
+    ) -> tuple[Data, ScoredFit, list[Accepted]]:
         """Drop the effects that no longer explain enough, the weakest first, by their present gains.
 
         Without `refit` an effect that looks superfluous is judged by a refit of the others, and any other by one step
         of them. If any effect acts on the command, all are refitted: its regressor contains the residual, and one step
         does not show what it can absorb.
         """
-        refit = refit or any(on_command(effect) for effect in standing.fitted.effects)
+        refit = refit or any(on_command(effect) for effect in scored.fitted.effects)
         while accepted:
-            judged = [self._judged(data, standing, number, note, refit) for number, note in enumerate(accepted)]
+            judged = [self._judged(data, scored, number, note, refit) for number, note in enumerate(accepted)]
             if len(accepted) == 1 and judged[0].share >= LEAST_SHARE:
                 # it was judged at its acceptance and nothing has been added since
-                return data, standing, [replace(judged[0], p=accepted[0].p or judged[0].p)]
+                return data, scored, [replace(judged[0], p=accepted[0].p or judged[0].p)]
             weakest = None
             for k in ranked(range(len(judged)), key=lambda k: judged[k].gain.value):
                 if self._is_idle(judged[k]) and "drop" not in self.ablate:
-                    judged[k] = self._judged(data, standing, k, accepted[k], True)
+                    judged[k] = self._judged(data, scored, k, accepted[k], True)
                     if self._is_idle(judged[k]):
                         weakest = k
                         break
             if weakest is None:
-                return data, standing, judged
+                return data, scored, judged
             del accepted[weakest]
-            left = [e for k, e in enumerate(standing.fitted.effects) if k != weakest]
-            data, standing = renewed(data, fit(data, standing.fitted.physical, left))
-        return data, standing, accepted
+            left = [e for k, e in enumerate(scored.fitted.effects) if k != weakest]
+            data, scored = renewed(data, fit(data, scored.fitted.physical, left))
+        return data, scored, accepted
 
     def _is_idle(self, note: Accepted) -> bool:
         return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
 
-    def _judged(self, data: Data, standing: Standing, number: int, note: Accepted, refit: bool) -> Accepted:
+    def _judged(self, data: Data, scored: ScoredFit, number: int, note: Accepted, refit: bool) -> Accepted:
         """Gain, share and p-value of one effect given all others.
 
         Effects of the first rungs are compared with laws only: a free curve also contains a constant.
         """
-        effects = standing.fitted.effects
+        effects = scored.fitted.effects
         aside = [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
         if law_of(effects[number].name).rung > WAVE_RUNG:
             aside = []
-        beside = without(data, standing, aside, refit)
-        alone = without(data, standing, [*aside, number], refit)
+        beside = without(data, scored, aside, refit)
+        alone = without(data, scored, [*aside, number], refit)
         place = number - sum(k < number for k in aside)
         return replace(
             note, gain=gain(alone.unseen, beside.unseen, data.folds),
             share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
         )  # fmt: skip
 
-    def _chance(self, data: Data, standing: Standing, number: int, note: Accepted) -> float:
+    def _chance(self, data: Data, scored: ScoredFit, number: int, note: Accepted) -> float:
         """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
-        own = columns_of(data, standing, number)
-        scenes = consistent_scenes(data, standing.fitted.physical, standing.fitted.effects)
-        load = data.white(load_rows(data.rows, scenes, standing.fitted.effects[number]))
-        others = np.delete(standing.matrix, np.arange(own.start, own.stop), axis=1)
-        found = score(self._evidence(data, standing.fitted, others), standing.matrix[:, own], load)
+        own = columns_of(data, scored, number)
+        scenes = consistent_scenes(data, scored.fitted.physical, scored.fitted.effects)
+        load = data.white(load_rows(data.rows, scenes, scored.fitted.effects[number]))
+        others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
+        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load)
         return min(1.0, found.p * note.tried) if found.rank else note.p
 
 
 def _beyond_laws(
-    standing: Standing, believed: Sequence[tuple[Proposal, Standing, Gain]], free: list[Contender], folds: Folds
+    scored: ScoredFit, believed: Sequence[tuple[Proposal, ScoredFit, Gain]], free: list[Contender], folds: Folds
 ) -> list[Contender]:
     """Curves with a larger gain than any law; other curves need no refit.
 
@@ -441,46 +441,46 @@ def _beyond_laws(
     return [
         one for one in free
         if gain(law.unseen, one.unseen, folds).holds
-        and LAW_OF_CURVE * gain(standing.unseen, one.unseen, folds).value > most.value
+        and LAW_OF_CURVE * gain(scored.unseen, one.unseen, folds).value > most.value
     ]  # fmt: skip
 
 
-def _worse(best: Standing, other: Standing, folds: Folds) -> bool:
+def _worse(best: ScoredFit, other: ScoredFit, folds: Folds) -> bool:
     """Whether unseen rows distinguish the two."""
     return best is not other and gain(other.unseen, best.unseen, folds).holds
 
 
-def _linear(data: Data, standing: Standing, one: Proposal, folds: Folds) -> Floats:
+def _linear(data: Data, scored: ScoredFit, one: Proposal, folds: Folds) -> Floats:
     """Loss of unseen rows with a proposal's columns added, without a nonlinear refit."""
     own = data.white(one.columns)
-    prior = np.zeros(standing.matrix.shape[1] + own.shape[1])
-    return unseen_loss(standing.fitted.white, np.concatenate([standing.matrix, own], axis=1), folds, prior)
+    prior = np.zeros(scored.matrix.shape[1] + own.shape[1])
+    return unseen_loss(scored.fitted.white, np.concatenate([scored.matrix, own], axis=1), folds, prior)
 
 
-def stand(data: Data, fitted: Fitted) -> Standing:
+def scored_fit(data: Data, fitted: Fitted) -> ScoredFit:
     """A fit with its sensitivities and unseen losses."""
     matrix = jacobian(data, fitted)
-    return Standing(fitted, matrix, unseen_loss(fitted.white, matrix, data.folds))
+    return ScoredFit(fitted, matrix, unseen_loss(fitted.white, matrix, data.folds))
 
 
-def without(data: Data, standing: Standing, numbers: Sequence[int], refit: bool) -> Standing:
+def without(data: Data, scored: ScoredFit, numbers: Sequence[int], refit: bool) -> ScoredFit:
     """The hypothesis without some effects: the others refitted, or moved by one robust least-squares step."""
     if not numbers:
-        return standing
-    fitted = standing.fitted
+        return scored
+    fitted = scored.fitted
     effects = [e for k, e in enumerate(fitted.effects) if k not in numbers]
     if refit:
-        return stand(data, fit(data, fitted.physical, effects))
+        return scored_fit(data, fit(data, fitted.physical, effects))
     gone = [fitted.effects[k] for k in numbers]
     load = torque_of(data, consistent_scenes(data, fitted.physical, fitted.effects), gone)
-    own = np.concatenate([np.r_[columns_of(data, standing, k)] for k in numbers])
-    others = np.delete(standing.matrix, own, axis=1)
+    own = np.concatenate([np.r_[columns_of(data, scored, k)] for k in numbers])
+    others = np.delete(scored.matrix, own, axis=1)
     target = fitted.white + data.white(load)
     left = robust_residual(target, others)
     residual_nm = fitted.residual_nm.copy()
     residual_nm[data.used] = left / data.weight[data.used]
     moved = Fitted(fitted.physical, tuple(effects), float(huber(left).mean()), residual_nm, left)
-    return Standing(moved, others, unseen_loss(target, others, data.folds))
+    return ScoredFit(moved, others, unseen_loss(target, others, data.folds))
 
 
 def numbers_of(fitted: Fitted) -> int:
@@ -488,11 +488,11 @@ def numbers_of(fitted: Fitted) -> int:
     return len(slots_of(fitted.effects, 1.0))
 
 
-def columns_of(data: Data, standing: Standing, number: int) -> slice:
+def columns_of(data: Data, scored: ScoredFit, number: int) -> slice:
     """The effect's columns in the matrix of everything that is fitted."""
-    slots = slots_of(standing.fitted.effects, data.rows.turns)
+    slots = slots_of(scored.fitted.effects, data.rows.turns)
     own = [k for k, slot in enumerate(slots) if slot.effect == number]
-    first = standing.matrix.shape[1] - len(slots)
+    first = scored.matrix.shape[1] - len(slots)
     return slice(first + own[0], first + own[-1] + 1)
 
 
@@ -535,14 +535,14 @@ def base_of(data: Data) -> Fitted:
     return found
 
 
-def settled(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
+def settled(data: Data, fitted: Fitted) -> tuple[Data, ScoredFit]:
     """Repeat `renewed` until noise levels and model agree."""
     for _ in range(ROUNDS):
-        data, standing = renewed(data, fitted)
-        change, fitted = _moved(data, fitted, standing.fitted), standing.fitted
+        data, scored = renewed(data, fitted)
+        change, fitted = _moved(data, fitted, scored.fitted), scored.fitted
         if change < SETTLED:
             break
-    return data, standing
+    return data, scored
 
 
 def _moved(data: Data, before: Fitted, after: Fitted) -> float:
@@ -550,9 +550,9 @@ def _moved(data: Data, before: Fitted, after: Fitted) -> float:
     return float(np.sqrt(np.mean(clipped(data.white(after.residual_nm - before.residual_nm)) ** 2)))
 
 
-def renewed(data: Data, fitted: Fitted) -> tuple[Data, Standing]:
+def renewed(data: Data, fitted: Fitted) -> tuple[Data, ScoredFit]:
     """Noise levels and balance at rest of the new model, then a refit."""
     data = at_rest(data, fitted.physical, fitted.effects)
     begin = evaluate(data, fitted.physical, fitted.effects)[0]
     data = with_levels(data, begin)
-    return data, stand(data, fit(data, fitted.physical, fitted.effects))
+    return data, scored_fit(data, fit(data, fitted.physical, fitted.effects))

@@ -44,7 +44,6 @@ MOST_ALARMS = 4  # of one drive
 BURN_IN = 8  # runs that set a level: what comes after is judged against it, these are not
 NORMAL_MAD = 1.4826  # standard deviation over the median magnitude
 LEVEL, TEMPERATURE, SPEED = range(3)  # coefficients of a channel
-COVARIATES = 2
 # a channel's memory: 3 coefficients, their covariance over the variance, shape and sum of the variance, the run before
 _B, _V, _SHAPE, _SUM, _LAST, _HAS = 0, 3, 12, 13, 14, 17
 STATE = 18

@@ -48,13 +48,6 @@ class Balance(NamedTuple):
     rows: float
     effective_rows: float  # independent ones among them: rows that follow each other say nearly the same
 
-    def with_rows_of(self, other: Balance) -> Balance:
-        """Both sets of rows together."""
-        return Balance(
-            self.normal + other.normal, self.moment + other.moment, self.energy_nm2 + other.energy_nm2,
-            self.rows + other.rows, self.effective_rows + other.effective_rows,
-        )  # fmt: skip
-
 
 class Estimates(NamedTuple):
     """What a balance gives, or each of several (...)."""

@@ -28,13 +28,6 @@ def binary(kind: str, payload: bytes, **content: Any) -> bytes:
     return len(head).to_bytes(HEAD_BYTES, "little") + head + payload
 
 
-def taken_apart(frame: bytes) -> tuple[dict[str, Any], bytes]:
-    """Head and payload of a binary frame."""
-    length = int.from_bytes(frame[:HEAD_BYTES], "little")
-    head: dict[str, Any] = json.loads(frame[HEAD_BYTES : HEAD_BYTES + length])
-    return head, frame[HEAD_BYTES + length :]
-
-
 def fields() -> list[dict[str, Any]]:
     """The signals in order, with their types and offsets in a row of a capture."""
     places = ROW.fields

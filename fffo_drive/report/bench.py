@@ -1,4 +1,4 @@
-"""The report of a bench: what the friction observer was worth against PI, and whether the loop was sound."""
+"""The report of a bench: controllers with and without friction observer against PI, and the timing of the loop."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ Intervals = dict[str, dict[str, ShownInterval]]
 PICTURE_NAMES = ("bench.svg", "bench.png")
 STRETCH_S = 1.0
 UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
-COMPARABLE_S = 60.0  # of the paper's kind of reference: shorter ones hold too few reversals to compare with Table II
+COMPARABLE_S = 60.0  # shorter references have too few reversals for a comparison with Table II
 SOUND_LATE_SHARE = 0.01
 SOUND_MISSING_SHARE = 0.01
 LATE_SHARE_OF_PERIOD = 0.2
 
 
 class BenchRecord(NamedTuple):
-    """One controller's run as it was read back, in the order of its files."""
+    """One controller's run as read back from its files, in their order."""
 
     parts: tuple[Run, ...]
     exchange: ExchangeCounts = ExchangeCounts()  # the port's counts, which are not in the rows
@@ -67,7 +67,7 @@ class BenchRecord(NamedTuple):
 
     @property
     def metadata(self) -> Mapping[str, str]:
-        """What stands at the head of the first file."""
+        """Metadata of the first file."""
         return self.parts[0].metadata
 
 
@@ -150,7 +150,7 @@ def _sections(result: BenchResult, cutouts: list[draw.ShownPart]) -> tuple[Secti
     data = result.data
     friction = draw.friction_figures(data, cutouts)
     sections = [
-        Section("Tracking", "At a reversal, PI alone has to wait until its integral overcomes the friction.",
+        Section("Tracking", "At a reversal, PI alone sticks until its integral overcomes the friction.",
                 (draw.profile_figure(data, cutouts), *draw.cutout_figures(data, cutouts))),
         Section("Error", "Distribution and metrics of the velocity error.",
                 (*draw.histogram_figures(data), draw.metrics_figure(result.metrics, result.intervals),
@@ -230,7 +230,7 @@ def _surety(result: BenchResult, best: str) -> Line:
 
 
 def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:
-    """Certain where the interval of the ratio of both ISE leaves 1 out, on a machine that kept time."""
+    """Certain where the interval of the ISE ratio excludes 1 and the machine kept time."""
     ends = result.intervals.get(worse, {}).get("ise")
     if ends is None or better != min(result.metrics, key=lambda name: result.metrics[name].ise):
         return "probable"
@@ -260,7 +260,7 @@ def _reasons(result: BenchResult, names: list[str]) -> list[str]:
 
 
 def _cautions(result: BenchResult) -> list[str]:
-    """What makes the comparison weaker than it looks."""
+    """Cautions about the comparison."""
     due = {name: ticks.ticks + ticks.skipped for name, ticks in result.ticks.items()}
     untimely = _untimely(result)
     unanswered = {name: ticks.missing_feedback / due[name] for name, ticks in result.ticks.items()}
@@ -315,8 +315,8 @@ def _metrics_table(result: BenchResult) -> Table:
     return Table(
         name="metrics", title="Velocity error",
         note="Reference minus measured velocity over the profile. Per cent of the smallest, as in Table II of the "
-             "paper; below it the 95 % interval over which parts of the profile count (bootstrap of "
-             f"{STRETCH_S:g} s stretches, the same ones of every run). MAX is one sample and has none. "
+             "paper; below it the 95 % interval over the choice of parts of the profile (bootstrap of "
+             f"{STRETCH_S:g} s stretches, the same for every run). MAX is one sample and has none. "
              "▸ marks the smallest.",
         corner="metric", columns=columns, rows=rows,
     )  # fmt: skip
@@ -345,7 +345,7 @@ def _ticks_table(result: BenchResult) -> Table:
         rows.append(Row(label=name, cells=[*counts, *times, count(result.rows_lost[name])]))
     return Table(
         name="ticks", title="Ticks",
-        note=f"A tick is late from {result.late_us:g} µs after its deadline; one that is missed is skipped, never made "
+        note=f"A tick is late from {result.late_us:g} µs after its deadline. A missed tick is skipped and never made "
              "up for. Wire errors: bad, dropped and error frames, losses of the bus and frames that could not be sent.",
         corner="controller", columns=columns, rows=rows,
     )  # fmt: skip

@@ -97,7 +97,7 @@ def bench_data(rows: Mapping[str, Rows], period_s: float, samples: int) -> Bench
 
 
 def colour_of(name: str, names: list[str]) -> str:
-    """The paper's three controllers, before and after have their colours; others take what is left."""
+    """The paper's three controllers, before and after have fixed colours; others take the remaining ones."""
     others = [other for other in names if other not in COLOURS]
     return COLOURS.get(name) or SPARE_COLOURS[others.index(name) % len(SPARE_COLOURS)]
 
@@ -111,7 +111,7 @@ def choose_cutouts(reference_rps: Floats, period_s: float) -> list[ShownPart]:
         begins = np.arange(0, reference_rps.size - length + 1, max(1, length // 8))
         windows = [reference_rps[begin : begin + length] for begin in begins]
         peaks = np.array([np.abs(window).max() for window in windows]) / most
-        # how far the reference goes to the less used side of standstill; none where it keeps its direction
+        # how far the reference goes in its less used direction; 0 where it never reverses
         swings = np.array([max(0.0, min(window.max(), -window.min())) for window in windows]) / most
         gentle = np.abs(np.log((peaks + TINY) / LOW_SHARE)) + np.abs(np.log((swings + TINY) / LOW_SHARE))
         order = np.argsort(gentle if speed == "low" else -peaks * swings, kind="stable")
@@ -120,7 +120,7 @@ def choose_cutouts(reference_rps: Floats, period_s: float) -> list[ShownPart]:
 
 
 def _apart(begins: np.ndarray, length: int, taken: list[tuple[str, int, int]]) -> list[int]:
-    """The first two of `begins` whose windows overlap neither each other nor those taken, in order of time."""
+    """The first two of `begins` whose windows overlap neither each other nor those taken, by time."""
     found: list[int] = []
     for begin in begins.tolist():
         others = [(other, other + length) for other in found] + [(start, end) for _, start, end in taken]
@@ -191,7 +191,7 @@ def velocity_figure(data: BenchData) -> Figure:
 
 
 def error_figures(data: BenchData) -> list[Figure]:
-    """The error of each run over time, one below the other with one ordinate."""
+    """The error of each run over time, one below the other on the same scale."""
     names = list(data.velocity_rps)
     x = Uniform(0.0, data.period_s)
     return [
@@ -299,7 +299,7 @@ def turnaround_figure(data: BenchData) -> Figure:
 
 
 def lateness_courses(data: BenchData, late_us: float) -> list[Figure]:
-    """Lateness over time, one run below the other with one ordinate."""
+    """Lateness over time, one run below the other on the same scale."""
     names = list(data.lateness_us)
     x = Uniform(0.0, data.period_s)
     return [

@@ -1,4 +1,4 @@
-"""The report of a whole circle: what was found and adopted, and the tracking error before and after.
+"""The report of a circle: what was found and adopted, and the tracking error before and after.
 
 report.json is the usual one; its `results` are `as_object`, of the format `circle`.
 """
@@ -72,7 +72,7 @@ class CircleSource(NamedTuple):
     axis: str
     verdict: str  # of the diagnosis
     effects: tuple[str, ...]
-    unexplained_rest: str  # of the diagnosis: what is left and could be explained; empty: nothing
+    unexplained_rest: str  # of the diagnosis: residual that could still be explained; empty: none
     not_compensated: dict[str, str]  # of these: the reason
     gates: tuple[dict[str, Any], ...]
     model_error: dict[str, Any]  # before, after: held-out figures of the diagnosis
@@ -89,7 +89,7 @@ class CircleSource(NamedTuple):
 def tracking_of(before: Rows, after: Rows | None, period_s: float, samples: int) -> Tracking:
     """Metrics of the runs over one profile of `samples`.
 
-    The integral stands for the whole profile, so that runs compare in which other ticks were skipped.
+    The ISE is scaled to the whole profile, so that runs with different skipped ticks can be compared.
     """
     rows = {"before": before} | ({"after": after} if after is not None else {})
     metrics: dict[str, BeforeAfter] = {}
@@ -192,14 +192,14 @@ def circle_report(source: CircleSource) -> Report:
 
 
 def _verdict(source: CircleSource) -> Verdict:
-    pair = source.tracking.metrics["measured"]  # what a real axis knows of itself
+    pair = source.tracking.metrics["measured"]  # all that a real axis has
     served = [name for name in source.effects if name not in source.not_compensated]
     names = ", ".join(served if source.adopted else source.effects)
     confidence: Confidence = "certain"
     finding, step = "nothing missing", "nothing to do"
     if source.verdict == "nothing_carries_over":
-        finding, step = "nothing that carries over", "keep the model"
-        headline = "Nothing was found that carries over to the run that was held out: the model stays as it is."
+        finding, step = "nothing confirmed", "keep the model"
+        headline = "Nothing that was found lowers the error of the held-out run: the model is unchanged."
     elif not source.effects:
         headline = "The diagnosis found nothing that the model lacks: the model is unchanged."
     elif not source.adopted:
@@ -241,7 +241,7 @@ def _verdict(source: CircleSource) -> Verdict:
 
 
 def _confidence(tracking: Tracking) -> Confidence:
-    """Certain where the interval of the squared error's ratio leaves 1 out."""
+    """Certain where the interval of the ISE ratio excludes 1."""
     ends = tracking.intervals["measured"].get("ise")
     if ends is None:
         return "probable"
@@ -306,7 +306,7 @@ def _tracking_table(tracking: Tracking) -> Table:
         rows.append(Row(label=key.upper(), unit=unit, cells=cells))
     note = (
         "Reference minus velocity over the file's profile, without and with the adopted model. Below the ratio its "
-        f"95 % interval over which parts of the profile count ({STRETCH_S:g} s stretches, the same ones of both runs)."
+        f"95 % interval over the choice of parts of the profile ({STRETCH_S:g} s stretches, the same for both runs)."
     )
     return Table(name="tracking", title="Tracking error", note=note, corner="metric", columns=columns, rows=rows)
 
@@ -317,7 +317,7 @@ def _gates_table(gates: Sequence[dict[str, Any]]) -> Table:
         Row(label=gate["name"], cells=[Cell(text="passed" if gate["passed"] else "refused"), Cell(text=gate["text"])])
         for gate in gates
     ]
-    note = "Conditions that a model must meet before it is put in service."
+    note = "Conditions that a model must meet before it goes into service."
     return Table(name="gates", title="Gates", note=note, corner="gate", columns=columns, rows=rows)
 
 

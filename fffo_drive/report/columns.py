@@ -1,4 +1,4 @@
-"""One picture of what an import took each column for: every signal with its derivative or its partner beside it."""
+"""A figure of how an import read each column: every signal with the derivative or signal that it should match."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WIDTH = 120  # of a title, characters
 def column_figures(
     guesses: Sequence[Guess], columns: Mapping[str, Floats], torque_unit: str, linear: bool
 ) -> list[list[Figure]]:
-    """A row a signal for one sheet, with the grounds of the guess in its title; the time has none."""
+    """Rows of figures for one sheet, one per signal except time, with the reason for the guess in the title."""
     turn, speed = (unit_on(unit, linear) for unit in ("rev", "rps"))
     units = {POSITION_REV: turn, ENCODER_REV: turn, VELOCITY_RPS: speed, REFERENCE_RPS: speed,
              COMMAND_A: torque_unit or "-", CURRENT_A: torque_unit or "-"}  # fmt: skip
@@ -72,7 +72,7 @@ def _cutout(columns: Mapping[str, Floats]) -> slice:
 
 
 def _partner(signal: str, columns: Mapping[str, Floats]) -> tuple[str, Floats] | None:
-    """What a signal should look like by another one."""
+    """What a signal should look like, computed from another one."""
     position = columns.get(POSITION_REV)
     if position is None:
         return None

@@ -23,14 +23,14 @@ COLOURS = ("blue", "orange", "green", "purple")
 WIDTHS: dict[int, Width] = {1: "full", 2: "half", 3: "third"}  # of figures that share a row
 CLASSES = 60
 POINTS = 1500  # of all runs
-SHARES = 99  # of the motion, at which the waves are told
+SHARES = 99  # quantiles of the motion at which the highest order is drawn
 WINDOW_S = 4.0  # of the spectrum
 LEAST_WINDOW_S = 0.5
 FREQUENCIES = 400
 
 
 def coverage_section(records: Sequence[Record], coverage: Coverage, linear: bool) -> Section:
-    """The section of a page: what the data can show and what they cannot in words, and the pictures."""
+    """The section of a page: what the data can and cannot show, in words and figures."""
     text = f"They hold {'; '.join(shown(coverage, linear))}."
     wanted = to_record(coverage, linear)
     if wanted:
@@ -100,7 +100,7 @@ def _shares(name: str, title: str, caption: str, axis: PlotAxis, values: Floats)
 
 
 def _waves(velocity_rps: Floats, coverage: Coverage, linear: bool) -> Figure:
-    """The finest wave of the position that each part of the motion shows: the filter's cut-off over the speed."""
+    """The highest order of ripple that each part of the motion shows: the filter's cut-off over the speed."""
     share = np.linspace(0.0, 100.0, SHARES + 2)[1:-1]
     lowest_rps = max(1e-3 * coverage.highest_rps, 1e-12)
     speed_rps = np.maximum(np.percentile(np.abs(velocity_rps), share), lowest_rps)

@@ -13,7 +13,7 @@ SHOWN_ORDERS = 12
 
 
 def cyclic_table(found: CyclicError) -> Table:
-    """Sure orders, the largest first."""
+    """Significant orders, the largest first."""
     rows = [
         Row(
             label=f"{one.order} a turn",
@@ -31,7 +31,7 @@ def cyclic_table(found: CyclicError) -> Table:
     rows.append(
         Row(label="all together, peak to peak", cells=[number(ARCMIN * found.peak_to_peak_rev, 3), number(np.nan)])
     )
-    rows.append(Row(label="left, rms", cells=[number(ARCMIN * found.left_rms_rev, 3), number(np.nan)]))
+    rows.append(Row(label="remaining, rms", cells=[number(ARCMIN * found.left_rms_rev, 3), number(np.nan)]))
     return Table(
         name="cyclic", title="Position sensor", corner="order", rows=rows,
         note="Position minus that of the reference encoder, by periods per revolution; 95 % intervals. The error "

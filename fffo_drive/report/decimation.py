@@ -1,4 +1,4 @@
-"""Fewer points that look the same: of each bucket of samples the smallest and the largest, in their order."""
+"""Decimation for figures: of each bucket of samples the smallest and the largest, in their order."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from .figures import Floats, Series, Uniform
 def decimate(y: Floats, most: int) -> tuple[Floats, int]:
     """At most `most` points (at least 4) of equidistant samples (n,), and how many samples a bucket has (1: untouched).
 
-    Point 2 j and 2 j + 1 are the extremes of bucket j in the order in which they came, so every extreme of the record
-    is kept. NaN are passed over; a bucket of nothing else gives NaN.
+    Points 2 j and 2 j + 1 are the extremes of bucket j in their order, so every extreme of the record is kept. NaN are
+    ignored; a bucket of NaN alone gives NaN.
     """
     most = max(4, most)
     if y.size <= most:

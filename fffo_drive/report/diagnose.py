@@ -1,4 +1,4 @@
-"""The report of a diagnosis: what the model lacks, how sure that is, what it was confused with, and the error removed.
+"""The report of a diagnosis: what the model lacks, the confidence, possible confusions, and the error removed.
 
 The page comes from a `Diagnosis`; report.json beside it is the stable schema of `diagnosis.results.report`, with `kind`
 added, so that programs read one file and people the other.
@@ -40,7 +40,7 @@ from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
 from .population import population_table
 
 KIND = "diagnose"
-WIDEST = 1e3  # half an interval over its value, beyond which the data say nothing of a parameter
+WIDEST = 1e3  # half an interval over its value; beyond this the data do not determine the parameter
 SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
 SHOWN_REJECTED = 15
@@ -222,13 +222,13 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
     floor = ""
     if ceiling.noise_rms_nm is not None:
         rms = significant(ceiling.noise_rms_nm * words.torque_scale)
-        floor = f" What does not repeat: {rms} {words.small_torque} rms."
+        floor = f" Part that does not repeat: {rms} {words.small_torque} rms."
     note = (
         f"Residual {words.torque}, of the {words.torque} that the axis needs and as rms. Velocity error over windows "
         f"of 0.25 and 0.5 s: the {words.torque} residual, integrated with the model's {words.text('inertia')} "
         f"along the measured motion, without the mean {words.torque} of each window. 95 % intervals from resampled "
         "blocks. "
-        f"Below the held-out runs: the parts of them in which each effect acts. {ceiling.note.capitalize()}.{floor}"
+        f"Below the held-out runs: those parts in which each effect acts. {ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
 
@@ -301,7 +301,7 @@ def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
         )
         for channel in [*single, *pairs[:SHOWN_PAIRS]]
     ]
-    note = "What a free curve over one axis, or the mean after an event, explains of the squared residual."
+    note = "Share of the squared residual that a free curve over one axis, or the mean after an event, explains."
     if pairs:
         note += (
             f" Of {len(pairs)} pairs of axes, the strongest, in addition to their single curves; report.json has all."
@@ -331,7 +331,7 @@ def _rejected(rejected: Sequence[Finding]) -> Table:
     return Table(
         name="rejected",
         title="Tried and not accepted",
-        note="Explained enough to be tried, and rejected: physically impossible, contradicted by the measured "
+        note="Candidates that were fitted and rejected: physically implausible, contradicted by the measured "
         "current, or "
         "not confirmed by other runs.",
         corner="Effect",
@@ -424,8 +424,8 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     if not open_:
         return ()
     text = "\n".join(_wrapped(f"{names_of([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
-    note = "The experiment that separates the members of a family; `fffo-drive run AXIS --decide EFFECT` records it."
-    return (Listing(name="experiments", title="What would decide", note=note, text=text),)
+    note = "The motion that separates the members of a family; `fffo-drive run AXIS --decide EFFECT` records it."
+    return (Listing(name="experiments", title="Deciding experiments", note=note, text=text),)
 
 
 def _plain(content: Any) -> Any:

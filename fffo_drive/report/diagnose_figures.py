@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: each effect over the axis on which it lives, the residual of each run, where it lives."""
+"""Figures of a diagnosis: each effect over the quantity it depends on, the residual of each run, and its dependence."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angl
 BEFORE, AFTER, LAW = "grey", "blue", "orange"
 POINTS = (BEFORE, AFTER, "green", "purple")
 LINES = (LAW, "ink", "purple", "green")
-DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")  # two lines are told apart without their colours
+DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")  # lines differ without their colours too
 
 
 class DiagnosisWords(NamedTuple):
-    """What quantities are called on this kind of axis."""
+    """Names and units of quantities on this kind of axis."""
 
     torque: str = "torque"
     torque_unit: str = "Nm"
@@ -32,15 +32,15 @@ class DiagnosisWords(NamedTuple):
     linear: bool = False
 
     def unit(self, rotary: str) -> str:
-        """What stands for a unit of a rotary axis."""
+        """The unit here for that of a rotary axis."""
         return unit_on(rotary, self.linear)
 
     def name(self, parameter: str, rotary: str) -> str:
-        """What a parameter is called whose unit on a rotary axis is this one."""
+        """The name here of a parameter with this unit on a rotary axis."""
         return name_on(parameter, rotary, self.linear)
 
     def text(self, rotary: str) -> str:
-        """What a sentence about a rotary axis says of this one."""
+        """A sentence about a rotary axis in the words of this one."""
         return text_on(rotary, self.linear)
 
     def axis(self, word: str) -> str:
@@ -62,10 +62,10 @@ def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
 
 
 def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:
-    """The pictures of each finding: what its law asks for, and beside it the residual over its axis."""
+    """The figures of each finding: the one that its law declares, and the residual over its axis."""
     found = []
-    for number, finding in enumerate((f for f in findings if f.picture is not None or f.own_picture is not None), 1):
-        both = {f"effect-{number}-own": finding.own_picture, f"effect-{number}": finding.picture}
+    for number, finding in enumerate((f for f in findings if f.picture is not None or f.law_picture is not None), 1):
+        both = {f"effect-{number}-own": finding.law_picture, f"effect-{number}": finding.picture}
         found += [(name, picture) for name, picture in both.items() if picture is not None and picture.curves]
     width = "full" if len(found) == 1 else "half"
     return tuple(_effect(name, picture, width, words) for name, picture in found)
@@ -98,7 +98,7 @@ def _series(curve: FoundCurve, colour: str, words: DiagnosisWords, dash: Dash = 
 
 
 def _distinct(series: Sequence[Series]) -> list[Series]:
-    """Series with names of their own: a second one of a name gets a number."""
+    """Series with unique names: a number is added to a name that occurs again."""
     seen: dict[str, int] = {}
     found = []
     for one in series:
@@ -121,7 +121,7 @@ def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figur
             title=f"{run.name} ({roles[run.role]})",
             caption="Smallest and largest residual in each interval.",
             x=PlotAxis("time", "s"),
-            y=PlotAxis(f"{words.torque} that is left", words.torque_unit),
+            y=PlotAxis(f"residual {words.torque}", words.torque_unit),
             series=(
                 _envelope("before", run.time_s, run.before_low_nm, run.before_high_nm, BEFORE),
                 _envelope("after", run.time_s, run.after_low_nm, run.after_high_nm, AFTER),

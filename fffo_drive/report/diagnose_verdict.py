@@ -1,4 +1,4 @@
-"""What the page of a diagnosis opens with: what the axis has, where, how big, how sure, and what to do about it."""
+"""The opening of a diagnosis page: what the axis has, where, how big, how sure, and what to do about it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
 
 def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
     return Verdict(
-        headline=diagnosis.headline, finding="nothing that carries over", confidence="certain",
+        headline=diagnosis.headline, finding="nothing confirmed", confidence="certain",
         next_step="keep the model in service", alarm=True,
         lines=[
             Line(label="How sure", text="What was found on the fitted runs does not lower the error of the "
@@ -59,7 +59,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
     more += f" and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
     law = law_of(lead.name)
-    # what usually makes it is told of one that is known by name
+    # only a law with a name has a usual cause
     cause = "" if law.name == "lookup" or lead.alternatives else f" Usually: {law.cause}."
     step, next_line = _next(lead, model_path)
     return Verdict(
@@ -83,7 +83,7 @@ def _confidence(diagnosis: Diagnosis, lead: Finding) -> Confidence:
 
 
 def plain_name(finding: Finding) -> str:
-    """What people at the machine call it; all members of a family that the data do not separate."""
+    """The plain name; of a family that the data do not separate, all members."""
     names = [law_of(name).plain_name for name in (finding.name, *finding.alternatives)]
     own = [f"{name} (over the {finding.axis.replace('_', ' ')})" if k == 0 and finding.curve is not None else name
            for k, name in enumerate(names)]  # fmt: skip
@@ -107,11 +107,12 @@ def _size(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
 
 
 def _short_rest(rest: Rest | None, words: DiagnosisWords) -> str:
-    """What is left, after another sentence; the whole of it stands among the cautions."""
+    """The unexplained residual in short; the cautions have the full sentence."""
     if rest is None:
         return ""
     left, floor = (significant(words.torque_scale * value, 2) for value in (rest.rms_nm, rest.floor_nm))
-    return f" Unexplained: {left} {words.small_torque} rms; at best {floor} {words.small_torque} rms would be left."
+    unit = words.small_torque
+    return f" Unexplained: {left} {unit} rms, which a better model could reduce to {floor} {unit}."
 
 
 def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
@@ -142,7 +143,7 @@ def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
 
 
 def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
-    """Nothing with a name: the friction's own form, nothing at all, or something that stays unexplained."""
+    """No named effect: a form of the friction, nothing at all, or an unexplained residual."""
     rest = diagnosis.unexplained_rest
     errors = diagnosis.after or diagnosis.fit_after
     share = significant(errors.torque_relative_percent.value, 2)
@@ -178,11 +179,11 @@ def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
 
 
 def _repeated(diagnosis: Diagnosis) -> list[str]:
-    """What repeats of a reference say, a sentence each."""
+    """What repetitions of a reference show, a sentence each."""
     found, ceiling = [], diagnosis.ceiling
     if ceiling.explained_of_explainable is not None:
         share = 100.0 * ceiling.explained_of_explainable
-        found.append(f"{share:.0f} % of what any model could explain is explained ({ceiling.note}).")
+        found.append(f"The model explains {share:.0f} % of what any model could explain ({ceiling.note}).")
     if ceiling.left_repeatable_fraction is not None:
         share = 100.0 * ceiling.left_repeatable_fraction
         found.append(f"{share:.0f} % of the remaining squared residual repeats with the reference.")
@@ -190,7 +191,7 @@ def _repeated(diagnosis: Diagnosis) -> list[str]:
 
 
 def doubts(diagnosis: Diagnosis) -> list[str]:
-    """What speaks against the figures of a diagnosis, a sentence each: held-out errors that rose, what is left."""
+    """Cautions about a diagnosis, a sentence each: held-out errors that rose, unexplained residual."""
     found = []
     words = words_of(diagnosis)
     for what, before, after in _held_out_errors(diagnosis):
@@ -255,10 +256,10 @@ def unproven(finding: Finding) -> bool:
 
 
 def lead_first(findings: Sequence[Finding]) -> list[Finding]:
-    """Effects that the headline may name before those in doubt and the forms of friction, then the proven ones."""
+    """Findings in the order of the headline: effects before those in doubt and forms of friction, proven ones first."""
     return sorted(findings, key=lambda finding: (finding.is_form or bool(finding.doubt), unproven(finding)))
 
 
 def names_of(names: Sequence[str]) -> str:
-    """Words in a row: a, b and c."""
+    """A list in words: a, b and c."""
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)

@@ -1,6 +1,6 @@
-"""What a report says: verdict, tables of numbers with intervals, figures, provenance; report.json is this for programs.
+"""Contents of a report: verdict, tables of numbers with intervals, figures, provenance.
 
-The page and the JSON file are made from the same records, so they cannot tell different things.
+The page and report.json are made from the same records, so they always agree.
 """
 
 from __future__ import annotations
@@ -36,22 +36,20 @@ class Line(StrictRecord):
 
 
 class Verdict(StrictRecord):
-    """What a page opens with: a headline, three words about it, a few lines. What it rests on is folded."""
+    """The opening of a page: a headline, three short answers, a few lines. The evidence is folded."""
 
     headline: str
     finding: Annotated[str, Field(description="what was found, in a few words")]
     confidence: Confidence
     next_step: Annotated[str, Field(description="what to do, in a few words")]
-    alarm: Annotated[bool, Field(description="what was looked at must not be used as it is")] = False
+    alarm: Annotated[bool, Field(description="the result must not be used as it is")] = False
     lines: list[Line] = Field(default_factory=list, max_length=MOST_LINES)
     reasons: list[str] = Field(default_factory=list)
-    cautions: Annotated[list[str], Field(description="what speaks against trusting the headline")] = Field(
-        default_factory=list
-    )
+    cautions: Annotated[list[str], Field(description="reasons not to trust the headline")] = Field(default_factory=list)
 
 
 class Heading(StrictRecord):
-    """A column of a table; neighbours of one `group` stand under one heading."""
+    """A column of a table; neighbours of one `group` share a heading."""
 
     label: str
     unit: str = ""
@@ -60,7 +58,7 @@ class Heading(StrictRecord):
 
 
 class Cell(StrictRecord):
-    """One number as it is, as it is printed, and its interval; or a text alone."""
+    """One number, its printed form and its interval; or text alone."""
 
     text: str
     value: float | None = None
@@ -89,7 +87,7 @@ class Table(StrictRecord):
 
 
 class Listing(StrictRecord):
-    """A text that is to be copied: a file that was written, or commands."""
+    """Text to copy: a file that was written, or commands."""
 
     name: str
     title: str
@@ -98,7 +96,7 @@ class Listing(StrictRecord):
 
 
 class SourceFile(StrictRecord):
-    """A file that the report rests on."""
+    """An input file of the report."""
 
     name: str
     bytes: int
@@ -138,7 +136,7 @@ class ReportFile(StrictRecord):
     listings: list[Listing] = Field(default_factory=list)
     figures: list[FigureEntry]
     provenance: ReportProvenance
-    results: Annotated[dict[str, Any], Field(description="what the kind of report adds for programs")] = Field(
+    results: Annotated[dict[str, Any], Field(description="results for programs, by kind of report")] = Field(
         default_factory=dict
     )
 
@@ -154,7 +152,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """All that a page shows."""
+    """The whole contents of a page."""
 
     kind: str  # bench, identify, evaluate, diagnose
     title: str
@@ -209,7 +207,7 @@ class Report:
 
 
 def of_linear_axis(report: Report) -> Report:
-    """The page of a rotary axis in the units and words of a linear one; listings and results, which have keys, stay."""
+    """The page of a rotary axis in units and words of a linear one; listings and results, which have keys, stay."""
 
     def said(text: str) -> str:
         return text_on(text, linear=True)
@@ -286,7 +284,7 @@ def source_file(name: str, data: bytes, text: bool = False) -> SourceFile:
 
 
 def provenance(files: list[SourceFile], facts: Mapping[str, str], now: datetime | None = None) -> ReportProvenance:
-    """Provenance with the versions of what computed."""
+    """Provenance with the versions of the software."""
     versions = {"fffo-drive": __version__, "Python": platform.python_version()}
     versions |= {name: version(name) for name in VERSIONED}
     date = (now or datetime.now(UTC)).isoformat(timespec="seconds")

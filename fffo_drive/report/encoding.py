@@ -1,7 +1,7 @@
 """Figures as JSON for the page: numbers as base64 of little-endian float32, long records as 16 bits of their range.
 
 16 bits halve a page, so that a minute of a few signals at 2 kHz keeps every sample. A step is 1/65534 of the record's
-range, far below a pixel until the ordinate is zoomed a hundredfold, and below what a resolver tells apart.
+range: below a pixel until the ordinate is zoomed a hundredfold, and below the resolution of a resolver.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def encode(values: Floats) -> Encoded:
 
 
 def decode(encoded: Encoded) -> Floats:
-    """What the page's script makes of `encode`."""
+    """Inverse of `encode`, as the page's script computes it."""
     if "f4" in encoded:
         return np.frombuffer(base64.b64decode(encoded["f4"]), "<f4").astype(np.float64)
     steps = np.frombuffer(base64.b64decode(encoded["i2"]), "<i2").astype(np.float64)
@@ -44,7 +44,7 @@ def decode(encoded: Encoded) -> Floats:
 
 
 def encode_figures(figures: Sequence[Figure], largest_bytes: int = LARGEST_DATA_BYTES) -> list[dict[str, Any]]:
-    """All figures of a page within `largest_bytes` of data: the longest records give way first."""
+    """All figures of a page within `largest_bytes` of data: the longest records are decimated first."""
     most = max((series.finest for figure in figures for series in figure.series), default=0)
     while True:
         encoded = [_figure(figure, most) for figure in figures]

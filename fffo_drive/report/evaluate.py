@@ -39,7 +39,7 @@ PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
 COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
 DASHES: tuple[Dash, ...] = ("solid", "dashdot", "solid", "dashed", "dotted", "solid")
 VELOCITY = PlotAxis("velocity", "rps")
-LARGEST_SKIPPED_SHARE = 0.001  # of a run's samples, above which its figures say something about the machine as well
+LARGEST_SKIPPED_SHARE = 0.001  # of a run's samples; above this its figures depend on the machine too
 
 
 class EvaluationSource(NamedTuple):
@@ -89,7 +89,7 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     ranking = sorted(summary.controllers, key=lambda name: comparison.absolute[name].value)
     cautions = [*source.cautions, *summary.failures]
     cautions += [
-        f"{run.candidate}, seed {run.seed}: the loop was too late for {100.0 * run.skipped_share:.2g} % of the ticks."
+        f"{run.candidate}, seed {run.seed}: the loop skipped {100.0 * run.skipped_share:.2g} % of the ticks."
         for run in evaluations
         if run.skipped_share > LARGEST_SKIPPED_SHARE
     ]
@@ -109,8 +109,8 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     if len(ranking) > 1:
         lines.append(_surety(summary, kind, best, ranking[1]))
     one_seed = len(summary.seeds) < 2
-    text = "Run several seeds, or record several runs of each: one does not show the scatter." if one_seed else (
-        f"Put `toggle` and gains of {best} into the axis file, and try it there with `fffo-drive run`."
+    text = "Run several seeds, or record several runs of each: a single one shows no scatter." if one_seed else (
+        f"Put `toggle` and gains of {best} into the axis file, and try it with `fffo-drive run`."
     )  # fmt: skip
     return Verdict(
         headline=headline, finding=f"{best} is best" if len(ranking) > 1 else best,
@@ -134,13 +134,13 @@ def _surety(summary: Summary, kind: str, best: str, second: str) -> Line:
 
 
 def _ratio_of(summary: Summary, kind: str, one: str, other: str) -> SeedInterval:
-    """ISE of one controller over that of another, of runs that saw the same noise; NaN ends with a single seed."""
+    """ISE of one controller over that of another, in runs with the same noise; with a single seed the ends are NaN."""
     values = summary.figures[f"{kind}.ise"].values
     return ratio_interval(values[one], values[other])
 
 
 def _confidence(summary: Summary, kind: str, ranking: Sequence[str]) -> Confidence:
-    """Certain where the interval of the ratio to the next best leaves 1 out."""
+    """Certain where the interval of the ratio to the next best excludes 1."""
     if len(ranking) < 2 or len(summary.seeds) < 2:
         return "probable"
     return "certain" if _ratio_of(summary, kind, ranking[1], ranking[0]).low > 1.0 else "cannot tell"
@@ -153,7 +153,7 @@ def _cell(interval: SeedInterval, best: bool = False) -> Cell:
 
 
 def _table_2(summary: Summary) -> Table:
-    """Table II: per cent of one controller, ours and the paper's side by side."""
+    """Table II: per cent of one controller, beside the paper's."""
     base = summary.figures["measured.ise"].base
     columns = []
     for title in METRICS.values():

@@ -1,4 +1,4 @@
-"""What a figure says, without how it is drawn: axes with units, series, marks. Page and static drawing share it."""
+"""Contents of a figure: axes with units, series, marks. Page and static drawing share them."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def histogram(name: str, values: Floats, edges: Floats, colour: str, draw: Draw 
 
 
 def normal_curve(name: str, values: Floats, edges: Floats) -> Series:
-    """What `histogram` would show were the values normal, with the same mean and deviation (NaN where it is 0)."""
+    """`histogram` of a normal distribution with the same mean and deviation (NaN where it is 0)."""
     centres = 0.5 * (edges[1:] + edges[:-1])
     deviation = float(values.std()) or math.nan
     distance = (centres - float(values.mean())) / deviation

@@ -1,4 +1,4 @@
-"""The report of an identification: what is known of an axis, how well, what is not, and what the model leaves over."""
+"""The report of an identification: the parameters and how well they are known, what is not determined, the residual."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from .population import population_table
 
 LARGE_RESIDUAL_PERCENT = 10.0  # of the torque: the model misses something that matters
 USELESS_RESIDUAL_PERCENT = 50.0
-TOLD_SHARE = 0.02  # of the residual's power that a function of the motion explains
+LEAST_SHARE = 0.02  # of the residual's power that a function of the motion explains, to be reported
 SURE = 1e-3
 ROTARY = IdentifyWords()
 LINEAR = IdentifyWords("force", "N", "m", "m/s", "N s/m", "command", "A", linear=True)
@@ -62,7 +62,7 @@ class IdentifySource(NamedTuple):
 
 
 def words_of(facts: DriveFacts) -> IdentifyWords:
-    """What quantities are called on this axis; the command's unit as declared for its column."""
+    """Names of quantities on this axis; the command's unit is the one declared for its column."""
     words = LINEAR if facts.units == "linear" else ROTARY
     column = (facts.columns or {}).get("current_command_a")
     unit = None if column is None or isinstance(column, str) else column.unit
@@ -102,19 +102,17 @@ def identify_report(
 def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWords) -> Verdict:
     doubted = [doubt["symbol"] for doubt in results["doubts"]]
     fitted = [row["symbol"] for row in results["parameters"] if row["of_the_model"] and row["fitted"]]
-    told = [symbol for symbol in fitted if symbol not in doubted]
+    determined = [symbol for symbol in fitted if symbol not in doubted]
     percent = {name: run["torque_relative_percent"] for name, run in results["residuals"].items()}
     worst = max(percent.values())
     if worst > LARGE_RESIDUAL_PERCENT:
         left = significant(worst, 2)
-        headline = f"The model leaves up to {left} % of the {words.torque}: an important effect is missing."
+        headline = f"The residual is up to {left} % of the {words.torque}: an important effect is missing."
     elif doubted:
-        headline = f"The data determine {', '.join(told)}. They do not determine {', '.join(doubted)}."
+        headline = f"The data determine {', '.join(determined)}. They do not determine {', '.join(doubted)}."
     else:
         left = _span(percent.values())
-        headline = (
-            f"The data determine all {len(fitted)} parameters, and the model leaves {left} % of the {words.torque}."
-        )
+        headline = f"The data determine all {len(fitted)} parameters; the residual is {left} % of the {words.torque}."
     cautions = [*results["warnings"], *_remaining(results)]
     cautions += [
         f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
@@ -143,7 +141,7 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
 
 
 def _first_doubt(results: dict[str, Any]) -> str:
-    """The first parameter that the data do not determine, and what would."""
+    """The first parameter that the data do not determine, and the motion that would determine it."""
     doubt = results["doubts"][0]
     return f"{doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}."
 
@@ -171,7 +169,7 @@ def _span(values: Any) -> str:
 
 
 def _quality(results: dict[str, Any], words: IdentifyWords) -> list[str]:
-    """The quality line: torque, velocity over free windows, what the residual remembers."""
+    """The quality line: torque residual, and error of the velocity simulated freely."""
     runs = results["residuals"].values()
     median = _span([run["velocity_median_rps"] for run in runs])
     window_s = next(iter(runs))["velocity_window_s"]
@@ -196,7 +194,7 @@ def _remaining(results: dict[str, Any]) -> list[str]:
         strong = [
             f"{d['function']} (r = {d['correlation']:+.2f})".replace("-", "\u2212")
             for d in run["dependence"]
-            if d["p_value"] < SURE and d["correlation"] ** 2 > TOLD_SHARE
+            if d["p_value"] < SURE and d["correlation"] ** 2 > LEAST_SHARE
         ]
         if strong:
             found.append(f"{name}: the residual still depends on {', '.join(strong)}: an effect that the model lacks.")
@@ -204,7 +202,7 @@ def _remaining(results: dict[str, Any]) -> list[str]:
 
 
 def _digits(value: float, sd: float | None) -> int:
-    """Digits that show a value to two digits of its standard deviation."""
+    """Number of digits that shows two digits of the standard deviation."""
     if sd is None or sd <= 0.0 or value == 0.0:
         return 4
     return min(9, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2))
@@ -218,7 +216,7 @@ def _parameters(results: dict[str, Any]) -> Table:
             continue
         source = "at a bound" if p["sd"] is None else "fitted, not determined" if p["name"] in doubted else "fitted"
         if p["name"] == "offset_nm":
-            continue  # it stands among the effects
+            continue  # the table of effects has it
         source = source if p["of_the_model"] else "beside the model"
         rows.append(_parameter_row(p["symbol"], p["unit"], p, source))
         if p["name"] == "inertia_nm_s2_per_rev" and results["units"] == "rotary":

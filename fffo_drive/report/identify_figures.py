@@ -27,7 +27,7 @@ LEAST_IN_BIN = 40
 
 
 class IdentifyWords(NamedTuple):
-    """What the quantities are called on this kind of axis, and their units."""
+    """Names and units of the quantities on this kind of axis."""
 
     torque: str = "torque"
     torque_unit: str = "Nm"
@@ -44,7 +44,7 @@ class IdentifyWords(NamedTuple):
         return "M" if self.linear else "J"
 
     def text(self, rotary: str) -> str:
-        """What a sentence about a rotary axis says of this one."""
+        """A sentence about a rotary axis in the words of this one."""
         return text_on(rotary, self.linear)
 
     def velocity(self, name: str = "velocity") -> PlotAxis:
@@ -57,14 +57,14 @@ class IdentifyWords(NamedTuple):
 
 
 def figure_name(prefix: str, record: str) -> str:
-    """An address in the page that is made of a record's name."""
+    """An address in the page, made from a record's name."""
     return f"{prefix}-{re.sub(r'[^A-Za-z0-9]+', '-', record).strip('-') or 'run'}"
 
 
 def free_velocities(run: RunResidual) -> tuple[Uniform, Floats, Floats]:
     """Measured and simulated velocity of the free windows on one grid: (n,) each, NaN between and where nothing moves.
 
-    The mean over a block is what the position says; the simulation starts anew with every window.
+    The measured one is the mean over a block, from the position; the simulation restarts with every window.
     """
     record = run.record
     block = max(1, round(BLOCK_S / record.period_s))
@@ -161,7 +161,7 @@ def histogram_figure(run: RunResidual, words: IdentifyWords) -> Figure:
 
 
 def autocorrelation_figure(runs: Sequence[RunResidual], words: IdentifyWords) -> Figure:
-    """How long the residual remembers; the band is that of white noise."""
+    """Autocorrelation of the residual, with the band of white noise."""
     series, smallest = [], np.inf
     step_s = 0.0
     for number, run in enumerate(runs):
@@ -271,7 +271,7 @@ def _steady(physical: Floats, speeds: Floats) -> Floats:
 
 
 def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: IdentifyWords) -> Figure:
-    """Stribeck curve with its band, and what the records say at each speed, both ways."""
+    """Stribeck curve with its band, and the friction in the records at each speed, both ways."""
     speed = np.concatenate([np.abs(run.torque.velocity_rps[run.sliding]) for run in runs])
     highest = float(speed.max()) if speed.size else 1.0
     vs = float(fit.physical[PARAMETERS.index("stribeck_velocity_rps")])

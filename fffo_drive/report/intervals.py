@@ -1,8 +1,8 @@
-"""How firm a ratio of error metrics is: bootstrap over whole stretches of the runs, the same stretches of every run.
+"""Intervals of ratios of error metrics: bootstrap over stretches of the runs, the same stretches of every run.
 
-Samples of a tracking error hang together, so single samples must not be resampled; stretches of a second or so may.
-All runs follow one reference: a stretch is drawn for all of them at once, and the ratio keeps what they share. The
-interval tells how much a ratio depends on which parts of the profile count; it knows nothing of another day's axis.
+Samples of a tracking error are correlated, so whole stretches of about a second are resampled. All runs follow one
+reference: a stretch is drawn for all of them at once, so what they share cancels in the ratio. The interval shows how
+much a ratio depends on the parts of the profile. It does not cover changes of the axis from day to day.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample: resampling says nothing about it
+RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample, which cannot be resampled
 LEAST_STRETCHES = 8
 
 

@@ -1,4 +1,4 @@
-"""A report as one HTML page that needs nothing else, and as JSON beside it."""
+"""A report as one self-contained HTML page, and as JSON beside it."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def script_json(content: object) -> Markup:
 
 
 def column_groups(columns: Iterable[Heading]) -> list[tuple[str, int]]:
-    """Headings over neighbouring columns of one group, and how many each spans; none when no group has a name."""
+    """Headings over neighbouring columns of one group, and their spans; none when no group has a name."""
     groups = [(name, len(list(members))) for name, members in groupby(columns, key=lambda column: column.group)]
     return groups if any(name for name, _ in groups) else []
 

@@ -1,7 +1,7 @@
 """Colours of the reports, for light and dark paper; page and static figures take them from here.
 
-Orange, green and blue keep apart under the common colour deficiencies and, by lightness, on grey prints. No figure
-relies on colour alone: series also differ in dash, weight or marker and carry their names.
+Orange, green and blue differ under the common colour vision deficiencies and, by lightness, in grey prints. No figure
+relies on colour alone: series also differ in dash, weight or marker and are named.
 """
 
 from __future__ import annotations
@@ -48,15 +48,3 @@ def variables(dark: bool) -> str:
     named = {f"--{name}": colour for name, colour in FURNITURE.items()}
     named.update({f"--series-{name}": colour for name, colour in SERIES.items()})
     return " ".join(f"{name}: {colour.dark if dark else colour.light};" for name, colour in named.items())
-
-
-def contrast(first: str, second: str) -> float:
-    """Contrast ratio of two colours #rrggbb after WCAG 2: 1 (equal) to 21 (black on white)."""
-    high, low = sorted((_luminance(first), _luminance(second)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
-def _luminance(colour: str) -> float:
-    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -19,12 +19,12 @@ from .figures import Dash, Figure, Floats, PlotAxis, Series
 from .identify_figures import COLOURS, IdentifyWords, figure_name
 
 BALANCE_ANGLES = 64
-LEAST_SHOWN = 0.2  # coherence below which a point says nothing
+LEAST_SHOWN = 0.2  # coherence below which a point is not drawn
 DASHES: tuple[Dash, ...] = ("dotted", "dashdot", "dashed")
 
 
 class ChirpResponse(NamedTuple):
-    """What one chirp tells, and the same chirp on the fitted model."""
+    """The response to one chirp, and that of the fitted model to the same chirp."""
 
     record: Record
     measured: FrequencyResponse
@@ -106,7 +106,7 @@ def response_figures(
     unit = f"{words.velocity_unit}/{words.command_unit}"
     group = figure_name("response", record.name)
     caption = (
-        f"Fig. 5, from {record.name}. Fitted to the gain alone: {significant(response.gain_rps_per_a)} {unit}, "
+        f"Fig. 5, from {record.name}. First-order fit to the gain: {significant(response.gain_rps_per_a)} {unit}, "
         f"{significant(1e3 * response.time_constant_s)} ms. Grey: Kt/(J p + D) with the damping D of three amplitudes."
     )
     coherence = Series("coherence", frequency, measured.coherence, "orange", "points")
@@ -114,7 +114,7 @@ def response_figures(
         Figure(figure_name("gain", record.name), "xy", f"{record.name}: gain", caption, hz,
                PlotAxis("gain", unit, log=True), tuple(gain), height_px=300, group=group),
         Figure(figure_name("phase", record.name), "xy", f"{record.name}: phase",
-               "Not used for the fit: frictional lag and delay distort it.", hz, PlotAxis("phase", "deg"), tuple(phase),
+               "Not used in the fit: frictional lag and delay distort it.", hz, PlotAxis("phase", "deg"), tuple(phase),
                width="half", height_px=190, group=group),
         Figure(figure_name("coherence", record.name), "xy", f"{record.name}: coherence",
                "Points below 0.6 are not used; friction that changes with amplitude also lowers the coherence.", hz,

@@ -1,4 +1,4 @@
-"""The same figures on paper: SVG, PNG or PDF. Imported only where it is used, because matplotlib loads slowly."""
+"""The figures as SVG, PNG or PDF. Import it only where it is used: matplotlib loads slowly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a tuning: the gains, what speaks for and against them, and the files that a controller runs."""
+"""The report of a tuning: the gains, their margins and conditions, and the files that a controller runs."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from .document import (
 )
 from .tune_figures import Tuning
 
-MOST_SAID = 1e4  # a wider range of damping is called wide, and no more
+LARGEST_RATIO = 1e4  # of damping; beyond it only "over ..." is printed
 
 
 class TuneSource(NamedTuple):
-    """The model that was tuned for, and what was written."""
+    """The model that the gains are for, and what was written."""
 
     model_path: Path
     model: ModelFile
@@ -105,7 +105,7 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
                                    "friction contact acts as a spring."),
     ]  # fmt: skip
     if unstable:
-        lines.append(Line(label="Next", text="Do not run these gains: let `fffo-drive tune` choose them."))
+        lines.append(Line(label="Next", text="Do not run these gains; let `fffo-drive tune` choose others."))
     else:
         text = "Try them on the simulated drive before you use them on an axis."
         lines.append(Line(label="Next", text=text, command=_first_command(source)))
@@ -129,7 +129,7 @@ def _first_command(source: TuneSource) -> str:
 def _condition_14(design: Design) -> str:
     excess = design.condition_14_nm_per_rev
     if excess >= -1e-9:
-        return f"Condition (14) holds with {significant(excess)} Nm/rev to spare."
+        return f"Condition (14) holds with an excess of {significant(excess)} Nm/rev."
     return (
         f"L is {significant(-excess)} Nm/rev below what condition (14) requires, because the margins have priority. L "
         "acts in the integral, where (14) does not apply."
@@ -137,8 +137,8 @@ def _condition_14(design: Design) -> str:
 
 
 def _ratio(damping: DampingRange) -> str:
-    if damping.ratio > MOST_SAID:
-        return f"over {MOST_SAID:g} : 1"
+    if damping.ratio > LARGEST_RATIO:
+        return f"over {LARGEST_RATIO:g} : 1"
     return f"{significant(damping.ratio, 2)} : 1"
 
 
@@ -168,8 +168,8 @@ def _text(text: str) -> Cell:
 
 
 TWO_CUTS = (
-    " The velocity is estimated: the smaller margins of the loop cut at the velocity, which the figures show, and cut "
-    "at the current."
+    " The velocity is estimated: each margin is the smaller one of the loop cut at the velocity (as in the figures) "
+    "and cut at the current."
 )
 
 
@@ -210,7 +210,7 @@ def _bounded(value: float, otherwise: str) -> Cell:
 
 
 def _corners(source: TuneSource, axis: LinearAxis) -> list[LinearAxis]:
-    """The axis at the ends of the 95 % intervals of J and Td; none where the model knows no spread."""
+    """The axis at the ends of the 95 % intervals of J and Td; none where the model has no standard deviations."""
     j_sd, delay_sd_s = source.model.inertia_kg_m2.sd, source.model.delay_s.sd
     if j_sd is None or delay_sd_s is None:
         return []
@@ -233,7 +233,7 @@ def _checks(tuning: Tuning, model: ModelFile) -> Table:
         Row(label="Ki Kt + L", unit="Nm/rev",
             cells=[number(stiffness + gains.observer_nm_per_rev), _text("left side of condition (14)")]),
         Row(label="2 B", unit="Nm/rev", cells=[number(2.0 * attraction), _text("right side of condition (14)")]),
-        Row(label="to spare", unit="Nm/rev",
+        Row(label="excess", unit="Nm/rev",
             cells=[number(design.condition_14_nm_per_rev), _text("not negative where (14) holds")]),
         Row(label="real poles from Kp", unit="A/rps",
             cells=[number(design.real_poles_from_a_per_rps), _text("at the smallest damping, and for every "
@@ -287,7 +287,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
 
 
 def _lag_given_back(model: ModelFile, axis: LinearAxis) -> list[Row]:
-    """What an estimated velocity takes from the delay."""
+    """The lag that an estimated velocity removes from the loop."""
     if axis.estimator is None:
         return []
     lag = _text("its lag is not in the loop: the velocity is estimated")

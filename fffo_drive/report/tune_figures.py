@@ -23,7 +23,7 @@ SHORTEST_STEP_S = 0.15
 
 
 class Tuning(NamedTuple):
-    """A design on its axis, and what was wished."""
+    """A design on its axis, and the required margins."""
 
     axis: LinearAxis
     design: Design
@@ -42,7 +42,7 @@ class Tuning(NamedTuple):
 
     @property
     def integral_with_observer_a_per_rev(self) -> float:
-        """At worst the observer is one more integral action of L."""
+        """In the worst case the observer is additional integral action with gain L."""
         return self.gains.integral_a_per_rev + self.gains.observer_nm_per_rev / self.axis.torque_constant_nm_per_a
 
     @property
@@ -94,7 +94,7 @@ def _branches(tuning: Tuning, gains: Floats) -> tuple[Floats, Floats]:
 
 
 def poles_figure(tuning: Tuning) -> Figure:
-    """The same poles over the gain itself, with the bound from which on they are real."""
+    """The same poles over the gain, with the bound above which they are real."""
     chosen, bound = tuning.gains.proportional_a_per_rps, tuning.design.real_poles_from_a_per_rps
     gains = np.geomspace(min(0.02 * chosen, 0.5 * bound if bound > 0.0 else chosen), 10.0 * chosen, LOCUS_GAINS)
     first, second = _branches(tuning, gains)
@@ -117,7 +117,7 @@ def poles_figure(tuning: Tuning) -> Figure:
 
 
 def step_figure(tuning: Tuning) -> Figure:
-    """A step of the reference with the PI's zero and the delay, and what each of them does."""
+    """A step of the reference with the PI's zero and the delay, and without each of them."""
     design, axis, gains = tuning.design, tuning.axis, tuning.gains
     duration_s = max(SHORTEST_STEP_S, 1.5 * design.settled_s)
     prompt = axis._replace(delay_s=0.0)
@@ -179,7 +179,7 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
 
 
 def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Floats) -> Floats:
-    """Complex open loop (n,) as in control.stability: L is one more integral action."""
+    """Complex open loop (n,) as in control.stability: L is additional integral action."""
     s = 2j * np.pi * hz
     kt = axis.torque_constant_nm_per_a
     controller = gains.proportional_a_per_rps * kt + (gains.integral_a_per_rev * kt + observer_nm_per_rev) / s
@@ -189,7 +189,7 @@ def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Fl
 
 
 def damping_figures(tuning: Tuning) -> list[Figure]:
-    """Phase margin over friction damping with the allowed range, and at which amplitudes friction has it."""
+    """Phase margin over friction damping with the allowed range, and the amplitudes with that damping."""
     own = tuning.axis.damping_nm_per_rps
     damping = own * np.geomspace(0.01, 1e4, DAMPINGS)
     phase: dict[str, list[float]] = {"PI": [], "PI and L": []}

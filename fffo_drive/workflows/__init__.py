@@ -1,1 +1,1 @@
-"""What a user does, as functions that return records; the commands parse and print."""
+"""The tasks of a user, as functions that return records; the commands parse and print."""

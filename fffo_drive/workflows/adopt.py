@@ -1,4 +1,4 @@
-"""A diagnosed model into service on an axis: the gates, and the change of the axis file when all of them pass."""
+"""Put a diagnosed model in service on an axis: the gates, and the change of the axis file when all of them pass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..model.parameters import read_model
 
 
 class Adopted(NamedTuple):
-    """What became of a model."""
+    """Result of an adoption."""
 
     gates: tuple[Gate, ...]
     entry: Adoption | None  # of the axis' history; None where the model was not put in service
@@ -33,7 +33,7 @@ class Adopted(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """True where no gate speaks against the model."""
+        """True if no gate refuses the model."""
         return all(gate.passed for gate in self.gates)
 
 
@@ -43,8 +43,8 @@ def adopt(
 ) -> Adopted:  # fmt: skip
     """Put a model in service when all gates pass; with `dry_run` only look.
 
-    `report_path`: the diagnosis' report.json (None: beside the model). `torque_on`: what the axis' daemon says; None
-    where none answers. Raises DocumentError for files that are missing, damaged or of another axis.
+    `report_path`: the diagnosis' report.json (None: beside the model). `torque_on`: reported by the axis' daemon; None
+    if none answers. Raises DocumentError for files that are missing, damaged or of another axis.
     """
     require_model(model_path)
     model = read_model(model_path)

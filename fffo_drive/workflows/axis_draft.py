@@ -1,8 +1,7 @@
-"""What a drive tells, and what only people know, as the first axis file of a drive: each value with where it came from.
+"""The first axis file of a drive, from what the drive reports and people know: each value with its source.
 
-The law of a first file is cautious: PI without friction observer, a crossover far below what a servo axis can do, on an
-inertia that is assumed. It is there so that `fffo-drive commission` can check signs, scales and delay; `identify` and
-`tune` make the real one.
+Its law is cautious: PI without friction observer, with a crossover far below what a servo axis can do, on an assumed
+inertia. It lets `fffo-drive commission` check signs, scales and delay; `identify` and `tune` then make the real law.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_profile import with_profile
 from ..documents import check, parse
-from ..drive.canopen.told import ToldObjects
+from ..drive.canopen.sdo_objects import SdoObjects
 from ..model.parameters import ModelFile
 from ..units import TWO_PI, rps_from_rpm
 from .drive_facts import ASSUMED, Fact, SourcedFacts
 
-# what is assumed of an axis that nobody has measured yet
+# assumptions about an axis before any measurement
 ACCELERATION_RPS2 = 1000.0  # by the rated torque
 COULOMB_SHARE, STATIC_SHARE = 0.02, 0.05  # of the rated torque
 VISCOUS_SHARE_PER_RPS = 0.002
@@ -37,7 +36,7 @@ HIGHEST_MASTER_ID = 127
 
 
 class Draft(NamedTuple):
-    """An axis file and its model, as text and as they are read."""
+    """An axis file and its model, as text and as parsed records."""
 
     axis_text: str
     model_text: str
@@ -46,22 +45,22 @@ class Draft(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a draft is for, and what was measured there."""
+    """The bus and node of a draft, and what was measured there."""
 
     name: str
     model_name: str  # file of the model, beside the axis file
     bus: str
     bitrate_hz: Fact
     node_id: int
-    drive: str  # what the drive calls itself
+    drive: str  # the drive's own name
     other_nodes: tuple[int, ...] = ()
     rate_hz: Fact = Fact(2000, "assumed: not measured yet")
     turnaround_us: Fact | None = None
     realtime_refused: bool = False
-    patience_ticks: int = 0  # longest time without feedback that was seen on a loopback bus, with a margin
+    patience_ticks: int = 0  # longest gap of feedback seen on a loopback bus, with a margin
 
 
-def make_draft(place: Place, facts: SourcedFacts, objects: ToldObjects) -> Draft:
+def make_draft(place: Place, facts: SourcedFacts, objects: SdoObjects) -> Draft:
     """The files for facts in which nothing is missing. Raises DocumentError if they make no axis."""
     model_text = _model_text(place, facts)
     axis_text = _axis_text(place, facts, objects)
@@ -73,7 +72,7 @@ def make_draft(place: Place, facts: SourcedFacts, objects: ToldObjects) -> Draft
 
 
 def drive_section(place: Place, facts: SourcedFacts) -> list[tuple[str, Fact]]:
-    """Keys of the drive section, in order; those of its profile need not stand in it."""
+    """Keys of the drive section, in order, without those of its profile."""
     lines: list[tuple[str, Fact]] = [
         ("kind", Fact("canopen", "")),
         ("bus", Fact(place.bus, "given")),
@@ -95,14 +94,14 @@ def drive_section(place: Place, facts: SourcedFacts) -> list[tuple[str, Fact]]:
     if place.turnaround_us is not None:
         lines.append(("turnaround_us", place.turnaround_us))
     if facts.writes:
-        lines.append(("sdo", Fact("", "what is not configured in the drive yet, written before it is enabled")))
+        lines.append(("sdo", Fact("", "not configured in the drive yet; written before it is enabled")))
         for name, number in facts.writes.items():
             why = "rated torque of the motor" if name.startswith("0x6076") else "rated current of the motor"
             lines.append(("  -", Fact(f"{{object: {name[:6]}, value: {number}, bytes: 4, why: {why}}}", "given")))
     return lines
 
 
-def _axis_text(place: Place, facts: SourcedFacts, objects: ToldObjects) -> str:
+def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     rated_a = float(facts.scales["rated_current_a"].value)
     constant = float(facts.scales["torque_constant_nm_per_a"].value)
     peak, peak_source = PEAK_FACTOR, "assumed: 1.5 of the rated current"
@@ -216,7 +215,7 @@ def _model_text(place: Place, facts: SourcedFacts) -> str:
 
 
 def _rounded(value: float, digits: int = 4) -> str:
-    """So many digits, as YAML reads them as a number."""
+    """A number rounded to so many digits, as YAML."""
     text = f"{value:.{digits}g}"
     return text if math.isfinite(value) and "e" not in text else f"{value:.10f}".rstrip("0").rstrip(".")
 

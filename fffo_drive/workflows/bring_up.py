@@ -1,6 +1,6 @@
-"""From a bus with a drive on it to an axis file: listen, scan, read, say what is in the way, measure, write.
+"""From a bus with a drive on it to an axis file: listen, scan, read, list obstacles, measure, write.
 
-Nothing moves: the drive is never enabled here. What people must decide is asked through `Talk`.
+Nothing moves: the drive is never enabled here. `Talk` asks the user what no drive knows.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ..drive.canopen.drive import CanopenDrive
 from ..drive.canopen.listening import Heard, Listening
 from ..drive.canopen.lss import LssAddress, LssLink, LssMaster
 from ..drive.canopen.scan import NodeName, Roll, Sign, ask_every_node, name_node, open_service
+from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.service import Emergency, service_filters
-from ..drive.canopen.told import ToldObjects
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..system.bus import interface_bitrate_hz
@@ -53,30 +53,30 @@ LOOPBACK = "loopback:"
 
 
 class Talk(Protocol):
-    """Who is told what goes on, and asked what no drive knows."""
+    """The user: gets messages and progress, and answers what no drive knows."""
 
     def tell(self, text: str) -> None:
-        """A step that begins, or what was found."""
+        """A message: a step that begins, or a result."""
         ...
 
     def progress(self, share: float) -> None:
-        """Of the step that was told last, 0 to 1."""
+        """Progress of the last step, 0 to 1."""
         ...
 
     def ask(self, question: str, proposal: str) -> str | None:
-        """The answer; the proposal where nothing was typed; None where nobody can be asked."""
+        """The answer; the proposal if nothing was typed; None if nobody can answer."""
         ...
 
 
 class Wishes(NamedTuple):
-    """What is to be done."""
+    """Options of a bring-up."""
 
     bus: str
     out: Path = Path("axis.yaml")
     node_id: int | None = None
     assign_id: int | None = None
     answers: Answers = Answers()
-    profile: str | None = None  # of the drive's family; None: by what the drive says that it is
+    profile: str | None = None  # of the drive's family; None: by the drive's identity
     bitrate_hz: int | None = None
     force: bool = False
     measure: bool = True
@@ -84,11 +84,11 @@ class Wishes(NamedTuple):
 
 
 class BringUpReport(NamedTuple):
-    """What was found and written."""
+    """Result of a bring-up."""
 
     bus: str
     verdict: str
-    ready: bool  # a file was written and nothing stands in the way of commissioning
+    ready: bool  # a file was written, and nothing prevents commissioning
     nodes: tuple[NodeName, ...] = ()
     without_id: tuple[LssAddress, ...] = ()
     node_id: int | None = None
@@ -98,7 +98,7 @@ class BringUpReport(NamedTuple):
     facts: dict[str, Fact] = {}  # noqa: RUF012
     profile: str | None = None  # of the drive's family
     notes: tuple[str, ...] = ()  # of the profile
-    missing: tuple[str, ...] = ()  # options that would tell what is not known
+    missing: tuple[str, ...] = ()  # options that would supply the unknown values
     adapter: RoundTrip | None = None
     trials: tuple[RateTrial, ...] = ()
     choice: Choice | None = None
@@ -127,14 +127,14 @@ def _trial_json(trial: RateTrial) -> dict[str, Any]:
 
 
 def bring_up_axis(wishes: Wishes, talk: Talk) -> BringUpReport:
-    """All of it, as far as it goes.
+    """Bring an axis up, as far as possible.
 
     Raises BusUnavailableError (BusOccupiedError before anything was sent), DriveRefusedError (LSS), DocumentError for
     files that are there already.
     """
     refuse_overwriting(wishes)
     if wishes.profile is not None:
-        named_profile(wishes.profile)  # told before a bus is used
+        named_profile(wishes.profile)  # an unknown one is refused before a bus is used
     with _alone_on(wishes.bus, talk) as heard:
         signs, nodes = _scan(wishes.bus, talk, heard.nodes)
         without_id = _search_without_id(wishes.bus, talk)
@@ -155,7 +155,7 @@ def bring_up_axis(wishes: Wishes, talk: Talk) -> BringUpReport:
 
 
 def refuse_overwriting(wishes: Wishes) -> None:
-    """Raise DocumentError where a file is there already, before anything is asked of a bus."""
+    """Raise DocumentError if a file exists already, before a bus is used."""
     there = [str(path) for path in (wishes.out, model_file_of(wishes.out)) if path.exists()]
     if there and not wishes.force:
         raise DocumentError(f"{' and '.join(there)}: exists already; give another --out, or overwrite with --force")
@@ -165,7 +165,7 @@ def refuse_overwriting(wishes: Wishes) -> None:
 
 @contextmanager
 def _alone_on(bus: str, talk: Talk) -> Iterator[Heard]:
-    """The lease of the bus, once it was heard that nobody else commands there. Raises BusOccupiedError."""
+    """Holds the lease of the bus, after listening for other masters. Raises BusOccupiedError."""
     talk.tell(f"listening on {bus} for other masters; nothing is sent yet")
     try:
         lease = BusLease(bus)
@@ -176,8 +176,8 @@ def _alone_on(bus: str, talk: Talk) -> Iterator[Heard]:
     try:
         heard = _heard(bus)
         if obstacles := heard.obstacles():
-            told = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
-            raise BusOccupiedError(f"{bus}: {told}")
+            found = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
+            raise BusOccupiedError(f"{bus}: {found}")
         yield heard
     finally:
         lease.close()
@@ -195,7 +195,7 @@ def _heard(bus: str) -> Heard:
 
 
 def _scan(bus: str, talk: Talk, heard: Iterable[int] = ()) -> tuple[list[Sign], tuple[NodeName, ...]]:
-    """`heard`: nodes whose heartbeat came before."""
+    """Names of all nodes. `heard`: nodes whose heartbeat was heard before."""
     talk.tell("asking node ids 1 to 127 for their type")
     roll = Roll(heard)
     kinds = (can.SDO_RESPONSE, can.HEARTBEAT, can.EMERGENCY)
@@ -203,7 +203,7 @@ def _scan(bus: str, talk: Talk, heard: Iterable[int] = ()) -> tuple[list[Sign], 
     try:
         with open_link(bus, filters=filters) as link:
             count = len(can.NODE_IDS)
-            ask_every_node(link, roll, told=lambda node: talk.progress(node / count))
+            ask_every_node(link, roll, progress=lambda node: talk.progress(node / count))
     except LinkError as error:
         raise BusUnavailableError(str(error)) from error
     nodes = tuple(name_node(sign, lambda node: _service_link(bus, node)) for sign in roll.signs)
@@ -241,7 +241,7 @@ def _lss(bus: str, talk: Talk) -> Iterator[LssMaster]:
 
 
 def _assign(wishes: Wishes, without_id: Sequence[LssAddress], signs: list[Sign], talk: Talk) -> int | None:
-    """Give a node its id when that is wished or answered; None otherwise."""
+    """Give the node without id the one from the options or the user; None without either."""
     taken = [sign.node_id for sign in signs]
     node_id = wishes.assign_id
     if len(without_id) > 1:
@@ -266,7 +266,7 @@ def _assign(wishes: Wishes, without_id: Sequence[LssAddress], signs: list[Sign],
 
 
 def _choose(wishes: Wishes, nodes: Sequence[NodeName], talk: Talk) -> NodeName | str:
-    """The node to bring up, or why there is none."""
+    """The node to bring up, or the reason why there is none."""
     if wishes.node_id is not None:
         chosen = next((node for node in nodes if node.node_id == wishes.node_id), None)
         if chosen is None:
@@ -297,26 +297,26 @@ def _where_to_look(bus: str) -> str:
     )
 
 
-def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[ToldObjects, SourcedFacts, list[Emergency]]:
+def _read(wishes: Wishes, node: NodeName, talk: Talk) -> tuple[SdoObjects, SourcedFacts, list[Emergency]]:
     talk.tell(f"reading the objects of node {node.node_id}")
     service = open_service(_service_link(wishes.bus, node.node_id), node.node_id)
     try:
-        objects = ToldObjects(service.read)
-        objects.ask_all(talk.progress)
+        objects = SdoObjects(service.read)
+        objects.read_all(talk.progress)
         facts = _facts(objects, wishes, node, talk)
-        objects.ask_no_more()
+        objects.stop_reading()
         return objects, facts, list(service.emergencies)
     finally:
         service.close()
 
 
 def _propose(
-    wishes: Wishes, found: BringUpReport, node: NodeName, objects: ToldObjects, facts: SourcedFacts,
+    wishes: Wishes, found: BringUpReport, node: NodeName, objects: SdoObjects, facts: SourcedFacts,
     emergencies: Sequence[Emergency], talk: Talk,
 ) -> BringUpReport:  # fmt: skip
     """Trials, findings, files."""
     found = found._replace(
-        objects=objects.told, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
+        objects=objects.values, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
         profile=facts.profile, notes=facts.profile_remarks,
     )  # fmt: skip
     if facts.unusable:
@@ -367,19 +367,19 @@ def _propose(
     ready = not any(one.level is Severity.FAILURE for one in findings)
     return found._replace(
         verdict=_verdict(node, findings, choice, f"{wishes.out} was written"),
-        ready=ready, objects=objects.told, unreadable=dict(objects.unreadable), findings=_in_order(findings),
+        ready=ready, objects=objects.values, unreadable=dict(objects.unreadable), findings=_in_order(findings),
         trials=tuple(trials), choice=choice, axis_file=wishes.out, model_file=model_file,
         next_command=f"fffo-drive commission {wishes.out}",
     )  # fmt: skip
 
 
 def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
-    """What stands in the way first."""
+    """Failures first."""
     return tuple(sorted(findings, key=lambda one: (one.level is not Severity.FAILURE, one.level is Severity.OK)))
 
 
 def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
-    """What the drive lacks, what stands in for it, and what of its units must be known."""
+    """What the drive lacks, its replacements, and remarks on its units."""
     found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
     found += [warning("replacement", text, "written to the axis file") for text in facts.stand_ins]
     found += [warning("units", text, "") for text in facts.remarks if not text.startswith("0x6076")]
@@ -387,8 +387,8 @@ def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
     return found
 
 
-def _facts(objects: ToldObjects, wishes: Wishes, node: NodeName, talk: Talk) -> SourcedFacts:
-    """What the drive tells, completed by asking for what it does not; assumptions are put to whoever can be asked."""
+def _facts(objects: SdoObjects, wishes: Wishes, node: NodeName, talk: Talk) -> SourcedFacts:
+    """Facts from the drive, completed by the user's answers; the user can correct assumptions."""
     answers, asked = wishes.answers, set[str]()
     while True:
         facts = drive_facts(objects, answers, node.node_id, node.vendor_id, node.product_code, wishes.profile)
@@ -437,13 +437,13 @@ def _place(wishes: Wishes, found: BringUpReport, node: NodeName, facts: SourcedF
 
 
 def _try_rates(
-    wishes: Wishes, draft: Draft, objects: ToldObjects, talk: Talk
+    wishes: Wishes, draft: Draft, objects: SdoObjects, talk: Talk
 ) -> tuple[list[RateTrial], list[Emergency]]:
-    """From the lowest rate up, until one cannot be tried; and what the drive had to say meanwhile."""
+    """Trials from the lowest rate up until one is impossible, and the drive's emergency messages meanwhile."""
     emergencies: list[Emergency] = []
 
     def look(drive: CanopenDrive) -> None:
-        objects.ask_again(drive.read_object)  # what changes, while the drive is operational
+        objects.read_again(drive.read_object)  # what changes, while the drive is operational
         emergencies.extend(drive.emergencies)
 
     talk.tell("measuring without torque: SYNC and feedback, the drive stays disabled")
@@ -466,7 +466,7 @@ def _try_rates(
 def _of_trials(
     trials: Sequence[RateTrial], choice: Choice | None, axis: AxisFile, model: ModelFile
 ) -> list[HostFinding]:
-    """What the trials say against the axis. `axis`: with the rate that is written."""
+    """Obstacles and warnings from the trials. `axis`: with the rate that is written."""
     if not trials or choice is None:
         return []
     found = [warning("real time", refusal, "`fffo-drive doctor` gives the commands") for refusal in trials[0].refusals]
@@ -494,7 +494,7 @@ def _of_trials(
 
 
 def _measured(place: Place, trials: Sequence[RateTrial], choice: Choice | None, turnaround_us: float | None) -> Place:
-    """The place with what the trials say of it."""
+    """The place with the results of the trials."""
     tried = [trial for trial in trials if not trial.refused]
     if not tried or choice is None:
         return place

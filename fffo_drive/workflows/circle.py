@@ -1,7 +1,7 @@
-"""The whole circle on one axis: run, record, diagnose, adopt, run again; the tracking error before and after.
+"""The circle on one axis: run, record, diagnose, adopt, run again; the tracking error before and after.
 
-The axis' own profile, an identification current and the recipe that separates effects are recorded; the profile's run
-is held out from the choice of effects. The circle has a directory, with an axis file of its own in it.
+It records the axis' own profile, an identification current and the recipe that separates effects. The run of the
+profile is held out. The circle works in a directory of its own, on a copy of the axis file.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from .simulated_process import SimulatedProcess
 
 SECOND_SURFACE = "second_surface"
 IN_SERVICE = "effects in service"  # gate
-GAIN_ROOM = 1.02  # of what condition (14) asks for
+GAIN_ROOM = 1.02  # times the L that condition (14) requires
 RECIPE = {"kind": "recipe", "repeats": 1}
 IDENTIFY = {"kind": "identify", "lowest_hz": 0.05}
 IDENTIFY_S = 40.0
@@ -61,13 +61,13 @@ Diagnose = Callable[[Path, Sequence[Path], Sequence[Path], Path, Sequence[str]],
 
 
 class Closed(NamedTuple):
-    """What came of a circle."""
+    """Result of a circle."""
 
     source: CircleSource  # of the report: effects, gates, errors before and after
     gates: tuple[Gate, ...]  # none where nothing was found
     adopted: bool
     page: Path
-    trouble: str  # why the error after the adoption is not known; empty where it is
+    trouble: str  # why the error after the adoption is unknown; empty if it is known
 
 
 def close_the_loop(
@@ -77,8 +77,8 @@ def close_the_loop(
     """Go round once. **A drive on a bus moves.** `axis_path` stays as it is; everything is written to `out`.
 
     `facts`: what is declared about the drive (None: from the axis file). `quick`: runs of QUICK_S and no recipe. `say`
-    is told what is done, `bar` shows how far it is, `diagnose` is called in place of `diagnose_recordings`. Raises
-    DocumentError, DriveError, and DriveFaultError also where the machine keeps no rate.
+    gets messages, `bar` shows progress, `diagnose` is called in place of `diagnose_recordings`. Raises DocumentError,
+    DriveError, and DriveFaultError also if the machine keeps no rate.
     """
     plan = make_plan(axis_path)
     _require(plan, wish, facts)
@@ -99,7 +99,7 @@ def close_the_loop(
 
 
 def keeps_no_rate(trouble: str) -> DriveFaultError:
-    """The error of a circle whose runs the machine spoiled."""
+    """The error of a circle whose runs are unusable because the machine did not keep time."""
     return DriveFaultError(
         f"{trouble}: this machine does not keep the loop's rate; reduce its load (`fffo-drive doctor`), or lower the "
         "rate (--rate)"
@@ -145,7 +145,7 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: 
 
 
 def _require(plan: Plan, wish: CircleWish, facts: Path | None) -> None:
-    """Every file is read once, and what cannot come to an end is refused."""
+    """Read every file once, and refuse an axis that cannot finish a circle."""
     if facts:
         read_facts(facts)
     if wish.sim:
@@ -175,7 +175,7 @@ def _shorten(path: Path) -> None:
 
 @contextlib.contextmanager
 def _drive_process(plan: Plan, wish: CircleWish, out: Path) -> Iterator[None]:
-    """The simulated drive on the bus for as long as the circle takes, where it was asked for."""
+    """The simulated drive on the bus for the duration of the circle, if requested."""
     section = plan.axis.drive
     if wish.sim is None or not isinstance(section, CanopenDriveSection):
         yield
@@ -185,7 +185,7 @@ def _drive_process(plan: Plan, wish: CircleWish, out: Path) -> Iterator[None]:
 
 
 def identification_profile(plan: Plan, quick: bool) -> dict[str, Any]:
-    """An identification current that the axis can follow inside its envelope, by the model in service."""
+    """An identification current that keeps the axis inside its envelope, by the model in service."""
     break_away_a = plan.model.friction.static_nm.value / plan.model.torque_constant_nm_per_a
     ratio = BREAK_AWAY_RATIO
     quick_s = min(QUICK_S, plan.profile.duration_s)
@@ -236,7 +236,7 @@ def _adopt(
 ) -> tuple[bool, list[Gate]]:
     """Adopt what was found on the circle's own axis file. The observer's gain follows the refitted friction.
 
-    No model: nothing carries over to the held-out run, which is the gate that refuses.
+    Without a model nothing lowers the error of the held-out run, and that gate refuses.
     """
     if model is None:
         return False, [held_out_gate(report)]
@@ -265,13 +265,13 @@ def _adopt(
 
 
 def _second_surface_is_unstable(model: ModelFile, found: Sequence[Gate]) -> bool:
-    """Whether the stability gate refuses a model of two surfaces: its first has a large B, which asks for a large L."""
+    """Whether the stability gate refuses a model of two surfaces: its first has a large B, which requires a large L."""
     refused = any(gate.name == STABILITY and not gate.passed for gate in found)
     return refused and any(effect.name == SECOND_SURFACE for effect in model.effects)
 
 
 def _needed_gain(axis_path: Path, axis: AxisFile, model: ModelFile) -> float | None:
-    """A larger L where the refitted B asks for it by (14); None where the file's is enough."""
+    """The larger L that (14) requires with the refitted B; None if that of the file is enough."""
     observer_on = axis.controller.observer.toggle != "off"
     plan = checked_plan(axis_path, axis, model_of(axis_path, axis), (TOGGLE_OFF,))
     left = slope_margin(axis, model, plan.profile, observer_on).condition_14_nm_per_rev

@@ -1,9 +1,9 @@
-"""The runs of a circle: each recorded whole, at a rate that the machine keeps, or with a clear word that it does not.
+"""The runs of a circle: each complete, at a rate that the machine keeps.
 
-A run counts when nearly all of its ticks ran and were answered. One that a busy machine has spoiled is made again;
-when it is spoiled again, all runs of the circle are made at a lower rate, so that they compare. That is done on the
-simulated drive alone, whose limits on silence are widened for it as well: on hardware the rate and the limits are the
-file's, and a spoiled run is an error.
+A run counts if nearly all of its ticks ran and were answered. If a busy machine spoiled it, it is repeated; if that one
+is spoiled too, all runs of the circle are repeated at a lower rate, so that they can be compared. This is done on the
+simulated drive alone, with wider limits on missing feedback. On hardware rate and limits are those of the file, and a
+spoiled run is an error.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ TRIES = 2  # at one rate
 MOST_LOST = 0.05  # share of the ticks that were skipped or had no answer
 LEAST_WHOLE = 0.7  # share of the time in stretches that a diagnosis can use
 WHOLE_S = 2.0
-STALL_S = 0.02  # a trip within a run that stood still for so long is the machine's
-SPARE_RING_S = 20.0  # of rows, for a machine that takes its time to enable and to stop
+STALL_S = 0.02  # after a stall of this length a trip counts as caused by the machine
+SPARE_RING_S = 20.0  # of rows, for a machine that is slow to enable and to stop
 
-# what a simulated drive on a bus bears of its host; key -> at least
+# limits of a simulated drive on a bus that tolerate a slow host; key -> least value
 PATIENT_DRIVE = {"heartbeat_timeout_ms": 5000, "command_timeout_ms": 5000}
 PATIENT_LIMITS = {"heartbeat_timeout_s": 10.0, "following_error_s": 1.0}
 PATIENT_S = {"feedback_missing_ticks": 2.0, "status_missing_ticks": 4.0}  # in seconds
@@ -46,7 +46,7 @@ PATIENT_NODE = {"sync_loss_tolerance_ms": 5000}
 
 
 class CircleWish(NamedTuple):
-    """How the runs of a circle are made; by itself as the axis file says."""
+    """How the runs of a circle are made; by default as the axis file says."""
 
     sim: Path | None = None  # file of a simulated drive of its own, in process or on the bus
     bus: str | None = None  # instead of the file's
@@ -55,11 +55,11 @@ class CircleWish(NamedTuple):
 
 
 class SpoiledRunError(Exception):
-    """A run that says nothing of the axis: the machine did not keep time."""
+    """A run that cannot be used because the machine did not keep time."""
 
 
 class Health(NamedTuple):
-    """How a run's ticks went."""
+    """Timing of a run."""
 
     ticks: int
     skipped: int
@@ -74,7 +74,7 @@ class Health(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """The run says something of the axis."""
+        """The run can be used."""
         return self.lost_share <= MOST_LOST and self.whole_share >= LEAST_WHOLE
 
     @property
@@ -100,14 +100,14 @@ class Circle:
     """The circle's own axis file in its directory, and the runs with it."""
 
     def __init__(self, wish: CircleWish, own_path: Path, say: Callable[[str], None], bar: Bar = no_bar) -> None:
-        """`say` is told what is done, and why again; `bar` shows how far a run is."""
+        """`say` gets messages, also why a run is repeated; `bar` shows the progress of a run."""
         self.path, self.out = own_path, own_path.parent
         self.say = say
         self._wish, self._bar = wish, bar
 
     @property
     def axis(self) -> AxisFile:
-        """As the file says now."""
+        """The present axis file."""
         return read_axis(self.path)
 
     @property
@@ -116,7 +116,7 @@ class Circle:
         return self._wish.sim is not None and isinstance(self.axis.drive, CanopenDriveSection)
 
     def rates(self) -> list[int]:
-        """Loop rates to try, the file's first, as far as the law is proven with them."""
+        """Loop rates to try, the file's first, if the law keeps its margins at them."""
         own = self.axis.loop.rate_hz
         lower = [rate for rate in LOWER_RATES_HZ if rate < own] if self.forgiving and not self._wish.rate_hz else []
         return [own, *(rate for rate in lower if self._proven(rate))]
@@ -190,7 +190,7 @@ class Circle:
         return RecordedRun(path, plan.axis.loop.rate_hz, plan.profile.values.size, rows, health)
 
     def _require(self, name: str, outcome: RunOutcome, health: Health) -> None:
-        """Raise what a run is no good for."""
+        """Raise the error of a run that cannot be used."""
         if outcome.fault_text is not None:
             at_fault = not outcome.started or not health.sound or health.longest_s > STALL_S
             if self.forgiving and at_fault:
@@ -205,7 +205,7 @@ class Circle:
 
 
 def health_of(rows: Rows, period_s: float) -> Health:
-    """How the ticks went from the first with torque to the last."""
+    """Timing from the first tick with torque to the last."""
     acting = np.flatnonzero(rows["mode"] != 0)
     if not acting.size:
         return Health(0, 0, 0, 0.0, 0.0)
@@ -223,7 +223,7 @@ def health_of(rows: Rows, period_s: float) -> Health:
 
 
 def _put_aside(path: Path) -> None:
-    """A spoiled record stays, under another name."""
+    """Keep a spoiled record under another name."""
     number = 1
     while path.with_name(f"{path.stem}_spoiled_{number}.mcap").exists():
         number += 1
@@ -258,9 +258,9 @@ def write_yaml(path: Path, data: Any) -> Path:
 
 
 def write_axis(axis_path: Path, out: Path, sim: Path | None, rate_hz: int | None) -> Path:
-    """A copy of the axis file in DIR, whose files are found from there, without a monitor: it would switch in the runs.
+    """A copy of the axis file in DIR with paths from there, and without the monitor, which would switch effects.
 
-    With a simulated drive of its own, its file replaces that of an axis in process, and widens limits on a bus.
+    The file of a given simulated drive replaces that of an axis in process; on a bus the limits are widened.
     """
     axis = read_axis(axis_path)
     data, _ = parse(read_text(axis_path), str(axis_path))
@@ -284,7 +284,7 @@ def write_axis(axis_path: Path, out: Path, sim: Path | None, rate_hz: int | None
 
 
 def write_simulated(sim: Path, out: Path) -> Path:
-    """A copy of the simulated drive's file that bears a host which is held up."""
+    """A copy of the simulated drive's file that tolerates stalls of the host."""
     data, _ = parse(read_text(sim), str(sim))
     for name, least in PATIENT_NODE.items():
         data[name] = max(least, int(data.get(name, 0)))

@@ -1,4 +1,4 @@
-"""A drive checked before any loop is closed, and the record of it, which `run` asks for."""
+"""Commissioning: a drive is checked before any loop is closed; `run` requires the record."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .plan import Plan, open_drive, plan_session
 
 
 def commissioning_plan(path: Path) -> Plan:
-    """The axis file, as far as commissioning needs it: law and profile may still be unfinished."""
+    """The parts of the axis file that commissioning needs: law and profile may still be unfinished."""
     axis = read_axis(path)
     model = model_of(path, axis)
     require(path, bus_problems(axis, model))
@@ -51,7 +51,7 @@ def commission_axis(
 ) -> CommissioningRecord:  # fmt: skip
     """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
 
-    `bus`: instead of the file's; `tell` gets a line for each step, `seen` each check as it comes. Raises
+    `bus`: replaces the file's; `tell` gets a line for each step, `seen` each check as it is done. Raises
     DocumentError, DriveError, OSError.
     """
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Recorded runs to what the model lacks: the diagnosis, what the declared weight of the load says of it, its files."""
+"""Diagnosis of recorded runs: the search, the check against the declared weight of the load, the files."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Diagnosed(NamedTuple):
     diagnosis: Diagnosis
     page: Path
     report: Path  # JSON, which an adoption reads
-    model: Path | None  # None where nothing carries over to the held-out runs
-    removed: Path | None  # model of an earlier diagnosis, which these runs do not carry
+    model: Path | None  # None if nothing lowers the error of the held-out runs
+    removed: Path | None  # model of an earlier diagnosis, which these runs do not confirm
 
 
 def diagnose(
@@ -50,11 +50,11 @@ def diagnose(
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
     from ..diagnosis.diagnose import diagnose as search
 
-    def told(share: float, _text: str) -> None:
+    def share_done(share: float, _text: str) -> None:
         if progress is not None:
             progress(share)
 
-    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), told, prior)
+    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), share_done, prior)
     accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
     remarks = weight_remarks(facts, accepted, coverage_of(list(fit)).travel_rev)
     other = (prior.sentence(),) if prior is not None and prior.other_population else ()
@@ -64,13 +64,13 @@ def diagnose(
 def diagnose_recordings(
     fit: Sequence[str | Path], held_out: Sequence[str | Path], out: Path, *, facts_file: Path | None = None,
     model_file: Path | None = None, name: str | None = None, settings: DiagnosisSettings | None = None,
-    without: Sequence[str] = (), told: Callable[[list[Record], Coverage, DriveFacts], None] | None = None,
+    without: Sequence[str] = (), covered: Callable[[list[Record], Coverage, DriveFacts], None] | None = None,
     bar: Bar = no_bar, prior: Callable[[DriveFacts], AgainstPopulation | None] | None = None,
 ) -> Diagnosed:  # fmt: skip
     """`diagnose` on files, written to `out` as page, report and model.
 
     `facts_file`: what is declared about the drive (None: recordings carry it). `without`: what the search leaves out.
-    `told` gets the records and what they cover before the search begins. `prior` compares the runs `fit` with the
+    `covered` gets the records and what they cover before the search begins. `prior` compares the runs `fit` with the
     population of their model. Raises DocumentError, DataError.
     """
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
@@ -82,8 +82,8 @@ def diagnose_recordings(
     model = None if model_file is None else read_model(model_file)
     records = load_records([*fit, *held_out], facts)
     against = None if prior is None else prior(facts)
-    if told is not None:
-        told(records, coverage_of(records[: len(fit)]), facts)
+    if covered is not None:
+        covered(records, coverage_of(records[: len(fit)]), facts)
     with bar("diagnose") as progress:
         found = diagnose(records[: len(fit)], records[len(fit) :], facts, model, settings, progress, against)
     files = [Path(file) for file in (facts_file, model_file, *fit, *held_out) if file is not None]
@@ -91,7 +91,7 @@ def diagnose_recordings(
 
 
 def require_place(out: Path) -> None:
-    """A diagnosis writes over an earlier one alone. Raises DocumentError."""
+    """Refuse to overwrite a model that is not from a diagnosis. Raises DocumentError."""
     refuse_other_report(out, KIND)
     model_path = out / MODEL_NAME
     if model_path.exists() and not (out / JSON_NAME).exists():
@@ -103,7 +103,7 @@ def require_place(out: Path) -> None:
 def write_diagnosis(
     found: Diagnosis, fit: Sequence[Record], facts: DriveFacts, files: Iterable[Path], out: Path, name: str | None
 ) -> Diagnosed:  # fmt: skip
-    """Page, report and model in `out`; `files`: what it rests on. `name`: of the model (None: the directory's)."""
+    """Page, report and model in `out`; `files`: the inputs. `name`: of the model (None: the directory's)."""
     name = name or out.resolve().name
     out.mkdir(parents=True, exist_ok=True)
     model_path = out / MODEL_NAME

@@ -1,7 +1,7 @@
-"""What is known of a drive before it has moved: from its objects, the profile of its family, and people.
+"""What is known of a drive before it moves: from its objects, the profile of its family, and the user.
 
-Each value says where it came from. What the drive itself tells of its units stands before its profile, which knows how
-the family leaves the factory; what people say stands before both.
+Each value has its source. The units that the drive reports take precedence over its profile, which has the factory
+settings of the family; the user's answers take precedence over both.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from ..config.drive_proposal import config_of, propose
 from ..config.drive_section import RATED_TORQUE_UNITS
 from ..drive.canopen.needs import check_device_type, check_modes, needs
 from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
+from ..drive.canopen.reported_units import counts_increments, reported_units
+from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
-from ..drive.canopen.told import ToldObjects
-from ..drive.canopen.units_told import counts_increments, units_told
 
 MILLI = 1e-3
 SAME = 0.01  # ratings that agree
@@ -27,7 +27,7 @@ ASSUMED = "assumed: "
 
 
 class Answers(NamedTuple):
-    """What people know and no drive tells; None: not said."""
+    """The user's values, which no drive reports; None: not given."""
 
     torque_constant_nm_per_a: float | None = None
     counts_per_rev: int | None = None
@@ -52,7 +52,7 @@ OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, 
     "target_units_per_a": ("target", TARGET_TORQUE),
     "feedback_units_per_a": ("torque_feedback", TORQUE),
 }
-MOTOR = ("rated_torque_nm", "torque_constant_nm_per_a", "rated_current_a")  # one follows from the other two; best first
+MOTOR = ("rated_torque_nm", "torque_constant_nm_per_a", "rated_current_a")  # one follows from the others; best first
 OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
 
 
@@ -64,7 +64,7 @@ class Fact(NamedTuple):
 
     @property
     def assumed(self) -> bool:
-        """Nobody in the know has said it."""
+        """Neither read nor given."""
         return self.source.startswith(ASSUMED)
 
 
@@ -76,27 +76,27 @@ class SourcedFacts(NamedTuple):
     profile: str | None  # its name
     family: str
     profile_keys: dict[str, Any]
-    profile_remarks: tuple[str, ...]  # of whoever wrote it, what was tried first
-    stand_ins: tuple[str, ...]  # what takes the place of what the drive lacks
+    profile_remarks: tuple[str, ...]  # of its author; first, what was tried
+    stand_ins: tuple[str, ...]  # replacements for what the drive lacks
     remarks: tuple[str, ...]  # about units
-    problems: tuple[str, ...]  # what we need and the drive lacks
+    problems: tuple[str, ...]  # requirements that the drive does not meet
     writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
     silence: str  # how the drive notices a silent PC, and how it then stops
     torque_limit_set: bool  # the profile writes 0x6072
 
     @property
     def unusable(self) -> list[str]:
-        """Of the problems those that no key of the axis file can help."""
+        """Problems that no key of the axis file can solve."""
         return [problem for problem in self.problems if "drive." not in problem]
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Objects that the bring-up writes: what they say now does not matter."""
+        """Objects that the bring-up writes; their present values do not matter."""
         return (*self.writes, *(["0x6072:00"] if self.torque_limit_set else []))
 
     @property
     def missing(self) -> list[str]:
-        """What must be known, and is not, in the order in which it is asked. Of the motor two of three will do."""
+        """Unknown values that are required, in the order of the questions. Of the motor two of three are enough."""
         asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in _own_units(self.profile_keys)]
         found = [name for name in asked if name not in self.scales]
         of_motor = [name for name in MOTOR if name in found]
@@ -105,10 +105,10 @@ class SourcedFacts(NamedTuple):
 
 
 def drive_facts(
-    objects: ToldObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0,
+    objects: SdoObjects, answers: Answers, node_id: int, vendor_id: int = 0, product_code: int = 0,
     profile: str | None = None,
 ) -> SourcedFacts:  # fmt: skip
-    """Ask the drive for what is needed, and put together what is known.
+    """Read what is needed from the drive, and put together what is known.
 
     `profile`: of its family, in place of the one that vendor and product name. Raises BusUnavailableError,
     DocumentError for a profile that there is not.
@@ -130,10 +130,10 @@ def drive_facts(
         section["rated_torque_unit"] = Fact(unit, "0x6076 then has the value given")
     if raw:
         section.setdefault("rated_torque_nm", Fact(raw * RATED_TORQUE_UNITS[unit], f"read: 0x6076 in {unit}"))
-    told = units_told(objects)
+    reported = reported_units(objects)
     for key, index in (("counts_per_rev", 0x60A8), ("velocity_units_per_rps", 0x60A9)):
-        if key in told and key in base and objects.value(index) and told[key] != base[key]:
-            section.setdefault(key, Fact(told[key], f"read: 0x{index:04X}; the profile has {base[key]:g}"))
+        if key in reported and key in base and objects.value(index) and reported[key] != base[key]:
+            section.setdefault(key, Fact(reported[key], f"read: 0x{index:04X}; the profile has {base[key]:g}"))
     proposal = propose(objects, {**base, **{key: fact.value for key, fact in section.items()}})
     for key, value in proposal.section.items():
         section.setdefault(key, Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}"))
@@ -151,7 +151,7 @@ def drive_facts(
 
 
 def _own_units(keys: Mapping[str, Any]) -> list[str]:
-    """What must be answered where a profile names an object of the vendor's, and not in which units it counts."""
+    """Questions for a profile that names a vendor's object without its units."""
     return [
         name
         for name, (key, standard) in OWN_OBJECTS.items()
@@ -159,8 +159,8 @@ def _own_units(keys: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _source(objects: ToldObjects, key: str) -> str:
-    """The object in which the drive tells a scale; empty for other keys."""
+def _source(objects: SdoObjects, key: str) -> str:
+    """The object in which the drive reports a scale; empty for other keys."""
     if key == "counts_per_rev":
         unit = objects.value(0x60A8)
         return "0x608F" if counts_increments(unit) else f"0x60A8 is 0x{unit:08X}"
@@ -175,7 +175,7 @@ def named_profile(name: str) -> tuple[str, DriveProfile]:
 
 
 def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
-    """Unit of 0x6076: the one in which it says what was given, else what is expected of the family."""
+    """Unit of 0x6076: the one in which it agrees with the given rated torque, else that of the family."""
     if not raw or given_nm is None:
         return expected
     fitting = [name for name, one in RATED_TORQUE_UNITS.items() if abs(raw * one - given_nm) <= SAME * given_nm]
@@ -211,13 +211,13 @@ def _six_digits(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _problems(objects: ToldObjects, section: Mapping[str, Any], node_id: int) -> list[str]:
-    """What bring-up would refuse: the list that `drive-info` reads a file against."""
+def _problems(objects: SdoObjects, section: Mapping[str, Any], node_id: int) -> list[str]:
+    """What bring-up would refuse: the list of requirements that `drive-info` applies to a file."""
     try:
         config = config_of(section, node_id)
     except MappingError as error:
         return [str(error)]
-    except ValidationError:  # what is still missing is asked for, and what no file can hold is named when it is made
+    except ValidationError:  # missing values are asked for; invalid ones are reported when the file is made
         return []
     found = check_device_type(objects, config)
     return found or [*check_modes(objects, config), *needs(objects, config)]
@@ -229,8 +229,8 @@ def _silence(section: Mapping[str, Any]) -> str:
     return f"{detection.text}; {reaction.text}"
 
 
-def _writes(objects: ToldObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:
-    """Ratings that the drive has not been told, where people have said them."""
+def _writes(objects: SdoObjects, section: Mapping[str, Fact], unit: str) -> dict[str, int]:
+    """Ratings that are not configured in the drive and that the user gave."""
     found = {}
     for index, key, one in ((0x6076, "rated_torque_nm", RATED_TORQUE_UNITS[unit]), (0x6075, "rated_current_a", MILLI)):
         if objects.value(index) == 0 and key in section:

@@ -1,4 +1,4 @@
-"""How a run on a drive may end: errors of the workflows, which the command line turns into exit codes."""
+"""Errors of runs on a drive, which the command line turns into exit codes."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ class DriveFaultError(Exception):
 
 
 class RecordingGapError(Exception):
-    """A run whose recording is not whole."""
+    """A run whose recording has gaps."""

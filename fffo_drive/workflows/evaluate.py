@@ -1,4 +1,4 @@
-"""Controllers of a scenario against each other, over seeds on the simulated drive in process."""
+"""Comparison of the controllers of a scenario, over seeds on the simulated drive in process."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def run_seeds(
     scenario: Scenario, workers: int | None = None, progress: Callable[[float], None] | None = None
 ) -> list[Evaluation]:
     """Every controller on every seed; `progress` gets the share done."""
-    told = None if progress is None else lambda cases: progress(cases / scenario.file.seeds)
-    return run_campaign(cases_of(scenario), workers, told)
+    count = None if progress is None else lambda cases: progress(cases / scenario.file.seeds)
+    return run_campaign(cases_of(scenario), workers, count)
 
 
 def evaluate(scenario: Scenario, workers: int | None = None) -> Summary:
-    """Figures of every controller with intervals over the seeds. Raises ValueError when no seed is whole."""
+    """Figures of every controller with intervals over the seeds. Raises ValueError if no seed is complete."""
     return summarise(run_seeds(scenario, workers), scenario.file.percent_of)

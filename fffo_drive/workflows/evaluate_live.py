@@ -52,7 +52,7 @@ CANDIDATE = "candidate"  # in the metadata of a recording: the scenario's name o
 def evaluate_recordings(
     files: Sequence[str], yardstick: Yardstick | None
 ) -> tuple[Yardstick, list[Evaluation], list[str]]:
-    """Recorded runs by controller; the n-th run of each is its seed n. Also what speaks against comparing them."""
+    """Recorded runs by controller, the n-th run of each as its seed n; and cautions about comparing them."""
     runs = [read_run(file) for file in files]
     shapes = {(run.profile_samples, run.metadata.get("period_s")) for run in runs}
     cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
@@ -85,7 +85,7 @@ def controller_names(runs: Sequence[Run]) -> list[str]:
 
 
 def _model_name(run: Run) -> str:
-    """Of the model in a recording; empty for one of `evaluate`, whose controllers have names, and without its files."""
+    """Name of the model in a recording; empty for one of `evaluate`, whose controllers have names, or without files."""
     if CANDIDATE not in run.metadata:
         with contextlib.suppress(DocumentError):
             return recorded_files(run)[1].name
@@ -161,7 +161,7 @@ def evaluate_on_bus(
 
 
 def _header(plan: Plan, scenario: Scenario, name: str, seed: int, identity: DriveIdentity) -> RunHeader:
-    """As of any run, with the axis and the model that this controller really had: so it can be replayed."""
+    """Metadata as of any run, with this controller's own axis and model, so that it can be replayed."""
     header = run_header(plan, identity, toggle_of(scenario, name))
     axis = axis_of(scenario, name)
     model = wrong_model(scenario.model, scenario.file.mismatch, seed)

@@ -16,12 +16,12 @@ from ..identification.residuals import RunResidual, run_residuals
 from ..identification.results import model_file, report
 from ..model.parameters import ModelFile
 
-FIT_SHARE = 0.85  # of the time that all of it takes
+FIT_SHARE = 0.85  # of the total time
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What `identify` found."""
+    """Result of `identify`."""
 
     model: ModelFile
     fit: Fit
@@ -53,13 +53,13 @@ def identify(
     records: Sequence[Record], facts: DriveFacts, name: str, progress: Callable[[float], None] | None = None,
     prior: AgainstPopulation | None = None,
 ) -> Identified:  # fmt: skip
-    """Fit a model to records of one axis. Raises DataError for logs that carry no fit.
+    """Fit a model to records of one axis. Raises DataError for logs that allow no fit.
 
-    `prior`: these records against the population of the drive's model, of which the model then has what they determine
-    poorly; `result["parameters"]` is the fit of the records alone.
+    `prior`: these records against the population of the drive's model, which supplies what they determine poorly;
+    `result["parameters"]` is the fit of the records alone.
     """
-    told = None if progress is None else lambda share, _: progress(FIT_SHARE * share)
-    fit = fit_records(list(records), FitSettings(), facts, told)
+    part = None if progress is None else lambda share, _: progress(FIT_SHARE * share)
+    fit = fit_records(list(records), FitSettings(), facts, part)
     residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     coverage = coverage_of(records)
     cyclic = cyclic_error(records)

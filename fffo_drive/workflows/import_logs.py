@@ -1,4 +1,4 @@
-"""Logs of other programs into recordings: columns recognised, or told; facts of the axis; what the data can show."""
+"""Logs of other programs into recordings: columns recognised or given; facts of the axis; what the data can show."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAP_KEYS = {"roles", "units", "rate_hz", "counts_per_turn", "linear", "facts"}
 
 
 class RecognisedLog(NamedTuple):
-    """A log of another program, what its columns were taken for, and the signals in this project's units."""
+    """A log of another program, the recognised columns, and the signals in this project's units."""
 
     source: Source
     found: Recognition
@@ -36,7 +36,7 @@ class RecognisedLog(NamedTuple):
 
 
 class Imported(NamedTuple):
-    """Recordings of one axis, and what an identification would say of them before it begins."""
+    """Recordings of one axis, and the checks that an identification makes before it begins."""
 
     recordings: list[Path]
     columns_picture: Path
@@ -48,37 +48,37 @@ class Imported(NamedTuple):
 
 
 def recognised(source: Source, hints: Hints) -> RecognisedLog:
-    """What the columns of a log are, with what the user says. Raises RecordingError."""
+    """Recognise the columns of a log, given the user's hints. Raises RecordingError."""
     found = recognise(source, hints)
     return RecognisedLog(source, found, usable(str(source.path), converted(source, found), found))
 
 
 def recognised_logs(paths: Sequence[str | Path], hints: Hints) -> list[RecognisedLog]:
-    """Logs of one axis, read and recognised. Raises RecordingError that names the file and what to say."""
+    """Logs of one axis, read and recognised. Raises RecordingError that names the file and the option to give."""
     return [recognised(source, hints) for source in [read_source(Path(path)) for path in paths]]
 
 
 def assumptions(logs: Sequence[RecognisedLog]) -> list[Guess]:
-    """What neither names nor units nor the data decide, of all logs, each once."""
+    """Assumptions that names, units and data leave open, over all logs, each once."""
     found = {(g.signal, g.column, g.unit): g for one in logs for g in one.found.guesses if not g.sure}
     return list(found.values())
 
 
 def read_map(path: Path) -> dict[str, Any]:
     """The map of columns that an earlier import wrote. Raises DocumentError."""
-    told = yaml.safe_load(read_text(path)) or {}
-    if not isinstance(told, dict) or set(told) - MAP_KEYS:
+    found = yaml.safe_load(read_text(path)) or {}
+    if not isinstance(found, dict) or set(found) - MAP_KEYS:
         raise DocumentError(f"{path}: not a map of columns: give the {MAP_NAME} of an import")
-    return told
+    return found
 
 
 def known_units(units: dict[str, str]) -> dict[str, str]:
     """Units of columns, spelled as this project does. Raises RecordingError for an unknown one."""
     known = {}
-    for column, told in units.items():
-        unit = unit_of(str(told))
+    for column, given in units.items():
+        unit = unit_of(str(given))
         if unit is None:
-            raise RecordingError(f"unit {told!r} of column {column!r}: {did_you_mean(str(told), UNITS)}")
+            raise RecordingError(f"unit {given!r} of column {column!r}: {did_you_mean(str(given), UNITS)}")
         known[column] = unit
     return known
 
@@ -118,7 +118,7 @@ def _draw_columns(path: Path, one: RecognisedLog) -> None:
 
 
 def _plain_name(path: Path) -> Path:
-    """The path without what says of which kind the file is."""
+    """The path without the extensions of the file type."""
     return path.with_suffix("") if path.suffix.lower() in OTHER_SUFFIXES else path
 
 
@@ -136,7 +136,7 @@ def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str
 
 
 def _checked(paths: list[Path], facts: DriveFacts, out: Path) -> Imported:
-    """What an identification would say of the recordings before it begins, what they show, and of their sensor."""
+    """Checks before an identification, what the recordings can show, and the error of their position sensor."""
     problems: list[str] = []
     records = []
     for path in paths:

@@ -37,7 +37,7 @@ YAML_TYPE = "application/yaml"
 
 
 class Plan(NamedTuple):
-    """A checked axis file with all that it names."""
+    """A checked axis file with all files that it names."""
 
     path: Path
     axis: AxisFile
@@ -51,7 +51,7 @@ class Plan(NamedTuple):
 
 
 class ProfileFile(StrictRecord):
-    """A profile in a file of its own, for `run --profile`: any axis takes it that its limits allow."""
+    """A profile in a file of its own, for `run --profile`: for any axis whose limits allow it."""
 
     profile: ProfileSection
 
@@ -62,7 +62,7 @@ def make_plan(
 ) -> Plan:  # fmt: skip
     """Read an axis file and everything that it names, and check that it may run with these toggles (None: its own).
 
-    With `decide`, the name of an effect, the profile is the motion that tells it from its lookalikes; with
+    With `decide`, the name of an effect, the profile is the motion that separates it from its lookalikes; with
     `profile_file` it is that of another file.
     Raises DocumentError with every problem found.
     """
@@ -79,7 +79,7 @@ def checked_plan(
     path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None,
     profile_file: str | Path | None = None,
 ) -> Plan:  # fmt: skip
-    """As `make_plan`, of what was read already or has been changed since. Raises DocumentError."""
+    """As `make_plan`, for files that were read already or changed since. Raises DocumentError."""
     of_profile = path if profile_file is None else Path(profile_file)
     require(of_profile, length_problems(axis.profile, axis.loop))
     profile = build_profile(axis.profile, axis.loop.period_s)
@@ -98,9 +98,9 @@ def checked_plan(
 def proof_problems(
     axis: AxisFile, model: ModelFile, toggles: tuple[int, ...], profile: Profile | None = None
 ) -> list[str]:
-    """What speaks against the law with these toggles; nothing where the file accepts an unproven one.
+    """Objections to the law with these toggles; none if the file accepts an unproven law.
 
-    With a profile also what speaks against compensating the model's effects in it.
+    With a profile also objections to compensating the model's effects in it.
     """
     problems: list[str] = []
     if not axis.controller.accept_unproven:
@@ -139,7 +139,7 @@ def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
 
 
 def effect_monitor(plan: Plan) -> EffectMonitor | None:
-    """What watches the model's effects in a live run; None where none is compensated, or none is to be watched."""
+    """The monitor of the model's effects in a live run; None if no effect is compensated or monitored."""
     section = plan.axis.controller.effects
     names = compensated_names(plan.axis, plan.model)
     if not section.monitor or not names:

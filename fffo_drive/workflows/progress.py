@@ -1,4 +1,4 @@
-"""How far a workflow is: who calls it gives a bar, or nothing."""
+"""Progress of a workflow: the caller supplies a bar, or nothing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from contextlib import AbstractContextManager, nullcontext
 LINES_ENVIRONMENT = "FFFO_DRIVE_PROGRESS_LINES"  # set: progress goes to stderr as lines, for a program that reads it
 LINE_MARK = "::progress "  # before a JSON object {share, text}
 CHECK_MARK = "::check "  # before a JSON object: a check of commissioning, with columns of the motion before it
-Share = Callable[[float], None]  # is told the share done, 0 to 1
+Share = Callable[[float], None]  # gets the share done, 0 to 1
 Bar = Callable[[str], AbstractContextManager[Share | None]]  # of the text beside it
 
 
 def no_bar(_text: str) -> AbstractContextManager[Share | None]:
-    """Nobody watches."""
+    """No progress is shown."""
     return nullcontext(None)

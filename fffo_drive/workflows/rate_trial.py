@@ -1,7 +1,7 @@
-"""How fast a loop this drive, this bus and this machine allow: measured with SYNC and feedback, without voltage.
+"""The loop rate that drive, bus and machine allow, measured with SYNC and feedback, without voltage.
 
-The loop is the one that will run later: its session, its port, its cut-off. Asked is no torque; the drive is brought up
-as for a run and left without voltage.
+The loop is the one that will run later, with its session, port and cut-off. No torque is requested: the drive is
+brought up as for a run but stays without voltage.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from ..system.lateness import MOST_LATE
 from ..units import NS_PER_S
 
 RATES_HZ = (500, 1000, 2000)
-LISTEN_S = 0.1  # again, before each rate: the bus has been listened to already
-PATIENCE_MS = 1000  # of the drive with a silent PC, while it is measured
-SETTLE_S = 0.3  # the first ticks of a loop are not those of its day
+LISTEN_S = 0.1  # before each rate; the bus was listened to before
+PATIENCE_MS = 1000  # for which the drive tolerates a silent PC during the measurement
+SETTLE_S = 0.3  # the first ticks of a loop are not typical
 MOST_MISSING = 0.001  # share of SYNCs without an answer in time
 TURNAROUND_SHARE = 0.8  # of the cut-off: 99 % of the answers come within it
 ROUND_TRIPS = 100
 ROUND_TRIP_TIMEOUT_S = 0.3
 SDO_BYTES = 8
-NO_SCALE = 1.0  # identifiers and lengths are asked for alone
+NO_SCALE = 1.0  # only identifiers and lengths matter here
 PERCENTILES = (50.0, 99.0, 100.0)
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
 class Spread(NamedTuple):
-    """Of many times, microseconds."""
+    """Distribution of times, microseconds."""
 
     median: float
     most: float  # 99 % are within it
@@ -73,10 +73,10 @@ class RoundTrip(NamedTuple):
 
 
 class RateTrial(NamedTuple):
-    """One rate, tried. Times in microseconds."""
+    """Trial of one rate. Times in microseconds."""
 
     rate_hz: int
-    refused: str = ""  # why it could not be tried; nothing else is known then
+    refused: str = ""  # why it could not be tried; the rest is then empty
     ticks: int = 0
     missing: int = 0  # no answer before the cut-off
     late: int = 0  # woke later than loop.late_share of the period
@@ -92,7 +92,7 @@ class RateTrial(NamedTuple):
 
 
 def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...] = ()) -> RateTrial:
-    """What rows of the loop tell. Rows without a tick that has run are refused."""
+    """Result of a trial from the rows of its loop. Rows without a tick that ran are refused."""
     if rows.size == 0:
         return RateTrial(rate_hz, "the loop did not run")
     period_ns = NS_PER_S // rate_hz
@@ -119,7 +119,7 @@ def trial_of(rows: Rows, rate_hz: int, bus_load: float, refusals: tuple[str, ...
 
 
 def _longest_gap(ticks: Any, answered: Any) -> int:
-    """Periods between two answers, less the one that is always there."""
+    """Periods without an answer between two answers."""
     fresh = ticks[answered]
     return int(np.diff(fresh).max() - 1) if fresh.size > 1 else int(ticks[-1] - ticks[0] + 1)
 
@@ -129,7 +129,7 @@ def _spread(values: Any) -> Spread:
 
 
 def objections(trial: RateTrial, loop: LoopSection) -> list[str]:
-    """Why a loop should not run at the rate of a trial; empty where it fits. `loop`: its margins."""
+    """Why a loop should not run at the rate of a trial; empty if it fits. `loop`: its margins."""
     if trial.refused:
         return [trial.refused]
     period_us = 1e6 / trial.rate_hz
@@ -157,7 +157,7 @@ def objections(trial: RateTrial, loop: LoopSection) -> list[str]:
 
 
 class Choice(NamedTuple):
-    """The rate to write, and what speaks against the next."""
+    """The rate to write, and why the next one does not fit."""
 
     rate_hz: int | None  # None: none fits
     reason: str
@@ -166,7 +166,7 @@ class Choice(NamedTuple):
 def choose_rate(
     trials: list[RateTrial], loop: LoopSection, problems: Callable[[int], list[str]] = lambda rate_hz: []
 ) -> Choice:
-    """The highest rate that fits, and what speaks against the next one. `problems`: of the sum for the bus."""
+    """The highest rate that fits, and why the next one does not. `problems`: of the timing budget of the bus."""
     ordered = sorted(trials, key=lambda one: one.rate_hz)
     against = [objections(trial, loop) or problems(trial.rate_hz) for trial in ordered]
     best = max((k for k, reasons in enumerate(against) if not reasons), default=-1)
@@ -177,7 +177,7 @@ def choose_rate(
 
 
 def problems_at(axis: AxisFile, model: ModelFile, rate_hz: int, turnaround_us: float | None = None) -> list[str]:
-    """What the sum for the bus has against a rate, with a turnaround that was measured (None: that of the file)."""
+    """Problems of a rate by the timing budget of the bus, with a measured turnaround (None: that of the file)."""
     section = axis.drive
     if turnaround_us is not None:
         section = section.model_copy(update={"turnaround_us": turnaround_us})
@@ -190,7 +190,7 @@ def try_rate(
     axis: AxisFile, model: ModelFile, rate_hz: int, seconds: float,
     meanwhile: Callable[[CanopenDrive], None] = lambda drive: None, host: Host | None = None,
 ) -> RateTrial:  # fmt: skip
-    """Bring the drive up at a rate, let SYNC run, look, and leave it without voltage.
+    """Bring the drive up at a rate, run SYNC, measure, and leave it without voltage.
 
     `meanwhile` gets the drive while it is in NMT OPERATIONAL. Raises BusUnavailableError when nobody answers.
     """
@@ -227,7 +227,7 @@ def try_rate(
 
 
 def _patient(config: CanopenDriveConfig) -> CanopenDriveConfig:
-    """A drive that nobody enables need not notice each moment of silence: each would be an error in its history."""
+    """Long time-outs for a drive that is not enabled, so that short silences leave no errors in its history."""
     return dataclasses.replace(
         config,
         listen_s=LISTEN_S,
@@ -241,14 +241,14 @@ class _OnPaper(NamedTuple):
 
 
 def adapter_problem(bus: str, rate_hz: int, bitrate_hz: int, host: Host | None = None) -> str:
-    """Why the CAN interface cannot take a rate; empty where nothing is known against it."""
+    """Why the CAN interface cannot take a rate; empty if no reason is known."""
     wanted = Wanted(rate_hz=rate_hz, bus=bus, bitrate_hz=bitrate_hz)
     failures = [one for one in bus_findings(host or Host(), wanted) if one.level is Severity.FAILURE]
     return f"{failures[0].subject}: {failures[0].text}; {failures[0].remedy}" if failures else ""
 
 
 def round_trip(bus: str, node_id: int, count: int = ROUND_TRIPS) -> RoundTrip | None:
-    """Times of `count` SDO requests; None where not all were answered. Raises BusUnavailableError."""
+    """Times of `count` SDO requests; None if not all were answered. Raises BusUnavailableError."""
     request = pack_frame(can.SDO_REQUEST + node_id, READ_DEVICE_TYPE)
     filters = [CanFilter(can.SDO_REQUEST + node_id), CanFilter(can.SDO_RESPONSE + node_id)]
     sent_us, answered_us = [], []
@@ -271,9 +271,9 @@ def round_trip(bus: str, node_id: int, count: int = ROUND_TRIPS) -> RoundTrip | 
 
 
 def turnaround_of_drive_us(trials: list[RateTrial], trip: RoundTrip | None, axis: AxisFile) -> float | None:
-    """The drive's own share of the time from SYNC to feedback: without adapter, kernel and wire.
+    """The drive's own part of the time from SYNC to feedback, without adapter, kernel and wire.
 
-    None where it is not known: on a loopback bus, which has no wire, all times are the machine's.
+    None if unknown: on a loopback bus all times are those of the machine.
     """
     section = axis.drive
     measured = [trial.turnaround_us.median for trial in trials if not trial.refused]

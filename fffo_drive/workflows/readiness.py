@@ -1,6 +1,6 @@
-"""What stands between a drive and Operation Enabled, in plain words, from what it tells (CiA 402-2, CiA 301).
+"""What keeps a drive from Operation Enabled, in plain words, from its objects (CiA 402-2, CiA 301).
 
-A failure stands in the way. A warning may, or costs something later. Nothing here asks the drive to move.
+A failure prevents it. A warning may prevent it, or cause trouble later. Nothing here moves the drive.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from ..drive.canopen.emergency import code_text, emergency_text, register_text
+from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.service import Emergency
-from ..drive.canopen.told import ToldObjects
 from ..drive.cia402 import (
     STATE_FAULT,
     STATE_FAULT_REACTION_ACTIVE,
@@ -30,18 +30,18 @@ OUTPUT_BRAKE = 1 << 0  # 0x60FE:01
 LOWEST_DC_LINK_V = 10.0  # below: the logic is supplied and the power stage is not
 LOWEST_TORQUE_LIMIT = 1000  # 0x6072, thousandths of the rated torque
 TORQUE_LIMIT_PERMILLE = 1000.0
-COARSE_SHARE = 0.1  # of the observer's feedback band: a coarser count of 0x606C is told
+COARSE_SHARE = 0.1  # of the observer's feedback band: a coarser count of 0x606C gives a warning
 FAULT_STATES = (STATE_FAULT, STATE_FAULT_REACTION_ACTIVE)
-HISTORY = 3  # entries of 0x1003 that are told
+HISTORY = 3  # entries of 0x1003 that are reported
 
 
 def stands_between(
-    objects: ToldObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = ()
+    objects: SdoObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = ()
 ) -> list[HostFinding]:
-    """All of it, in the order in which it is to be mended.
+    """All findings, in the order in which they should be mended.
 
-    `operational`: the drive was in NMT OPERATIONAL when it told its state. `written`: objects that the axis file writes
-    before the drive is enabled (0x6076:00).
+    `operational`: the drive was in NMT OPERATIONAL when its state was read. `written`: objects that the axis file
+    writes before the drive is enabled (0x6076:00).
     """
     word = objects.value(0x6041)
     found: list[HostFinding] = []
@@ -62,7 +62,7 @@ def stands_between(
 
 
 def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> list[HostFinding]:
-    """How coarse the velocity is, against the band in which the friction observer takes it for rest."""
+    """Resolution of the velocity against the band in which the friction observer takes it for zero."""
     step_rps = 1.0 / velocity_units_per_rps
     text = f"one count of 0x606C is {step_rps:.3g} rps"
     if step_rps <= COARSE_SHARE * feedback_band_rps:
@@ -75,13 +75,13 @@ def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> li
     ]  # fmt: skip
 
 
-def _state(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
+def _state(objects: SdoObjects, word: int | None) -> Iterator[HostFinding]:
     if word is None:
         yield failure("state", "the drive reports no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
         return
     state, text = state_of(word), f"statusword 0x{word:04X}: {state_name(word)}"
     if state in FAULT_STATES:
-        pass  # told with the fault
+        pass  # reported with the fault
     elif state == STATE_OPERATION_ENABLED:
         yield failure(
             "state",
@@ -102,7 +102,7 @@ def _state(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
         yield warning("warning", "the drive warns (bit 7 of the statusword)", "see its codes")
 
 
-def _fault(objects: ToldObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[HostFinding]:
+def _fault(objects: SdoObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[HostFinding]:
     said = []
     if code := objects.value(0x603F):
         said.append(f"0x603F {code_text(code)}")
@@ -131,7 +131,7 @@ def _history_text(entry: int) -> str:
     return code_text(entry & 0xFFFF) + (f" with 0x{vendor:04X}" if vendor else "")
 
 
-def _supply(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
+def _supply(objects: SdoObjects, word: int | None) -> Iterator[HostFinding]:
     """DC link, and bit 4 of the statusword."""
     link_mv = objects.value(0x6079)
     link_v = None if link_mv is None else link_mv * 1e-3
@@ -147,7 +147,7 @@ def _supply(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
         yield ok("supply", "voltage at the power stage" + (f", DC link {link_v:.1f} V" if link_v is not None else ""))
         return
     if word is None or _interlock(objects):
-        return  # what is missing is told elsewhere
+        return  # a missing object is reported elsewhere
     if link_v is None:
         text = "bit 4 of the statusword is 0: no voltage at the power stage"
         yield warning("supply", text, "is the power supply on, is STO (safe torque off) wired and released?")
@@ -167,12 +167,12 @@ def _control(word: int | None, operational: bool) -> Iterator[HostFinding]:
         yield warning("control", f"{text}; some drives set it in NMT OPERATIONAL only", remedy)
 
 
-def _interlock(objects: ToldObjects) -> bool:
+def _interlock(objects: SdoObjects) -> bool:
     inputs = objects.value(0x60FD)
     return inputs is not None and bool(inputs & INPUT_INTERLOCK)
 
 
-def _inputs(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
+def _inputs(objects: SdoObjects, word: int | None) -> Iterator[HostFinding]:
     inputs = objects.value(0x60FD)
     if inputs is None:
         return
@@ -199,7 +199,7 @@ def _inputs(objects: ToldObjects, word: int | None) -> Iterator[HostFinding]:
         yield ok("inputs", f"0x60FD is 0x{inputs:08X}: no limit switch, no interlock")
 
 
-def _brake(objects: ToldObjects) -> Iterator[HostFinding]:
+def _brake(objects: SdoObjects) -> Iterator[HostFinding]:
     outputs = objects.value(0x60FE, 1)
     if outputs is None or not outputs & OUTPUT_BRAKE:
         return
@@ -209,7 +209,7 @@ def _brake(objects: ToldObjects) -> Iterator[HostFinding]:
     )  # fmt: skip
 
 
-def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding]:
+def _motor(objects: SdoObjects, written: Sequence[str]) -> Iterator[HostFinding]:
     for index, what in ((0x6076, "rated torque"), (0x6075, "rated current")):
         if objects.value(index) == 0:
             text = f"0x{index:04X} ({what}) is 0: the motor has not been configured in the drive"
@@ -227,7 +227,7 @@ def _motor(objects: ToldObjects, written: Sequence[str]) -> Iterator[HostFinding
         yield warning("torque limit", text, "set drive.max_torque_permille if this is too low")
 
 
-def _unreadable(objects: ToldObjects) -> Iterator[HostFinding]:
+def _unreadable(objects: SdoObjects) -> Iterator[HostFinding]:
     if objects.unreadable:
-        told = ", ".join(f"{name} ({reason})" for name, reason in sorted(objects.unreadable.items()))
-        yield warning("not read", f"objects that could not be read: {told}", "see the vendor's manual")
+        names = ", ".join(f"{name} ({reason})" for name, reason in sorted(objects.unreadable.items()))
+        yield warning("not read", f"objects that could not be read: {names}", "see the vendor's manual")

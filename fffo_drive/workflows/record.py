@@ -1,4 +1,4 @@
-"""One profile on a drive, recorded: in process as fast as it goes, on a bus in real time."""
+"""Record one profile on a drive: in process as fast as possible, on a bus in real time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def record_run(
     plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission,
     bar: Bar = no_bar, ring_rows: int | None = None,
 ) -> RunOutcome:  # fmt: skip
-    """Connect, run the profile of the plan and record it. `ring_rows`: None for the usual. Raises DriveError.
+    """Connect, run the profile of the plan and record it. `ring_rows`: None for the default. Raises DriveError.
 
     `bar` appears when a run in real time begins.
     """

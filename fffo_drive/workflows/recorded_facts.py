@@ -1,4 +1,4 @@
-"""The facts of an axis: from a file, or from the recordings themselves, which carry them."""
+"""The facts of an axis: from a file, or from the recordings, which contain them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ SIMULATED_RESOLVER_BITS = 15
 
 
 def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
-    """The facts in `file`, else those that all recordings carry.
+    """The facts in `file`, else those in the recordings.
 
-    Raises DocumentError for a log that carries none, and for recordings of different axes.
+    Raises DocumentError for a log without facts, and for recordings of different axes.
     """
     if file is not None:
         return read_facts(file)
@@ -43,7 +43,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
 
 
 def facts_in(run: Run) -> DriveFacts:
-    """What a recording says of its drive: the facts of an import, or the axis file and the model of a run."""
+    """Facts in a recording: those of an import, or from the axis file and the model of a run."""
     attached = run.attachments.get(FACTS_NAME)
     if attached is not None:
         name = f"{run.path}, {FACTS_NAME}"

@@ -1,4 +1,4 @@
-"""What the subcommands that record have in common: the recorder's bad news at once, and the rows of a run's files."""
+"""Shared by the subcommands that record: recorder errors at once on stderr, and the rows of a run's files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..signals import ROW
 
 
 def claim(out: Path) -> None:
-    """Make the directory of a recording and see that its name is free, before anything else begins. Raises OSError."""
+    """Make the directory of a recording and check that its name is free, before anything else. Raises OSError."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -27,7 +27,7 @@ def claim(out: Path) -> None:
 
 
 def recorder_hooks() -> RecorderHooks:
-    """The world around a recorder: what goes wrong is on stderr when it happens, not only at the end."""
+    """Hooks of a recorder that print errors on stderr when they happen, not only at the end."""
     return RecorderHooks(on_event=_tell)
 
 
@@ -37,6 +37,6 @@ def _tell(event: Event) -> None:
 
 
 def recorded_rows(files: Iterable[Path]) -> Rows:
-    """Rows of the files of one run, torn ones included; files that a quota has deleted meanwhile are passed over."""
+    """Rows of the files of one run, incomplete ones included; files that a quota has deleted are skipped."""
     parts = [read_run(file).rows for file in files if file.exists()]
     return np.concatenate(parts) if parts else np.zeros(0, ROW)

@@ -1,4 +1,4 @@
-"""Recordings put through the law and the envelope again: with what was in force, or with another law."""
+"""Replay of recordings through law and envelope: with the parameters that were in force, or with another law."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
 
 
 def with_continuations(files: Iterable[Path]) -> list[Path]:
-    """Each file with those beside it that continue it, unless they are given themselves."""
+    """Each file with the files beside it that continue it, unless those are given too."""
     given = list(files)
     found: list[Path] = []
     for file in given:
@@ -51,7 +51,7 @@ def with_continuations(files: Iterable[Path]) -> list[Path]:
 
 
 def _continuations(file: Path) -> Iterator[Path]:
-    """NAME_002.mcap, NAME_003.mcap ... that say that they continue this file, also one that is being written."""
+    """NAME_002.mcap, NAME_003.mcap ... that continue this file by their metadata; also one that is being written."""
     stem = file.name.removesuffix(".part").removesuffix(".mcap")
     for other in sorted((*file.parent.glob(f"{stem}_[0-9]*.mcap"), *file.parent.glob(f"{stem}_[0-9]*.mcap.part"))):
         if other != file and read_metadata(other).get("continues") == f"{stem}.mcap":
@@ -71,7 +71,7 @@ def _other_law(file: str, run: Run) -> ReplayedLaw:
     try:
         is_model = MODEL_FORMAT in Path(file).read_text(encoding="utf-8", errors="replace")
     except OSError:
-        is_model = False  # reading it as an axis file says what is wrong
+        is_model = False  # reading it as an axis file reports the error
     if is_model:
         return _law_of(recorded_files(run)[0], read_model(file))
     axis = read_axis(file)
@@ -79,7 +79,7 @@ def _other_law(file: str, run: Run) -> ReplayedLaw:
 
 
 def recorded_files(run: Run) -> tuple[AxisFile, ModelFile]:
-    """The axis file and the model that a recording carries. Raises DocumentError when they are not there."""
+    """The axis file and the model in a recording. Raises DocumentError if it has none."""
     with tempfile.TemporaryDirectory() as directory:
         for attachment in run.attachments.values():
             (Path(directory) / Path(attachment.name).name).write_bytes(attachment.data)

@@ -1,4 +1,4 @@
-"""An axis file on its simulated drive in process: one profile, without a file."""
+"""Run one profile of an axis file on its simulated drive in process, without a recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .plan import Plan, plan_session
 
 
 class Simulated(NamedTuple):
-    """What a run was."""
+    """Result of a run."""
 
     rows: Rows  # (n,) of signals.ROW
     fault: str | None  # why the envelope ended it; None when it did not

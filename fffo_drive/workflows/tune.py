@@ -1,4 +1,4 @@
-"""Gains for a fitted model, as the section of an axis file, and what speaks for them."""
+"""Gains for a fitted model, as a section of an axis file, with their margins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-6  # of margins
 
 
 class Tuned(NamedTuple):
-    """Gains, and the linear axis on which they were chosen."""
+    """Gains, and the linear axis that they are for."""
 
     axis: LinearAxis
     design: Design
@@ -42,7 +42,7 @@ class Tuned(NamedTuple):
 
 
 def tune(model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None) -> Tuned:
-    """Choose gains for the linear axis of a model. Raises DocumentError where none has the wanted margins.
+    """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
     fitted delay too short; the longer of the two is designed for.
@@ -110,13 +110,13 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float:
-    """Four digits, never more than it was: margins fall with each gain."""
+    """Four digits, rounded down: margins fall with each gain."""
     exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
     return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
 
 
 def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
-    """Gains below their own margins are not written. Raises DocumentError that names a crossover that holds them."""
+    """Refuse gains that miss the required margins. Raises DocumentError that names a crossover that has them."""
     margins = found.margins_observer
     if margins.phase_deg >= wish.phase_margin_deg - ROUNDING and margins.gain >= wish.gain_margin - ROUNDING:
         return
@@ -128,6 +128,6 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
         raise DocumentError(
-            f"with the wanted crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
+            f"with a crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
     raise DocumentError(f"{model.name}: {text}No crossover gives them: require smaller margins")

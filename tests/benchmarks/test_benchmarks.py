@@ -113,7 +113,7 @@ def test_the_stream_is_read_by_three_clients():
     assert facts["rows lost by the recorder"] == 0
     assert facts["frames a second"] > 0
     assert 0.0 < facts["CPU of the stream, 3 clients (median)"] < 100.0
-    assert facts["CPU of the stream, nobody looks (median)"] < facts["CPU of the stream, 3 clients (median)"]
+    assert facts["CPU of the stream, no client (median)"] < facts["CPU of the stream, 3 clients (median)"]
     assert facts.get("pictures a second in the browser", 1.0) > 0.0
 
 
@@ -129,7 +129,7 @@ def test_nothing_moves_after_a_stop_on_any_way_and_hostile_clients_end_no_motion
     facts = sample("hostile")
     assert facts["faults `abandoned`"] == 0
     assert facts["rows lost in the ring or on the disk"] == 0
-    assert facts["events of before the load that were displaced"] == 0
+    assert facts["earlier events that were displaced"] == 0
     assert facts["what the hostile clients did a second (median)"] > 100
 
 

@@ -149,7 +149,7 @@ print(json.dumps({"outcomes": [j.outcome for j in judged], "kinds": sorted(SERVE
 
 def test_without_the_curve_of_its_kind_another_axis_or_a_told_rest_is_right_and_a_law_is_wrong():
     found = said(JUDGED)
-    assert found["outcomes"] == ["right axis", "wrong", "wrong", "rest told", "rest told", "silent"]
+    assert found["outcomes"] == ["right axis", "wrong", "wrong", "residual reported", "residual reported", "silent"]
     assert found["kinds"]
     assert found["missed"] == ["wrong name or axis"]
 
@@ -176,7 +176,7 @@ def test_calibration_passes_what_is_calibrated_and_catches_an_interval_that_is_h
     assert found["p <= 0.1"] == pytest.approx(0.1, abs=0.05)
     assert found["coverage: Coulomb, no effect"] == pytest.approx(0.95, abs=0.03)
     assert found["coverage: cogging"] == pytest.approx(0.673, abs=0.06)  # of a normal within 1.96/2 deviations
-    assert found["missed"] == ["95 % interval holds the truth: cogging"]
+    assert found["missed"] == ["95 % interval contains the true value: cogging"]
     assert found["wave"] == pytest.approx(2.0)
     assert len(found["names"]) == 4
     assert (tmp_path / "drawn.svg").stat().st_size < 60_000

@@ -1,4 +1,4 @@
-"""`scripted_node` of tests/canopen and `told_by` are importable."""
+"""`scripted_node` of tests/canopen and `paper_drive` are importable."""
 
 from __future__ import annotations
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
+from paper_drive import Paper, u32
 from scripted_node import servo_dictionary
-from told_by import Paper, u32
 
 from fffo_drive.cli.bring_up import exit_code, report_lines
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.drive.canopen.scan import NodeName
-from fffo_drive.drive.canopen.told import WANTED, ToldObjects
+from fffo_drive.drive.canopen.sdo_objects import WANTED, SdoObjects
 from fffo_drive.system.findings import Severity
 from fffo_drive.workflows import bring_up as workflow
 from fffo_drive.workflows.bring_up import BringUpReport, Wishes
@@ -62,12 +62,12 @@ def test_any_drive_ends_in_a_verdict_and_a_whole_file_or_none(tmp_path_factory, 
     out = tmp_path_factory.mktemp("any") / "axis.yaml"
     wishes = Wishes("loopback:29500", out, answers=answers, measure=False)
     node = NodeName(1, 0x00020192, "", "a drive", vendor_id=vendor)
-    told = ToldObjects(Paper(objects).read)
-    told.ask_all()
-    facts = workflow._facts(told, wishes, node, Silent())
-    told.ask_no_more()
+    reported = SdoObjects(Paper(objects).read)
+    reported.read_all()
+    facts = workflow._facts(reported, wishes, node, Silent())
+    reported.stop_reading()
     found = BringUpReport("loopback:29500", "", False, (node,), node_id=1)
-    report = workflow._propose(wishes, found, node, told, facts, [], Silent())
+    report = workflow._propose(wishes, found, node, reported, facts, [], Silent())
     event(report.verdict.partition(":")[0] + (", with a file" if report.axis_file else ", without"))
     failures = [one for one in report.findings if one.level is Severity.FAILURE]
     assert report.ready is (report.axis_file is not None and not failures)

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper_drive import Paper, plain_drive, u32
 from shared_data import shared_files
-from told_by import Paper, told, u32
 
-from fffo_drive.drive.canopen.told import ToldObjects
+from fffo_drive.drive.canopen.sdo_objects import SdoObjects
 from fffo_drive.units import inertia_nm_s2_per_rev
 from fffo_drive.workflows.axis_draft import ACCELERATION_RPS2, Place, make_draft, model_file_of
 from fffo_drive.workflows.drive_facts import Answers, Fact, drive_facts
@@ -40,7 +40,7 @@ def written(tmp_path, facts, objects, where=None):
 
 
 def test_each_scale_says_where_it_came_from():
-    facts = facts_of(told())
+    facts = facts_of(plain_drive())
     assert {name: fact.value for name, fact in facts.scales.items()} == {
         "counts_per_rev": 4096, "velocity_units_per_rps": 60.0, "rated_torque_nm": 1.0, "rated_current_a": 10.0,
         "torque_constant_nm_per_a": 0.1,
@@ -56,7 +56,7 @@ def test_each_scale_says_where_it_came_from():
 
 
 def test_what_people_say_stands_before_what_is_read():
-    facts = facts_of(told(), counts_per_rev=2000, torque_constant_nm_per_a=0.12, rated_torque_nm=1.1)
+    facts = facts_of(plain_drive(), counts_per_rev=2000, torque_constant_nm_per_a=0.12, rated_torque_nm=1.1)
     assert facts.scales["counts_per_rev"] == Fact(2000, "given (--counts)")
     assert facts.scales["torque_constant_nm_per_a"] == Fact(0.12, "given (--torque-constant)")
     assert facts.section["rated_torque_nm"].value == 1.1
@@ -78,7 +78,7 @@ def test_what_people_say_stands_before_what_is_read():
     ],
 )
 def test_what_nobody_has_said_is_missing(without, answers, missing):
-    assert facts_of(told(without=without), **answers).missing == missing
+    assert facts_of(plain_drive(without=without), **answers).missing == missing
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_what_nobody_has_said_is_missing(without, answers, missing):
     ],
 )
 def test_of_rated_torque_current_and_torque_constant_one_follows_from_the_others(without, answers, derived, value):
-    facts = facts_of(told(without=without), **answers)
+    facts = facts_of(plain_drive(without=without), **answers)
     assert facts.scales[derived].value == pytest.approx(value)
     assert facts.scales[derived].assumed
     assert [name for name, fact in facts.scales.items() if fact.assumed] == [derived]
@@ -99,15 +99,15 @@ def test_of_rated_torque_current_and_torque_constant_one_follows_from_the_others
 
 
 def test_the_unit_of_the_rated_torque_is_the_one_that_says_what_was_given():
-    micro = told({(0x6076, 0): u32(1_228_400)})
+    micro = plain_drive({(0x6076, 0): u32(1_228_400)})
     assert facts_of(micro).scales["rated_torque_nm"].value == pytest.approx(1228.4)
     given_too = facts_of(micro, rated_torque_nm=1.2284)
     assert given_too.section["rated_torque_unit"].value == "uNm"
-    assert "rated_torque_unit" not in facts_of(told(), rated_torque_nm=1.0).section
+    assert "rated_torque_unit" not in facts_of(plain_drive(), rated_torque_nm=1.0).section
 
 
 def test_a_drive_that_was_not_told_its_motor_is_told_by_the_axis_file(tmp_path):
-    objects = told({(0x6076, 0): u32(0), (0x6075, 0): u32(0)})
+    objects = plain_drive({(0x6076, 0): u32(0), (0x6075, 0): u32(0)})
     assert facts_of(objects).writes == {}
     facts = facts_of(objects, rated_torque_nm=1.25, rated_current_a=5.0)
     assert facts.writes == {"0x6076:00": 1250, "0x6075:00": 5000}
@@ -118,30 +118,30 @@ def test_a_drive_that_was_not_told_its_motor_is_told_by_the_axis_file(tmp_path):
 
 
 def test_a_known_family_brings_its_profile_and_what_the_drive_says_of_its_units_stands_before_it(tmp_path):
-    factory = told({(0x6076, 0): u32(1_228_400)})
+    factory = plain_drive({(0x6076, 0): u32(1_228_400)})
     facts = facts_of(factory, identity=EPOS4)
     assert facts.profile == "maxon_epos4"
     assert facts.scales["rated_torque_nm"].value == pytest.approx(1.2284)  # the family counts uNm
     assert "velocity_units_per_rps" not in facts.section  # the profile has it
     section = written(tmp_path, facts, factory, place(rate_hz=Fact(1000, ""))).axis.drive
     assert (section.profile, section.velocity_units_per_rps, section.highest_rate_hz) == ("maxon_epos4", 60.0, 1000)
-    finer = told({(0x6076, 0): u32(1_228_400), (0x60A9, 0): u32(0xFDB44700)})
-    told_finer = facts_of(finer, identity=EPOS4).section["velocity_units_per_rps"]
-    assert told_finer.value == pytest.approx(60_000.0)
-    assert "the profile has 60" in told_finer.source
+    finer = plain_drive({(0x6076, 0): u32(1_228_400), (0x60A9, 0): u32(0xFDB44700)})
+    finer_velocity = facts_of(finer, identity=EPOS4).section["velocity_units_per_rps"]
+    assert finer_velocity.value == pytest.approx(60_000.0)
+    assert "the profile has 60" in finer_velocity.source
 
 
 def test_what_the_drive_lacks_is_named_or_replaced():
-    lacking = told(without=((0x6071, 0),))
+    lacking = plain_drive(without=((0x6071, 0),))
     assert any("0x6071" in problem for problem in facts_of(lacking).problems)
-    replaced = facts_of(told({(0x1029, 1): b"\0"}, without=((0x6007, 0),)))
+    replaced = facts_of(plain_drive({(0x1029, 1): b"\0"}, without=((0x6007, 0),)))
     assert replaced.problems == ()
     assert replaced.section["silence_reaction"].value == "error_behaviour"
     assert len(replaced.stand_ins) == 1
 
 
 def test_the_files_are_read_by_every_command_and_hold_what_is_known(tmp_path):
-    objects = told()
+    objects = plain_drive()
     where = place(turnaround_us=Fact(80.0, "measured"), rate_hz=Fact(1000, "measured"))
     plan = written(tmp_path, facts_of(objects), objects, where)
     section, envelope = plan.axis.drive, plan.axis.envelope
@@ -160,7 +160,7 @@ def test_the_files_are_read_by_every_command_and_hold_what_is_known(tmp_path):
 
 
 def test_the_drives_own_limits_are_kept_and_a_free_master_id_is_found(tmp_path):
-    objects = told({(0x6080, 0): u32(600), (0x6073, 0): (1200).to_bytes(2, "little")})
+    objects = plain_drive({(0x6080, 0): u32(600), (0x6073, 0): (1200).to_bytes(2, "little")})
     where = place(node_id=127, other_nodes=(126,))
     plan = written(tmp_path, facts_of(objects, node_id=127), objects, where)
     assert plan.axis.envelope.speed_limit_rps == pytest.approx(8.0)  # 0.8 of 600 rpm
@@ -169,7 +169,7 @@ def test_the_drives_own_limits_are_kept_and_a_free_master_id_is_found(tmp_path):
 
 
 def test_a_name_that_a_drive_made_up_cannot_break_the_file(tmp_path):
-    objects = told()
+    objects = plain_drive()
     nasty = place(drive="x: [}] # 'a\"")
     assert written(tmp_path, facts_of(objects), objects, nasty).axis.drive.node_id == 1
 
@@ -182,7 +182,7 @@ def test_a_name_that_a_drive_made_up_cannot_break_the_file(tmp_path):
 def test_any_motor_makes_files_that_pass_the_check(
     tmp_path_factory, torque, current, counts, rate, rpm, peak, rated_acceleration
 ):
-    objects = told({
+    objects = plain_drive({
         (0x6076, 0): u32(torque), (0x6075, 0): u32(current), (0x608F, 1): u32(counts), (0x6080, 0): u32(rpm),
         (0x6073, 0): peak.to_bytes(2, "little"),
     })  # fmt: skip
@@ -221,7 +221,7 @@ def test_every_known_dictionary_makes_an_axis_file_or_says_what_is_missing(tmp_p
             dictionary[0x6502, 0] = u32(0x000003AD)
         if path.stem == "ipos":  # objects that its firmware has and its file has not
             dictionary |= {(0x201C, 0): u32(0), (0x207E, 0): b"\0\0"}
-        objects = ToldObjects(Paper(dictionary).read)
+        objects = SdoObjects(Paper(dictionary).read)
         vendor = objects.value(0x1018, 1) or IDENTITIES.get(path.stem, 0)
         facts = facts_of(
             objects, identity={"vendor_id": vendor, "product_code": objects.value(0x1018, 2) or 0}, counts_per_rev=2000,
@@ -243,9 +243,9 @@ def test_every_known_dictionary_makes_an_axis_file_or_says_what_is_missing(tmp_p
 
 def test_a_vendors_own_torque_objects_need_their_units():
     ipos = {"vendor_id": 0x1A3, "product_code": 1}
-    assert facts_of(told(), identity=ipos).missing == ["target_units_per_a", "feedback_units_per_a"]
-    answered = facts_of(told(), identity=ipos, target_units_per_a=182.0, feedback_units_per_a=3.0)
+    assert facts_of(plain_drive(), identity=ipos).missing == ["target_units_per_a", "feedback_units_per_a"]
+    answered = facts_of(plain_drive(), identity=ipos, target_units_per_a=182.0, feedback_units_per_a=3.0)
     assert answered.missing == []
     assert answered.section["target"].value == {"units_per_a": 182.0}
     assert answered.section["torque_feedback"].value == {"units_per_a": 3.0}
-    assert facts_of(told(), target_units_per_a=182.0).missing == []
+    assert facts_of(plain_drive(), target_units_per_a=182.0).missing == []

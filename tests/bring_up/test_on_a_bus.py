@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 from buses import BusLog, simulated_node
+from paper_drive import u32
 from scripted_node import RANGE, ScriptedNode, servo_dictionary
-from told_by import u32
 
 from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link

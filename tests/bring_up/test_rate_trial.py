@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from told_by import told
+from paper_drive import plain_drive
 
 from fffo_drive.config.sections import LoopSection
 from fffo_drive.signals import ROW
@@ -112,7 +112,7 @@ def test_the_highest_rate_that_fits_and_why_the_next_one_does_not():
 
 
 def draft_on(bus):
-    objects = told()
+    objects = plain_drive()
     facts = drive_facts(objects, Answers(), 1)
     return make_draft(Place("axis", "m.yaml", bus, Fact(1_000_000, ""), 1, "a drive"), facts, objects)
 

@@ -7,10 +7,10 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from told_by import Paper, told, u32
+from paper_drive import Paper, plain_drive, u32
 
+from fffo_drive.drive.canopen.sdo_objects import WANTED, SdoObjects
 from fffo_drive.drive.canopen.service import Emergency
-from fffo_drive.drive.canopen.told import WANTED, ToldObjects
 from fffo_drive.system.findings import Severity
 from fffo_drive.workflows.readiness import stands_between, velocity_step
 
@@ -31,8 +31,8 @@ def warnings(objects, **more):
 
 @pytest.mark.parametrize("ready", [0x0250, 0x0231, 0x0233])
 def test_nothing_stands_in_the_way_of_a_drive_that_can_be_enabled(ready):
-    assert in_the_way(told(word(ready))) == []
-    assert warnings(told(word(ready))) == []
+    assert in_the_way(plain_drive(word(ready))) == []
+    assert warnings(plain_drive(word(ready))) == []
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_nothing_stands_in_the_way_of_a_drive_that_can_be_enabled(ready):
     ],
 )  # fmt: skip
 def test_one_obstacle_is_one_sentence(changes, said):
-    assert in_the_way(told(changes)) == [said]
+    assert in_the_way(plain_drive(changes)) == [said]
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_one_obstacle_is_one_sentence(changes, said):
     ],
 )  # fmt: skip
 def test_what_may_be_in_the_way_is_a_warning(changes, said):
-    objects = told(changes)
+    objects = plain_drive(changes)
     objects.value(0x60FD)
     assert in_the_way(objects) == []
     found = warnings(objects)
@@ -84,7 +84,7 @@ def test_what_may_be_in_the_way_is_a_warning(changes, said):
 
 
 def test_a_fault_tells_the_drives_own_words():
-    objects = told({
+    objects = plain_drive({
         **word(0x0218), (0x603F, 0): b"\x20\x32", (0x1001, 0): b"\x05", (0x1003, 0): b"\x01",
         (0x1003, 1): u32(0x12343220), (0x1003, 2): u32(0x8130),
     })  # fmt: skip
@@ -98,17 +98,17 @@ def test_a_fault_tells_the_drives_own_words():
 
 
 def test_local_control_stands_in_the_way_once_the_drive_is_operational():
-    assert in_the_way(told(word(0x0050)), operational=True) == [
+    assert in_the_way(plain_drive(word(0x0050)), operational=True) == [
         "control: bit 9 of the statusword is 0: the drive ignores our controlword (local control)"
     ]
 
 
 def test_a_rating_that_the_axis_file_writes_is_no_obstacle():
-    assert in_the_way(told({(0x6076, 0): u32(0)}), written=("0x6076:00",)) == []
+    assert in_the_way(plain_drive({(0x6076, 0): u32(0)}), written=("0x6076:00",)) == []
 
 
 def test_a_drive_without_a_statusword():
-    assert in_the_way(told(without=((0x6041, 0),)))[0] == "state: the drive reports no statusword (0x6041)"
+    assert in_the_way(plain_drive(without=((0x6041, 0),)))[0] == "state: the drive reports no statusword (0x6041)"
 
 
 def test_how_coarse_a_velocity_is():
@@ -119,7 +119,7 @@ def test_how_coarse_a_velocity_is():
 
 @given(st.dictionaries(st.sampled_from(WANTED), st.binary(min_size=1, max_size=4)), st.booleans())
 def test_whatever_a_drive_tells_every_obstacle_has_a_remedy(objects, operational):
-    found = stands_between(ToldObjects(Paper(objects).read), (), operational)
+    found = stands_between(SdoObjects(Paper(objects).read), (), operational)
     assert [one.level for one in found] == sorted(
         (one.level for one in found), key=[Severity.FAILURE, Severity.WARNING, Severity.OK].index
     )

@@ -96,7 +96,7 @@ class ScriptedLink:
 def test_every_id_is_asked_once_with_time_between_and_the_slowest_node_is_waited_for():
     link = ScriptedLink({1: ["581#4300100092010200"], 127: ["5FF#4300100091010F00"]}, delay_s=0.25)
     roll, asked = Roll(), []
-    ask_every_node(link, roll, told=asked.append, clock=lambda: link.now_s)
+    ask_every_node(link, roll, progress=asked.append, clock=lambda: link.now_s)
     assert asked == list(range(1, 128))
     assert [can_id for _, can_id, _ in link.sent] == list(range(0x601, 0x680))
     assert {data for _, _, data in link.sent} == {bytes.fromhex("4000100000000000")}

@@ -17,7 +17,7 @@ from fffo_drive.config.eds_fitness import fitness_of, mode_names
 from fffo_drive.drive.canopen.eds import default_of, read_eds
 from fffo_drive.drive.canopen.eds_tidy import number, tidy
 from fffo_drive.drive.canopen.object_map import MappingError
-from fffo_drive.drive.canopen.units_told import velocity_units_per_rps
+from fffo_drive.drive.canopen.reported_units import velocity_units_per_rps
 
 FILES = Path(__file__).resolve().parent / "eds"
 NODE = 5

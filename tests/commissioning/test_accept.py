@@ -8,7 +8,7 @@ import pytest
 from commissioning.test_record import axis_file, record_for
 
 from fffo_drive.cli import main
-from fffo_drive.commissioning.judge import CHECKS, not_done, told
+from fffo_drive.commissioning.judge import CHECKS, judged, not_done
 from fffo_drive.commissioning.record import write_record
 from fffo_drive.config.axis import read_axis
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
@@ -41,7 +41,7 @@ def test_no_record_one_that_failed_and_one_of_other_facts_are_refused(tmp_path, 
     before = path.read_text()
     assert main(["commission", str(path), "--accept"]) == 78
     assert "commission the axis first" in capsys.readouterr().err
-    checks = [told(name, "ok", "fine") for name in CHECKS][:-1] + [not_done("quick_stop", "ended")]
+    checks = [judged(name, "ok", "fine") for name in CHECKS][:-1] + [not_done("quick_stop", "ended")]
     write_record(tmp_path / NAME, record_for(path, identity, checks))
     assert main(["commission", str(path), "--accept"]) == 78
     assert "has not passed" in capsys.readouterr().err

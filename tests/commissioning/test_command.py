@@ -9,7 +9,7 @@ from commissioning.test_record import CONFIGS, axis_file, record_for
 from fffo_drive.cli import commission, main
 from fffo_drive.cli.commission import found_text, next_line, verdict_line
 from fffo_drive.commissioning.estimate import HeldCurrent
-from fffo_drive.commissioning.judge import CHECKS, graded, not_done, told, within
+from fffo_drive.commissioning.judge import CHECKS, graded, judged, not_done, within
 from fffo_drive.commissioning.motion_checks import Beliefs, current_scale
 from fffo_drive.commissioning.objects import NamePlate
 from fffo_drive.commissioning.record import read_record
@@ -70,13 +70,13 @@ def test_one_count_is_told_before_anything_moves(tmp_path, capsys, terminal):
 def checks(**changed):
     """All checks, ok but for these."""
     return [
-        changed.get(name) or told(name, "ok", f"{name} is fine, as a sentence of usual length has it")
+        changed.get(name) or judged(name, "ok", f"{name} is fine, as a sentence of usual length has it")
         for name in CHECKS
     ]
 
 
 OFF = graded("delay", 0.004, 0.00275, within(0.00275, 5e-4, 2e-3), "s", "4 ms, the model says 2.75 ms", "set delay_s")
-WRONG = told("torque_sign", "failed", "the shaft turns backwards", "swap two phases")
+WRONG = judged("torque_sign", "failed", "the shaft turns backwards", "swap two phases")
 NOT = {name: not_done(name, "not done: torque_sign failed") for name in list(CHECKS)[5:]}
 
 
@@ -121,7 +121,7 @@ def test_what_is_not_ok_has_its_range_and_remedy_beside_it():
     assert found_text(OFF).splitlines() == [
         "4 ms, the model says 2.75 ms", "measured 0.004 s, ok is 0.00225 to 0.00325 s", "-> set delay_s"
     ]  # fmt: skip
-    assert found_text(told("motion", "ok", "it moves")) == "it moves"
+    assert found_text(judged("motion", "ok", "it moves")) == "it moves"
 
 
 @pytest.mark.parametrize("counts", [20, 22, 50, 400])

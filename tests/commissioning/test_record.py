@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fffo_drive.cli import main
-from fffo_drive.commissioning.judge import CHECKS, graded, not_done, told, within
+from fffo_drive.commissioning.judge import CHECKS, graded, judged, not_done, within
 from fffo_drive.commissioning.record import (
     BoundsRecord,
     CommissioningRecord,
@@ -44,7 +44,7 @@ def record_for(path, identity, checks=None):
     plan = make_plan(path)
     facts = declared_facts(plan.axis, plan.model)
     if checks is None:
-        checks = [told(name, "ok", "fine") for name in CHECKS]
+        checks = [judged(name, "ok", "fine") for name in CHECKS]
     return CommissioningRecord(
         axis="canopen", date="2026-01-02T03:04:05+00:00", tool="fffo_drive", bus="loopback:20000",
         drive=DriveRecord.of(identity), facts=facts, facts_hash=facts.digest, model="table1",
@@ -79,7 +79,7 @@ def test_a_record_comes_back_as_it_was_written(tmp_path, identity):
 
 
 def test_a_record_that_was_edited_is_refused(tmp_path, identity):
-    checks = [told("delay", "failed", "late", "mend")]
+    checks = [judged("delay", "failed", "late", "mend")]
     write_record(tmp_path / NAME, record_for(axis_file(tmp_path), identity, checks))
     text = (tmp_path / NAME).read_text()
     assert "verdict: failed" in text
@@ -102,7 +102,7 @@ def test_a_record_that_was_edited_is_refused(tmp_path, identity):
 )
 def test_a_check_that_was_not_made_was_not_passed(verdicts, expected):
     names = list(CHECKS)
-    assert overall([told(names[k], verdict, "") for k, verdict in enumerate(verdicts)]) == expected
+    assert overall([judged(names[k], verdict, "") for k, verdict in enumerate(verdicts)]) == expected
 
 
 def test_verdicts_of_numbers():
@@ -165,7 +165,7 @@ def test_changed_gains_do_not(tmp_path, identity):
 
 
 def test_a_record_that_has_not_passed_says_why(tmp_path, identity):
-    checks = [told("delay", "failed", "9 ms", "set it"), not_done("quick_stop", "not done")]
+    checks = [judged("delay", "failed", "9 ms", "set it"), not_done("quick_stop", "not done")]
     path = axis_file(tmp_path)
     write_record(tmp_path / NAME, record_for(path, identity, checks))
     with pytest.raises(DocumentError, match=r"axis.yaml:\d+: commissioning: .*has not passed: delay \(9 ms\)"):

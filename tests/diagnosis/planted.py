@@ -117,8 +117,8 @@ def runs(*loads: Load, seed: int = 1, **options: float) -> list[Record]:
 def based(records: list[Record], facts: DriveFacts = FACTS) -> tuple[Data, Fitted]:
     """Data with its levels of noise, and the base model fitted without effects."""
     data = started(records, facts)
-    data, standing = settled(data, base_of(data))
-    return data, standing.fitted
+    data, scored = settled(data, base_of(data))
+    return data, scored.fitted
 
 
 def started(records: list[Record], facts: DriveFacts = FACTS) -> Data:

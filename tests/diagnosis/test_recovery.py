@@ -63,8 +63,8 @@ def fitted(planted, name):
     (one,) = search.proposals(data, base, evidence, LAW_RUNG)
     found = refitted(data, base, one, 1.0, two_starts=True)
     for _ in range(3):  # to its end: the levels of noise are those of the model that stands
-        data, standing = renewed(data, found)
-        found = standing.fitted
+        data, scored = renewed(data, found)
+        found = scored.fitted
     return data, found, evaluate(data, base.physical, ())[0]
 
 

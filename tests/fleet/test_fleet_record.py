@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,7 @@ def test_records_of_recordings_add_up_to_the_fit_on_their_rows_joined(recordings
         target.append(rows.torque_nm[rows.sliding])
         made = record(path, None)
         assert made["rows"] == columns[-1].shape[0]
-        total = total.with_rows_of(balance_of(balance_columns(rows, facts), rows))
+        total = Balance(*map(operator.add, total, balance_of(balance_columns(rows, facts), rows)))
         assert made["energy_nm2"] == pytest.approx(float(target[-1] @ target[-1]), rel=1e-12)
     wanted, *_ = np.linalg.lstsq(np.concatenate(columns), np.concatenate(target), rcond=None)
     assert solve(total).theta == pytest.approx(wanted, rel=1e-6, abs=1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 import pytest
 from fleet.fleet_rig import FACTS, TRUTH, motion, torque_nm
@@ -55,7 +57,7 @@ def test_records_of_an_axis_add_up_to_the_fit_on_all_of_its_rows(seeds, noise_nm
     runs = [rows_of(seed, noise_nm, duration_s=3.0) for seed in seeds]
     total = balance(runs[0])
     for run in runs[1:]:
-        total = total.with_rows_of(balance(run))
+        total = Balance(*map(operator.add, total, balance(run)))
     columns = np.concatenate([balance_columns(run, FACTS)[run.sliding] for run in runs])
     target = np.concatenate([run.torque_nm[run.sliding] for run in runs])
     wanted, *_ = np.linalg.lstsq(columns, target, rcond=None)
@@ -95,7 +97,7 @@ def test_information_is_the_inverse_of_the_covariance_and_grows_with_the_runs():
     one = solve(balance(rows_of(5, 2e-3)))
     assert np.sqrt(np.diag(np.linalg.inv(one.information))) == pytest.approx(one.sd, rel=1e-6)
     first = balance(rows_of(5, 2e-3))
-    both = solve(first.with_rows_of(first))
+    both = solve(Balance(*map(operator.add, first, first)))
     assert both.sd == pytest.approx(one.sd / np.sqrt(2.0), rel=1e-3)
 
 

@@ -14,7 +14,7 @@ from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 from identification.test_dataset import write_csv
 
 from fffo_drive.cli import main
-from fffo_drive.commissioning.judge import CHECKS, told
+from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import read_record, write_record
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.checks import law_problems
@@ -79,8 +79,8 @@ def test_tune_designs_for_the_longer_delay_of_model_and_commissioning_and_keeps_
     capsys.readouterr()
     gains = {}
     for measured_s in (0.0020, 0.0040):  # the model's is 2.75 ms
-        checks = [told(name, "ok", "fine") for name in CHECKS if name != "delay"]
-        delay = told("delay", "ok", "").model_copy(update={"measured": measured_s})
+        checks = [judged(name, "ok", "fine") for name in CHECKS if name != "delay"]
+        delay = judged("delay", "ok", "").model_copy(update={"measured": measured_s})
         write_record(tmp_path / NAME, record_for(axis, IDENTITY, [*checks, delay]))
         out = tmp_path / f"{measured_s:g}"
         assert main(["tune", str(TABLE_1), "--out", str(out), "--axis", str(axis), "--json"]) == 0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from identification.rig import record
 from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record
+from model.loaded_axis import simulate_with_effects
 
 from fffo_drive.drive.simulated.parameters import EffectConfig, paper_plant
 from fffo_drive.identification.coordinates import MODEL_PARAMETERS, coordinates, to_coordinates
@@ -19,7 +20,6 @@ from fffo_drive.identification.residuals import torque_residual, velocity_errors
 from fffo_drive.identification.solver import solve
 from fffo_drive.model.axis import AxisState
 from fffo_drive.model.effects.registry import LAWS
-from fffo_drive.model.effects.step import simulate_with_effects
 from fffo_drive.model.effects.table import Term
 from fffo_drive.model.friction import REST
 

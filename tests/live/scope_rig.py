@@ -80,12 +80,19 @@ class ScopeRig:
             time.sleep(0.02)
 
 
+def taken_apart(frame: bytes) -> tuple[dict[str, Any], bytes]:
+    """Head and payload of a binary frame."""
+    length = int.from_bytes(frame[: frames.HEAD_BYTES], "little")
+    head: dict[str, Any] = json.loads(frame[frames.HEAD_BYTES : frames.HEAD_BYTES + length])
+    return head, frame[frames.HEAD_BYTES + length :]
+
+
 def hear(page: ClientConnection, kind: str) -> dict[str, Any]:
     """The next message of this kind; a binary one has its numbers as `payload`."""
     while True:
         message = page.recv(timeout=PATIENCE_S)
         if isinstance(message, bytes):
-            head, payload = frames.taken_apart(message)
+            head, payload = taken_apart(message)
             content = {**head, "payload": payload}
         else:
             content = json.loads(message)

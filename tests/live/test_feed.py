@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live.ring_writer import rows_of, write
+from live.scope_rig import taken_apart
 
 from fffo_drive.live import frames
 from fffo_drive.live.decimation import (
@@ -96,15 +97,14 @@ def test_the_feed_follows_the_loop_and_the_next_one():
     assert feed.poll() is None
     rows = rows_of(64, 300)
     write(rings[0], rows)
-    head, payload = frames.taken_apart(feed.poll().frame())
+    head, payload = taken_apart(feed.poll().frame())
     assert (head["kind"], head["loop"], head["ticks"], head["lost"]) == ("rows", 1, 300, 0)
     values = np.frombuffer(payload).reshape(head["bins"], len(SIGNALS), 3)
     assert values[0, NAMES.index("tick"), MINIMUM] == 64
-    taken = b"".join(frames.taken_apart(frame)[1] for frame in feed.captured(CAPTURE_S))
+    taken = b"".join(taken_apart(frame)[1] for frame in feed.captured(CAPTURE_S))
     assert taken == rows.tobytes()
     assert (
-        np.frombuffer(b"".join(frames.taken_apart(f)[1] for f in feed.captured(0.05)), ROW).tobytes()
-        == rows[-100:].tobytes()
+        np.frombuffer(b"".join(taken_apart(f)[1] for f in feed.captured(0.05)), ROW).tobytes() == rows[-100:].tobytes()
     )
     sources[0] = FeedSource(2, rings[1], 1000.0, 0.148)
     assert feed.poll() is None
@@ -122,7 +122,7 @@ def test_some_signals_of_a_capture_are_their_columns_packed_in_that_order():
     feed.poll()
     names = ["tick", "velocity_rps", "trip"]
     packed = np.dtype([(name, ROW[name]) for name in names])
-    parts = [frames.taken_apart(frame) for frame in feed.captured(1.0, 2499, names, 17)]
+    parts = [taken_apart(frame) for frame in feed.captured(1.0, 2499, names, 17)]
     assert {(head["id"], head["loop"], head["total"]) for head, _ in parts} == {(17, 3, 2000)}
     assert parts[0][0]["signals"] == names
     taken = np.frombuffer(b"".join(payload for _, payload in parts), packed)
@@ -139,7 +139,7 @@ def test_nothing_is_kept_while_nobody_listens():
     feed.end()
     write(ring, rows_of(0, 500))
     (frame,) = feed.captured(1.0)
-    assert frames.taken_apart(frame)[0]["total"] == 0
+    assert taken_apart(frame)[0]["total"] == 0
     feed.begin()
     assert feed.poll() is None  # from now on, not what was missed
 
@@ -147,7 +147,7 @@ def test_nothing_is_kept_while_nobody_listens():
 def test_binary_frames_have_their_numbers_on_a_multiple_of_eight():
     for name in ("a", "ab", "abc", "ä" * 9):
         frame = frames.binary("rows", b"12345678", name=name)
-        head, payload = frames.taken_apart(frame)
+        head, payload = taken_apart(frame)
         assert head == {"kind": "rows", "name": name}
         assert payload == b"12345678"
         assert (len(frame) - len(payload)) % 8 == 0

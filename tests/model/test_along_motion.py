@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from model.loaded_axis import simulate_with_effects
 from model.test_effects import AXIS, COARSE_S, FRICTION, SHAKEN, TURN
 
 from fffo_drive.model.axis import AxisState
 from fffo_drive.model.effects import slots as s
-from fffo_drive.model.effects.step import simulate_with_effects
 from fffo_drive.model.effects.table import Term, effects_along
 from fffo_drive.model.friction import REST, FrictionState, friction_step, torque_after
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 from interpreted import hex_results
+from model.loaded_axis import simulate_with_effects
 
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.axis import AxisConfig, AxisState, simulate
 from fffo_drive.model.effects import slots as s
 from fffo_drive.model.effects.law import SearchContext
 from fffo_drive.model.effects.registry import LAWS, NAMES, is_compensable, name_error, parameter_errors
-from fffo_drive.model.effects.step import simulate_with_effects
 from fffo_drive.model.effects.table import Term, effect_table, effects_along, regressors
 from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
 from fffo_drive.model.parameters import EffectModel, Quantity, content_hash, read_model, write_model

@@ -166,7 +166,7 @@ CHECKLIST: dict[str, dict[str, tuple[str, ...]]] = {
         "Dictionaries of other drives": (
             "objects, types, access, limits and values are those of the file, and there are no others",
             "services work without the objects that a drive lacks",
-            "the EDS of what is worn reads back as the same",
+            "the EDS of another drive reads back as the same",
         ),
         "Option codes, acted out": (
             "0x605A 0: coasts",

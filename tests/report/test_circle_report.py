@@ -1,4 +1,4 @@
-"""The page of a circle says what became of the diagnosis: adopted, refused, nothing that carries over, a rest."""
+"""The page of a circle states the result of the diagnosis: adopted, refused, nothing confirmed, a residual."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def refused():
 def test_what_does_not_carry_over_is_not_adopted_and_the_page_says_so(refused):
     report = circle_report(refused)
     assert not refused.adopted
-    assert report.verdict.finding == "nothing that carries over"
-    assert "carries over" in report.verdict.headline
+    assert report.verdict.finding == "nothing confirmed"
+    assert "lowers the error of the held-out run" in report.verdict.headline
     assert HEADLINE in render_page(report)
     assert as_object(refused)["verdict"] == "nothing_carries_over"
 

@@ -59,7 +59,7 @@ def picture():
     return Picture("cogging over the motor angle", "motor angle", "rev", "residual torque", "Nm", curves)
 
 
-def own_picture():
+def law_picture():
     order = np.linspace(0.1, 24.0, 240)
     peak = 0.008 / (1.0 + (4.0 * (order - 12.0)) ** 2)
     curves = (FoundCurve("without", order, peak, kind="line"), FoundCurve("with", order, 0.05 * peak, kind="line"))
@@ -77,7 +77,7 @@ def finding(**changes):
         "experiment": "turn slowly at two loads", "compensable": True, "strength_percent": 17.0,
         "torque_rms_nm": 0.008,
         "rivals": (Rival("torque_ripple", 1.01, 0.98, True), Rival("unbalance", 3.0, 0.1, False)),
-        "picture": picture(), "own_picture": own_picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
+        "picture": picture(), "law_picture": law_picture(), "gain": (200.0, 10.0), "held_out_gain": (50.0, 5.0),
         "regime_before": errors(0.01, 20.0), "regime_after": errors(0.003, 20.0),
     }  # fmt: skip
     return Finding(**{**content, **changes})
@@ -91,7 +91,7 @@ def diagnosis(**changes):
         "verdict": "effects_found", "headline": "Cogging is missing in the model.",
         "findings": (
             finding(),
-            finding(name="unbalance", accepted=False, reason="within chance", picture=None, own_picture=None),
+            finding(name="unbalance", accepted=False, reason="within chance", picture=None, law_picture=None),
         ),
         "before": errors(0.0052), "after": errors(0.0021), "fit_before": errors(0.005), "fit_after": errors(0.002),
         "ceiling": Ceiling(0.9, None, 0.001, 0.95, "2 repeats of the staircase"),
@@ -276,7 +276,7 @@ def test_a_rest_is_never_silent():
         assert report.verdict.alarm == (verdict == "nothing_carries_over")
         if verdict != "nothing_carries_over":
             assert any(
-                "Unexplained: 4.0 mNm rms; at best 2.0 mNm rms would be left." in line.text
+                "Unexplained: 4.0 mNm rms, which a better model could reduce to 2.0 mNm." in line.text
                 for line in report.verdict.lines
             )
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
@@ -369,18 +369,18 @@ def test_what_is_left_and_repeats_is_said():
 def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     """Page, summary and report.json: sentences, units, names of parameters, axes."""
     viscous = finding(
-        name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None, own_picture=None,
+        name="asymmetric_viscous", axis="velocity", alternatives=("torque_offset",), picture=None, law_picture=None,
         parameters=(Number("excess_nm_per_rps", -39.0, 1.0, "Nm/rps"),), regime="high torque, at every angle",
         reason="it lowers the error by changing the axis: the inertia would be 2 times as large",
         experiment=law_of("cogging").experiment,
     )  # fmt: skip
     curve = finding(name="unknown:output_angle", axis="output_angle", alternatives=(), picture=None,
-                    own_picture=None, parameters=tuple(
+                    law_picture=None, parameters=tuple(
         Number(key, value, None, "") for key, value in {
             "kind": 2.0, "count": 2.0, "x00": 0.0, "x01": 0.2, "y00": 1.0, "y01": 2.0}.items()))  # fmt: skip
     remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
     reason = "implausible for a machine: second_surface with memory_rev 1e-06 rev is outside 1e-06 to 10000"
-    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None, own_picture=None)
+    refused = finding(name="second_surface", accepted=False, reason=reason, picture=None, law_picture=None)
     told = in_words_of_axis(diagnosis(
         units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
         cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),
@@ -437,7 +437,7 @@ def test_what_is_in_doubt_is_said_beside_the_effect_and_leads_no_page():
     table = {table.name: table for table in page.tables}["found"]
     assert ["its name is in doubt" in str(row) for row in table.rows] == [True, False]
     hidden = finding(name="unbalance", alternatives=(), held_out_gain=(-3.0, 5.0))
-    weak = diagnosis_report(SOURCE, diagnosis(findings=(replace(doubtful, own_picture=None), hidden)))
+    weak = diagnosis_report(SOURCE, diagnosis(findings=(replace(doubtful, law_picture=None), hidden)))
     assert weak.verdict.headline.startswith("The model lacks: weight of an unbalanced load")
     assert weak.figures[0].name == "effect-1-own"  # the headline's
     alone = diagnosis_report(

@@ -10,6 +10,18 @@ LINE = Series("a", Uniform(0.0, 0.1), np.arange(5.0), "blue")
 TIME, SPEED = PlotAxis("time", "s"), PlotAxis("velocity", "rps")
 
 
+def contrast(first, second):
+    """Contrast ratio of two colours #rrggbb after WCAG 2: 1 (equal) to 21 (black on white)."""
+    high, low = sorted((_luminance(first), _luminance(second)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(colour):
+    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
 @pytest.mark.parametrize(
     ("change", "missing"),
     [({"title": ""}, "title"), ({"caption": " "}, "caption"), ({"x": PlotAxis("time", "")}, "x unit"),
@@ -61,18 +73,18 @@ def test_grouped_bars_stand_side_by_side_and_marks_over_their_own_bar():
 def test_colours_stand_out_from_their_paper(dark):
     paper = palette.PAPER.dark if dark else palette.PAPER.light
     for name, colour in palette.SERIES.items():
-        assert palette.contrast(colour.dark if dark else colour.light, paper) >= 3.0, name
+        assert contrast(colour.dark if dark else colour.light, paper) >= 3.0, name
     for name in ("text", "quiet", "good", "caution", "bad"):
         colour = palette.FURNITURE[name]
-        assert palette.contrast(colour.dark if dark else colour.light, paper) >= 4.5, name
+        assert contrast(colour.dark if dark else colour.light, paper) >= 4.5, name
 
 
 @pytest.mark.parametrize("dark", [False, True])
 def test_the_three_controllers_differ_in_grey(dark):
     shades = [palette.SERIES[name].dark if dark else palette.SERIES[name].light for name in ("orange", "blue")]
-    assert palette.contrast(*shades) >= 1.3
+    assert contrast(*shades) >= 1.3
 
 
 def test_contrast_is_that_of_the_web_guidelines():
-    assert palette.contrast("#000000", "#ffffff") == pytest.approx(21.0)
-    assert palette.contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)

@@ -61,7 +61,7 @@ def test_the_page_carries_the_numbers_of_the_json_and_nothing_from_outside(repor
     margins = {row.label: row.cells for row in next(t for t in content.tables if t.name == "margins").rows}
     assert margins["PI"][0].value == content.results["margins_pi"]["phase_deg"]
     assert margins["PI and observer"][1].value == content.results["margins_observer"]["gain"]
-    spare = next(row for t in content.tables if t.name == "checks" for row in t.rows if row.label == "to spare")
+    spare = next(row for t in content.tables if t.name == "checks" for row in t.rows if row.label == "excess")
     assert spare.cells[0].value == content.results["condition_14_nm_per_rev"]
     for cells in margins.values():
         assert f">{cells[0].text}</td>" in page

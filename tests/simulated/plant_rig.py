@@ -12,7 +12,7 @@ from fffo_drive.drive.simulated.pack import FRICTION_KINDS, new_state, plant_par
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ThermalConfig, noiseless
 from fffo_drive.drive.simulated.plant import plant_advance
 from fffo_drive.drive.simulated.resolver import plant_latch
-from fffo_drive.drive.simulated.state import STEP_S
+from fffo_drive.drive.simulated.state import STEP_S, PlantState
 from fffo_drive.drive.simulated.surfaces import PlantFriction
 from fffo_drive.jit import njit
 from fffo_drive.units import inertia_nm_s2_per_rev
@@ -26,6 +26,11 @@ NO_FRICTION = PlantFriction(surfaces=())
 def quiet(**changes) -> PlantConfig:
     """The default drive without noise and warming, and with these changes."""
     return replace(noiseless(PlantConfig(thermal=NO_WARMING)), **changes)
+
+
+def copy_state(state: PlantState) -> PlantState:
+    """A snapshot that shares nothing with `state`."""
+    return PlantState._make([field.copy() for field in state])
 
 
 def with_effects(config: PlantConfig, *effects: tuple[str, dict[str, float]]) -> PlantConfig:

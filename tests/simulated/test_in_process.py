@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from interpreted import hex_results
-from simulated.plant_rig import NO_FRICTION, exchange, lively_current, quiet
+from simulated.plant_rig import NO_FRICTION, copy_state, exchange, lively_current, quiet
 from simulated.port_rig import FIELDS, PERIOD_NS, Master, short_runs
 
 from fffo_drive.drive.port import Drive, port_receive, port_sleep_until, port_sync
@@ -17,7 +17,6 @@ from fffo_drive.drive.simulated import cia402_device as device
 from fffo_drive.drive.simulated import state as at
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import DeviceConfig, PlantConfig, PlantConfigError
-from fffo_drive.drive.simulated.state import copy_state
 from fffo_drive.drive.simulated.sync_cycle import APPLIED_A, SYNC_NS
 
 COLUMN = {name: k for k, name in enumerate((*FIELDS, "sent_a"))}

@@ -71,7 +71,7 @@ def test_all_errors_are_named_at_once_with_key_value_and_range():
 
 def test_a_delay_shorter_than_its_fixed_parts_is_refused_with_the_least_possible_one():
     (line,) = complaints(PlantConfig(delay_s=0.001))
-    assert line.startswith("plant.delay_s: 0.001 is less than its fixed parts, 0.0016")
+    assert line.startswith("plant.delay_s: 0.001 is shorter than the fixed parts together, 0.0016")
     least_s = float(line.split(", ")[1].split(" ")[0])
     PlantConfig(delay_s=least_s + 1e-6).validate()
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from needs import ROOT
 
-from fffo_drive.commissioning.judge import CHECKS, told
+from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
 from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.daemon.journal import MESSAGE_IDS
@@ -80,7 +80,7 @@ def write_files(directory: Path) -> None:
     (directory / "drive.yaml").write_text(yaml.safe_dump(DRIVE))
     plan = make_plan(directory / "vcan0.yaml")
     facts, identity = declared_facts(plan.axis, plan.model), NodeConfig().identity
-    checks = [told(name, "ok", "fine") for name in CHECKS]
+    checks = [judged(name, "ok", "fine") for name in CHECKS]
     record = CommissioningRecord(
         axis="vcan0", date="2026-01-02T03:04:05+00:00", tool="fffo_drive", bus="socketcan:vcan0",
         drive=DriveRecord(

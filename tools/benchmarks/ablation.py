@@ -1,4 +1,4 @@
-"""What each part of PI+FFFO+ buys: on the paper's scenario with 10 % wrong friction, on a hard one and on a smooth one.
+"""What each part of PI+FFFO+ contributes: on the paper's scenario with friction 10 % wrong, a hard and a smooth one.
 
   .venv/bin/python tools/benchmarks/ablation.py [--seeds N]
 
@@ -119,7 +119,7 @@ def text(interval: SeedInterval, digits: int) -> str:
 
 
 def picture(summaries: dict[str, Summary]) -> list[list[Figure]]:
-    """MAE against true and measured velocity, the controllers that tell the story."""
+    """MAE against true and measured velocity, of the controllers that show most."""
     colours = ("orange", "green", "grey", "purple", "blue", "ink")
     rows = []
     for kind, said in (("true", "the shaft's velocity"), ("measured", "the measured velocity")):

@@ -1,5 +1,4 @@
-"""The diagnosis with one of its mechanisms switched off at a time: what each is there for, on drives whose truth is
-known."""
+"""The diagnosis with one of its mechanisms switched off at a time, on drives whose truth is known."""
 
 from __future__ import annotations
 
@@ -18,8 +17,8 @@ from engine import Call, in_parallel, mechanisms
 
 NAME = "ablation_diagnosis"
 PURPOSE = (
-    "The same drives, diagnosed with each mechanism of the search switched off by itself: what changes nothing has no "
-    "place in it."
+    "The same drives, diagnosed with one mechanism of the search switched off at a time. A mechanism without influence "
+    "has no place in it."
 )
 ALL_ON = "all on"
 
@@ -29,7 +28,7 @@ def run() -> int:
     made = parser(NAME, PURPOSE, 1, 1)
     made.add_argument("folders", type=Path, nargs="+", help="what --out of `tools/benchmarks/blind generate` was")
     made.add_argument("--mechanisms", nargs="+", help="only these (default: all of diagnose.MECHANISMS)")
-    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for a run that goes on")
+    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for interrupted runs")
     made.add_argument("--jobs", type=int, default=2, help="processes")
     options = made.parse_args()
     drives = [drive for drive in drive_folders(options.folders) if drive.truth is not None]
@@ -79,10 +78,10 @@ def ablation_report(drives: Sequence[DriveFolder], said: dict[str, list[dict[str
         }  # fmt: skip
     report.table(
         [
-            "off", "drives on which another answer is given", "named first", "first or in the family",
+            "off", "drives with a different answer", "named first", "first or in the family",
             "outside the library: right axis", "drives without effects with a finding",
-            "drives with something beside the truth", "silent rests", "held-out torque error: mean, median",
-            "time: median, slowest",
+            "drives with a finding besides the true effect", "unreported residuals",
+            "held-out torque error: mean, median", "time: median, slowest",
         ],
         rows,
     )  # fmt: skip

@@ -3,9 +3,9 @@
   .venv/bin/python tools/benchmarks/adaptation.py [--minutes N] [--seeds N]
 
 A day of warm-up in half an hour: the drive's thermal time constant is ten minutes instead of hours, so that friction
-changes faster than on a machine. After a third of it the load falls, after two thirds it returns. What a minute leaves
-is compared with the same minute under a model whose level and viscous friction were fitted by least squares to the rows
-of that minute. Writes results/adaptation.md beside this file.
+changes faster than on a machine. After a third of the time the load falls, after two thirds it returns. The error of a
+minute is compared with that of the same minute under a model whose level and viscous friction were fitted by least
+squares to the rows of that minute. Writes results/adaptation.md beside this file.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def fitted_model(model: ModelFile, rows: Any) -> ModelFile:
 
 
 def under_fitted(warm_up: WarmUp, models: list[ModelFile]) -> np.ndarray[Any, Any]:
-    """The same warm-up, each minute under its own model: the plant lives on, the law begins anew."""
+    """The same warm-up, each minute under its own model: the plant continues, the law restarts."""
     axis = axis_with(AdaptationSection())
     minutes = minutes_of(warm_up, axis.loop.period_s)
     drive = SimulatedDrive(plant_of(axis, warm_up))
@@ -239,13 +239,13 @@ def run() -> int:
         "# adaptation",
         "",
         f"RMS of the true error in each minute, relative to that with a model fitted to the minute: median and largest "
-        f"of minutes {BEGUN + 1} to {chosen.minutes}. Asked: {ASKED:g} at most. Seen with T = 30 s: {worst:.2f}.",
+        f"of minutes {BEGUN + 1} to {chosen.minutes}. Target: at most {ASKED:g}. Measured with T = 30 s: {worst:.2f}.",
         "",
         *table(warm_ups, found),
         "",
-        f"Excitation of typical motions. Above EXCITED_SHARE = {EXCITED_SHARE:g} of c left by a constant, offset "
-        "and Coulomb friction are adapted; above it of w_r left by a constant and c, viscous friction too. Shares of "
-        "power.",
+        f"Excitation of typical motions. If a constant leaves more than EXCITED_SHARE = {EXCITED_SHARE:g} of c, offset "
+        "and Coulomb friction are adapted; if a constant and c leave more than that of w_r, viscous friction too. "
+        "Shares of power.",
         "",
         "| motion | c left | w_r left |",
         "| --- | --- | --- |",

@@ -1,4 +1,4 @@
-"""What it buys to adopt an effect: each compensable one on the simulated axis, found in records and fed forward."""
+"""The benefit of adopting an effect: each compensable one on the simulated axis, found in records and fed forward."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ from fffo_drive.units import inertia_kg_m2
 
 NAME = "adoption"
 PURPOSE = (
-    "Each compensable effect, 30 % of the Coulomb friction strong, on the simulated axis under PI+FFFO+: an "
-    "identification current and the separating recipe are recorded, the model is refitted without and with the effect "
-    "(its name and orders given, everything else from the data), and the paper's reference is run with the model of "
-    "the axis before it had the effect (`with it`), with the refit that has no word for it (`refitted`) and with the "
-    "adopted one. Excess: squared velocity error of the shaft beyond that of the axis without the effect."
+    "Each compensable effect, with 30 % of the Coulomb friction, on the simulated axis under PI+FFFO+. An "
+    "identification current and the recipe are recorded and the model is refitted without and with the effect "
+    "(name and orders given, everything else from the data). The paper's reference is then run with the model of "
+    "the axis without the effect (`with it`), with the refit that lacks the effect (`refitted`) and with the "
+    "adopted one. Excess: squared velocity error of the shaft above that of the axis without the effect."
 )
 LEAST_FALL = 0.70
 MOST_WORSE_PERCENT = 2.0
 SIGNIFICANT = 2.0  # standard errors of the excess over the seeds
-LEAST_GIVEN = 0.01  # of the Coulomb friction: less torque than that is none
+LEAST_GIVEN = 0.01  # of the Coulomb friction: less torque counts as none
 BANDWIDTH_HZ = 40.0
 GEAR_RATIO = 160.0
 
@@ -87,19 +87,19 @@ TRIALS = (
 SAMPLE = ("cogging", "quadratic_drag")
 # what a refit leaves of these is no torque that could be given: not held against the law
 LEFT_TO_THE_LOOP = {
-    "current_lag": "what a refit leaves of `current_lag` is no torque: the refitted Td gives its torque on time, but "
-    "the feedback has the lag in its way. An axis with 2 ms more of pure delay, known to the model, has 0.000404 rps^2 "
-    "s more than the axis without it; this lag leaves 0.000153",
+    "current_lag": "what a refit leaves of `current_lag` is no torque: with the refitted Td the feed-forward is on "
+    "time, but the lag remains in the feedback loop. An axis with 2 ms more of pure delay, known to the model, has "
+    "0.000404 rps^2 s more than the axis without it; this lag leaves 0.000153",
 }
 NOT_COMPENSATED = {
-    "delay": "no torque: the refit of Td takes it in, and the reference is read ahead by it",
-    "elasticity": "a torque of the load's side, whose angle nobody measures",
-    "backlash": "as elasticity, and where in the gap the load lies is not known",
-    "voltage_limit": "there is no more torque: what is added to the command does not come out",
-    "resolver_error": "no torque: the angle is wrong, and a torque for it would move the shaft",
-    "periodic_disturbance": "its phase is in time, and another one in every run",
-    "unknown:frequency": "no function of what is known ahead; over every other axis a curve is compensated where it "
-    "was seen",
+    "delay": "no torque: the refit of Td includes it, and the reference is read ahead by it",
+    "elasticity": "a torque on the load side, whose angle is not measured",
+    "backlash": "as elasticity; also, the position of the load in the gap is unknown",
+    "voltage_limit": "no torque is left: an increase of the command has no effect",
+    "resolver_error": "no torque: the measured angle is wrong, and compensating it would move the shaft",
+    "periodic_disturbance": "periodic in time, with a different phase in every run",
+    "unknown:frequency": "not a function of what is known in advance; a curve over any other axis is compensated where "
+    "it was seen",
 }
 
 
@@ -326,7 +326,7 @@ def table_of(report: Report, kind: str, outcomes: Sequence[Outcome]) -> None:
         change, given = f"{o.worse_percent:+.1f} %", f"{100.0 * o.given:.1f} %"
         rows.append((f"`{o.name}`", *cells, given, fall, further, change, "; ".join(o.problems) or "-"))
     header = (
-        "ISE without it", "with it", "refitted", "adopted", "torque given, of Fc", "excess falls by",
+        "ISE without it", "with it", "refitted", "adopted", "compensating torque, of Fc", "excess falls by",
         "of what a refit leaves", "adopted/refitted", "gates",
     )  # fmt: skip
     report.table((f"{kind}: effect", *header), rows)
@@ -395,10 +395,10 @@ def run() -> int:
     report.notes += [f"{text[0].upper()}{text[1:]}." for text in LEFT_TO_THE_LOOP.values()]
     report.notes += [
         f"{len(seeds)} seeds of reference and noise, {duration_s:g} s each; the first is that of the records.",
-        f"An excess counts where it is beyond {SIGNIFICANT:g} standard errors of its mean over the seeds.",
-        "Nothing left: after a refit of the model's own parameters there is no significant excess, or the refit takes "
-        f"the effect in, and what is given for it is below {100.0 * LEAST_GIVEN:g} % of Fc. What stays in excess then "
-        "is the axis' own, under a model that is right.",
+        f"An excess counts if it exceeds {SIGNIFICANT:g} standard errors of its mean over the seeds.",
+        "Nothing left: after a refit of the model's own parameters there is no significant excess, or the refit "
+        f"includes the effect and its compensation is below {100.0 * LEAST_GIVEN:g} % of Fc. The remaining excess is "
+        "then a property of the axis under a correct model.",
     ]
     return finish(report, chosen)
 

@@ -1,4 +1,4 @@
-"""Late ticks of a daemon's loop at 2 kHz beside a `diagnose` job of the workbench, which gives way, and beside none."""
+"""Late ticks of a daemon's loop at 2 kHz beside a low-priority `diagnose` job of the workbench, and without a job."""
 
 from __future__ import annotations
 
@@ -101,11 +101,11 @@ def run() -> int:
     rows = [(kind, f"{found[kind]['share'].mean():.2f} %", f"{np.median(found[kind]['cpu']):.1f} %") for kind in found]
     report.table(("variant", "late ticks, mean", "CPU of the daemon, median"), rows)
     report.notes += [
-        f"{passes} passes of {seconds:g} s each and variant, in an order that turns; an ended job is begun again.",
-        "The simulated drive is a process of its own on the same cores, and other programs run on this machine: a drive"
-        " that answers late counts as well.",
+        f"{passes} passes of {seconds:g} s per variant, in rotating order; a job that ends is started again.",
+        "The simulated drive is a separate process on the same cores, and other programs run on this machine: late"
+        " answers of the drive count too.",
         f"The loop's own thread: {', '.join(realtime['refusals']) or 'FIFO, pinned, memory locked'}.",
-        "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+        "In ratios of late ticks, half a tick is added on both sides, so that none over none is one.",
         axis.note,
     ]
     return finish(report, chosen)

@@ -26,8 +26,8 @@ from fffo_drive.units import NORMAL_95
 NAME = "calibration"
 PURPOSE = (
     "Drives of the blind generator without effects, in short runs: how often the smallest p of the first round, over "
-    "all that is searched, lies below a level; and drives with one planted effect: how often the 95 % interval of a "
-    "parameter holds the truth."
+    "the whole search, is below a level. Drives with one planted effect: how often the 95 % interval of a parameter "
+    "contains the true value."
 )
 DRIVES, SAMPLE = 300, 2
 LEVELS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5)
@@ -131,7 +131,7 @@ def _base_z(said: dict[str, Any], plant: PlantConfig) -> dict[str, float]:
 def run() -> int:
     """Diagnose, count, draw."""
     made = parser(NAME, PURPOSE, DRIVES, SAMPLE)
-    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for a run that goes on")
+    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for interrupted runs")
     made.add_argument("--jobs", type=int, default=2, help="processes")
     options = made.parse_args()
     number = options.passes or (SAMPLE if options.sample else DRIVES)
@@ -158,27 +158,30 @@ def calibration_report(without: Sequence[dict[str, Any]], with_one: Sequence[dic
     p = np.array([one["first_p"] for one in without if one["first_p"] is not None])
     for level in LEVELS if p.size else ():
         below = wilson(int((p <= level).sum()), p.size)
-        # more than the level is a fault; fewer is not: p counts candidates as if they were independent
+        # only a larger share than the level is a fault: p counts candidates as if they were independent
         report.bounded(f"p below {level:g} without an effect", str(below), below.low <= level, f"<= {100 * level:g} %")
         report.facts[f"p <= {level:g}"] = below.value
     if not p.size:
-        report.notes.append("**This version of the search does not tell the p of its first round.**")
+        report.notes.append("**This version of the search does not report the p of its first round.**")
     false = wilson(sum(one["accepted"] > 0 for one in without), len(without))
     report.bounded("drives without an effect with a finding", str(false))
     report.facts["false"] = false.found
     for name, errors in standardised(without, with_one).items():
         inside = wilson(int((np.abs(errors) <= NORMAL_95).sum()), errors.size)
         report.bounded(
-            f"95 % interval holds the truth: {name}", str(inside), inside.high >= COVERED, f"{100 * COVERED:g} %"
+            f"95 % interval contains the true value: {name}",
+            str(inside),
+            inside.high >= COVERED,
+            f"{100 * COVERED:g} %",
         )
         report.facts[f"coverage: {name}"] = inside.value
     named = wilson(sum(one["size_z"] is not None for one in with_one), len(with_one))
-    report.bounded("planted effects that are named with an interval", str(named))
+    report.bounded("planted effects named, with an interval", str(named))
     report.facts["drives"] = len(without)
     report.notes += [
         f"{len(without)} drives without an effect and as many with one, on the paper's single surface: "
         f"{TRACK_S[1] - TRACK_S[0]:g} s of `track` and {RECIPE_S[1] - RECIPE_S[0]:g} s of `recipe`, nothing held out.",
-        "Coverage is over effects that were named: what is missed has no interval.",
+        "Coverage is over named effects only: a missed effect has no interval.",
     ]
     return report
 
@@ -209,7 +212,7 @@ def draw(without: Sequence[dict[str, Any]], with_one: Sequence[dict[str, Any]], 
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
     p = np.sort([one["first_p"] for one in without if one["first_p"] is not None])
     levels = np.geomspace(1e-4, 1.0, 100)
-    left.loglog(levels, levels, "k--", lw=1, label="as it should be, at most")
+    left.loglog(levels, levels, "k--", lw=1, label="upper limit")
     if p.size:
         left.step(np.clip(p, levels[0], None), np.arange(1, p.size + 1) / p.size, where="post", label="measured")
     left.set(xlabel="smallest p of the first round", ylabel="share of drives without an effect", ylim=(1e-3, 1.2))

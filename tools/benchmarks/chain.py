@@ -1,10 +1,10 @@
-"""The chain as it is used, on random axes: commission, excite, identify, tune, run; at rest and in motion.
+"""The chain from commissioning to a tuned run on random axes: commission, excite, identify, tune, run; at rest too.
 
   .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER] [--rows FILE]
 
 Each axis has every number, its delay and its noise spread by half, one of five friction laws, one to three effects, a
 resolver or an encoder (fffo_drive/evaluation/random_axis.wide_axis). Axes that no controller can bring to rest are
-counted apart (fffo_drive/evaluation/passivity). Nothing is told to the chain but the torque constant, 5 % wrong:
+counted apart (fffo_drive/evaluation/passivity). The chain gets only the torque constant, 5 % wrong:
 `commission` begins with an assumed inertia and delay; `tune` designs for the longer of its delay and the fitted one.
 
 A thousand axes take over an hour. With `--rows` the results are saved after every batch, and the same command resumes
@@ -73,7 +73,7 @@ BATCH_AXES = 10  # between two writes of the rows
 
 
 class Outcome(NamedTuple):
-    """What became of an axis."""
+    """Result for an axis."""
 
     number: int
     law: str
@@ -237,11 +237,11 @@ def run_job(job: Job) -> Outcome:
 
 
 def table(found: list[Outcome]) -> list[str]:
-    """Verdicts, creep, and every axis that is not well."""
+    """Verdicts, creep, and every axis that is not stable."""
     passive = [one for one in found if one.passive]
     lines = [
         f"{len(found)} axes, numbers {found[0].number} to {found[-1].number}; {len(found) - len(passive)} that no "
-        "controller can bring to rest are left out below.",
+        "controller can bring to rest are omitted below.",
         "",
         "| gains | "
         + " | ".join(("stable", "hunting", "limit cycle", "unstable", "tripped", "refused", CRASHED))
@@ -343,8 +343,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# chain",
         "",
-        "The chain as it is used, on random axes: commission, excite (70 s of the paper's chirps of current),",
-        "identify, tune, run, with nothing told but a torque constant that is 5 % wrong.",
+        "The chain on random axes: commission, excite (70 s of the paper's chirps of current), identify, tune, run.",
+        "Only the torque constant is given, 5 % wrong.",
         "",
         *table(found),
         f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commits}, {machine()}; "

@@ -1,8 +1,8 @@
 """What the benchmarks share: interleaved passes, paired ratios with a bootstrap interval, and tables of results.
 
-A shared machine is fast one second and slow the next. So every pass measures all variants, one after the other and each
-time in another order, and what is compared is the ratio within a pass; the figure is the median of these ratios, with a
-percentile bootstrap interval over the passes.
+The speed of a shared machine changes from second to second. So every pass measures all variants in turn, in a rotating
+order, and ratios are taken within a pass. The figure is the median of these ratios, with a percentile bootstrap
+interval over the passes.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Ratio(NamedTuple):
 def interleaved(
     variants: Mapping[str, Variant], passes: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
-    """Run every variant once a pass, in an order that turns; figures by variant and name, shape (passes,)."""
+    """Run every variant once per pass, in rotating order; figures by variant and name, shape (passes,)."""
     names = list(variants)
     found: dict[str, dict[str, list[float]]] = {name: {} for name in names}
     for number in range(passes):
@@ -119,13 +119,13 @@ class Report:
     facts: dict[str, Any] = field(default_factory=dict)  # for --json
 
     def ratio(self, what: str, ratio: Ratio, target: float | None = None) -> None:
-        """A paired ratio, held against the largest one allowed."""
+        """A paired ratio, with the largest one allowed."""
         met = None if target is None else ratio.median <= target
         self.lines.append(Line(what, str(ratio), "" if target is None else f"<= {target:g}", met))
         self.facts[what] = ratio._asdict()
 
     def figure(self, what: str, value: float, unit: str, target: float | None = None, digits: int = 3) -> None:
-        """A figure with a unit, held against the largest one allowed."""
+        """A figure with a unit, with the largest one allowed."""
         met = None if target is None else value <= target
         limit = "" if target is None else f"<= {target:g} {unit}".rstrip()
         self.lines.append(Line(what, f"{value:.{digits}g} {unit}".rstrip(), limit, met))

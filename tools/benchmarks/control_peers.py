@@ -190,12 +190,12 @@ def better_than_plus(runs: Runs, name: str) -> list[str]:
 
 
 def said_of(runs: Runs) -> str:
-    """In words: who is better than PI+FFFO+, after the start and with it."""
+    """In words: which laws are better than PI+FFFO+, with and without the start."""
     better = {name: better_than_plus(runs, name) for name in ("true_ise", "after_ise")}
     if not any(better.values()):
-        return "No law is better than PI+FFFO+ with its interval."
+        return "No law is significantly better than PI+FFFO+ (whole interval)."
     return (
-        f"Better than PI+FFFO+, interval and all: {', '.join(better['true_ise']) or 'none'} over the whole record; "
+        f"Better than PI+FFFO+ by the whole interval: {', '.join(better['true_ise']) or 'none'} over the whole record; "
         f"{', '.join(better['after_ise']) or 'none'} after its first 2 s."
     )
 
@@ -241,7 +241,7 @@ def design_table(design: PeerDesign) -> list[str]:
 
 
 def fit_table(grounds: dict[str, Ground]) -> list[str]:
-    """What each model leaves of each plant's friction."""
+    """Share of each plant's friction that each model leaves unexplained."""
     lines = ["| plant | 2SEP leaves | LuGre | GMS |", "|---|---|---|---|"]
     lines += [
         f"| {TITLES[kind]} | " + " | ".join(f"{100 * left:.1f} %" for left in ground.left) + " |"
@@ -288,17 +288,18 @@ def preface(made_from: str, seconds: float) -> list[str]:
     return [
         "# control_peers",
         "",
-        "PI+FFFO+ against published laws on four kinds of plants; the manual's page on peers says what they are.",
-        "Every friction model is fitted to one record of the same plant and then made wrong in every number by",
+        "PI+FFFO+ against published laws on four kinds of plants; the manual's page on peers describes them.",
+        "Every friction model is fitted to one record of the same plant; then each of its parameters is changed by",
         f"{100 * MISMATCH:.0f} %, signs drawn anew for each seed. All laws marked + have the same inertia torque,",
         "preview and error filter.",
-        "`pi+fffo+` is as configured: the 2SEP model forward, and L in the integral. `2sep observer+` has L in the",
+        "`pi+fffo+` is as configured: the 2SEP model on the reference, L in the integral. `2sep observer+` has L in "
+        "the",
         "friction estimate. Intervals are 95 %: over resampled seeds, and Wilson's for shares of axes.",
         "",
         "A random axis has inertia, torque constant, delay, sensor and effects of evaluation/random_axis, and friction",
-        f"numbers within {100 * SPREAD:.0f} % of the plant's. The laws know inertia, torque constant and delay without",
-        "effects and have their gains scaled with them; the effects they do not know. x: median over axes of a law's",
-        "true ISE over that of PI+FFFO+. The peers' loop has the law's current limit, but no envelope.",
+        f"parameters within {100 * SPREAD:.0f} % of the plant's. The laws know inertia, torque constant and delay",
+        "without effects, and their gains are scaled with them; they do not know the effects. x: median over axes of a",
+        "law's true ISE over that of PI+FFFO+. The peers' loop has the law's current limit, but no envelope.",
         "",
         f"Made by tools/benchmarks/control_peers.py on {time.strftime('%Y-%m-%d')}, commit {made_from}, {machine()};",
         f"{seconds:.0f} s.",

@@ -229,14 +229,14 @@ def run() -> int:
     report.facts["ticks skipped by the loop"] = skipped
     report.facts["passes"] = passes
     report.notes += [
-        f"{passes} passes of {seconds:g} s each with {CLIENTS} clients that ask for the status without a pause and "
-        f"without them; {rate_hz:.0f} requests a second were answered (those who watch share a budget).",
+        f"{passes} passes of {seconds:g} s each, with {CLIENTS} clients that request the status without a pause and "
+        f"without them; {rate_hz:.0f} requests a second were answered (read-only clients share a budget).",
         f"First tick: the first SYNC on the bus after the command, bring-up included. {len(starts)} starts.",
-        "CPU: of the whole process (loop, recorder, supervisor, API), the axis running and recorded. The simulated"
+        "CPU: of the whole process (loop, recorder, supervisor, API) while the axis runs and is recorded. The simulated"
         " drive and the clients are other processes on the same cores.",
         "The loop's thread in the kernel: two waits and two frames a period, the calls that a program in C would make"
         " (loop_cycle).",
-        "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+        "In ratios of late ticks, half a tick is added on both sides, so that none over none is one.",
         axis.note,
     ]
     return finish(report, chosen)

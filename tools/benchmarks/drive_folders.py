@@ -19,7 +19,7 @@ class DriveFolder(NamedTuple):
     def effects(self) -> str:
         """What is in it, for a table."""
         if self.truth is None:
-            return "not told"
+            return "unknown"
         return ", ".join(f"`{effect['name']}`" for effect in self.truth["effects"]) or "nothing"
 
 

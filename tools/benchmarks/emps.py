@@ -1,4 +1,4 @@
-"""The measured EMPS axis: effects chosen on the fit file alone, error on the held-out file, the hold's part apart."""
+"""The measured EMPS axis: effects chosen on the fit file alone, error on the held-out file, the part of the hold."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def run() -> int:
         [_row(finding) for finding in found.findings if finding.accepted],
     )
     rejected = [f"`{f.name}`: {f.reason}" for f in found.findings if not f.accepted]
-    report.notes += [f"Looked at and not accepted: {text}." for text in rejected]
+    report.notes += [f"Tried and not accepted: {text}." for text in rejected]
     report.notes += [f"{caution}." for caution in found.cautions]
     report.notes.append(
         f"{found.headline} The hold: a sampled command acts half a sample late on average. It is in the base and is no "
-        "effect that was found; the first three lines show what it does alone."
+        "finding; the first three lines show its influence alone."
     )
     return finish(report, options)
 

@@ -1,6 +1,6 @@
-"""One diagnosis as the benches ask for it, in a process of its own: the report as plain data, and what it cost.
+"""One diagnosis for the benchmarks, in a process of its own: the report as plain data, and its cost.
 
-A fresh process a diagnosis is what a user has: the compiled code is loaded anew, and the peak of memory is its own.
+A fresh process per diagnosis is what a user has: compiled code is loaded, and the peak of memory is its own.
 """
 
 from __future__ import annotations
@@ -121,5 +121,5 @@ def first_names(said: dict[str, Any], most: int = 4) -> str:
 
 
 def rest_is_told(said: dict[str, Any]) -> bool:
-    """True where the report says that something is left, beside findings or without any."""
+    """True if the report states an unexplained residual, with findings or without."""
     return said["verdict"] == "unexplained" or said.get("unexplained_rest") is not None

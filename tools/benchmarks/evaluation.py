@@ -1,4 +1,4 @@
-"""Table II beside ours, the targets of PI+FFFO+, how much the unprinted spectrum decides, and how fast it goes.
+"""Table II beside ours, the targets of PI+FFFO+, the influence of the unprinted spectrum, and the speed.
 
   .venv/bin/python tools/benchmarks/evaluation.py [--seeds N]
 
@@ -134,13 +134,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         summary, _ = evaluate(read_scenario(SCENARIOS / f"{file}.yaml"), options.seeds)
         lines += [f"## Targets: configs/scenarios/{file}.yaml, {len(summary.seeds)} seeds", "", *targets(summary)]
     lines += [
-        "## How much the spectrum decides that the paper does not print",
+        "## Influence of the spectrum, which the paper does not print",
         "",
         "The same with amplitudes f^slope: reversals a minute, Table II, and the targets with 10 % wrong friction.",
         "",
         "paper.yaml is flat (slope 0). That was chosen after the ten seeds of f^-0.5 had been run and seen, for the",
-        "number of reversals; the lag at reversals is reached with the flat spectrum only. Effort leaves out 0.05 s at",
-        "both ends, and its band above 200 Hz was added, after the first figures as well.",
+        "number of reversals; the target for the lag at reversals is met with the flat spectrum only. Effort omits",
+        "0.05 s at both ends, and its band above 200 Hz was added; both were decided after the first figures too.",
         "",
     ]
     for slope in SLOPES[1:]:
@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines += [
         "## Speed",
         "",
-        f"{runs} evaluations of 60 s on {cores} cores: {seconds:.0f} s, compiled before, with a load average of "
+        f"{runs} evaluations of 60 s on {cores} cores: {seconds:.0f} s without compiling, with a load average of "
         f"{os.getloadavg()[0]:.1f}; {spent_s:.0f} s of processor time, so {spent_s / cores:.0f} s on cores of its own.",
         "",
     ]

@@ -1,4 +1,4 @@
-"""Records of runs: what one costs, and a million of them asked and drawn."""
+"""Records of runs: the cost of one, and queries and figures over a million."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 NAME = "fleet"
 PURPOSE = (
-    "A record of a simulated run of 60 s at 2 kHz: processor time after imports, and bytes. Then a store of records, "
-    "drawn around such runs (two models, 50 weekly runs a drive; 20,000 drives are a million records), is asked by "
+    "A record of a simulated run of 60 s at 2 kHz: processor time after imports, and bytes. Then a store of records "
+    "drawn around such runs (two models, 50 weekly runs per drive; 20,000 drives are a million records) is queried by "
     "`fleet report`, `fleet watch` and DuckDB, each in a process of its own."
 )
 RUNS, DRIVES, SAMPLE_DRIVES = 50, 20_000, 400

@@ -2,10 +2,10 @@
 
   tools/benchmarks/fleet_prior --lives DIR [--drives N M]
 
-N drives without wear teach, M others are measured, on the simulated drive's plant. Their records are kept in DIR, and
-what is missing there is made. Each measured drive moves for five seconds on the day of one of its runs (a staircase of
-three speeds, both ways), and that run itself, of random moves, is the comparison. `--only-kept` takes the drives whose
-records are there.
+N drives without wear make the population and M others are measured, on the simulated drive's plant. Their records are
+kept in DIR, and missing ones are made. Each measured drive moves for five seconds on the day of one of its runs (a
+staircase of three speeds, both ways); that run itself, of random moves, is the comparison. `--only-kept` uses the
+drives whose records exist.
 """
 
 from __future__ import annotations
@@ -226,24 +226,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     header = ["motion", "prior", *names]
     lines = [
         "# fleet_prior", "",
-        f"{len(teaching)} drives teach (seed {TEACHING}, {RUNS} runs each), {len(measured)} fresh ones are measured "
-        f"(seed {MEASURED}). Full recipe: the {FULL_RUNS} runs of the drive nearest in temperature, 60 s on the mean. "
-        f"Truth: its other {RUNS - FULL_RUNS - 1} runs, with a slope for temperature. Inertia is left out: each run "
-        "has its own payload.", "",
-        "## Error over that of the full recipe (rms over drives; wanted: at most 1.1)", "",
+        f"{len(teaching)} drives make the population (seed {TEACHING}, {RUNS} runs each), {len(measured)} others are "
+        f"measured (seed {MEASURED}). Full recipe: the {FULL_RUNS} runs of the drive nearest in temperature, 60 s in "
+        f"the mean. Truth: its other {RUNS - FULL_RUNS - 1} runs, with a slope for temperature. Inertia is omitted: "
+        "each run has its own payload.", "",
+        "## Error over that of the full recipe (rms over drives; target: at most 1.1)", "",
         *table([header, *rows]), "",
         "The full recipe's own error, in per cent (of viscous or Coulomb friction for the last two): "
-        f"{percent(names, full_error)}. Spread between drives: {percent(names, spread)}. Truth itself is known to: "
-        f"{percent(names, rms(truth_sd / scale))}; the intervals below have that added.", "",
-        "## Intervals of 95 %: share that covers, in per cent (wanted: 93 to 97)", "",
+        f"{percent(names, full_error)}. Spread between drives: {percent(names, spread)}. The truth is known to "
+        f"{percent(names, rms(truth_sd / scale))}; the intervals below include this.", "",
+        "## Coverage of 95 % intervals, in per cent (target: 93 to 97)", "",
         *table([[*header, "all"], *coverage]), "",
-        "## Drives of another population, told at p 0.01", "",
+        "## Drives of another population, reported at p 0.01", "",
         *table([
-            ["friction", "inertia", "told, temperature logged", "temperature unknown"],
+            ["friction", "inertia", "reported, temperature logged", "temperature unknown"],
             *([f"+{100 * more:.0f} %", f"+{40 * more:.0f} %", f"{100 * a / OTHERS:.0f} % of {OTHERS}",
                f"{100 * b / OTHERS:.0f} %"] for more, (a, b) in zip(MORE_FRICTION, others, strict=True)),
         ]), "",
-        "By the staircase of 5 s. Of the drives' own population are told: " + "; ".join(wrongly) + ".", "",
+        "By the staircase of 5 s. Reported among drives of the population itself: " + "; ".join(wrongly) + ".", "",
         f"Made by `tools/benchmarks/fleet_prior` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.",
     ]  # fmt: skip
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Wear found in simulated lives, at a rate of false alarms that is set; beside other methods.
+"""Wear found in simulated lives at a given rate of false alarms, compared with other methods.
 
   .venv/bin/python tools/benchmarks/fleet_watch.py --lives DIR [--real N] [--drives N] [--ruptures]
 
@@ -318,27 +318,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rows.append([kind, f"{name} on {source}", *cells(both)])
     lines = [
         "# fleet_watch", "",
-        f"Wear in simulated lives of {RUNS} weekly runs of 5 to 10 s, at {RATE:g} false alarms a drive and year: found "
-        f"within {WITHIN} runs of reaching the size, law named on those that were found.", "",
+        f"Wear in simulated lives of {RUNS} weekly runs of 5 to 10 s, at {RATE:g} false alarms per drive and year: "
+        f"found within {WITHIN} runs of reaching its full size; law named among those found.", "",
         *("| " + " | ".join(cell) + " |" for cell in (header, ["---"] * len(header), *rows)), "",
-        "What the records of the real lives know of each law, whatever the method: standard deviation of a change of "
-        f"that law by one run and by {WITHIN} that follow each other, and the wear over it.", "",
+        "Information in the records of the real lives, for any method: standard deviation of a change of each law "
+        f"from one run and from {WITHIN} successive runs, and the wear relative to it.", "",
         *("| " + " | ".join(cell) + " |" for cell in (
             ["law", "temperature", "one run", "ten runs", "wear / one run", "wear / ten runs"], ["---"] * 6, *limits,
         )), "",
-        "- Wanted: 95 % found, 90 % named, at most 1 false alarm in 1,000 drive-years.",
+        "- Targets: 95 % found, 90 % named, at most 1 false alarm in 1,000 drive-years.",
         "- Real: every run simulated on the plant (five frictional surfaces, gap, cogging, unbalance, payloads, "
-        "warm-up, random profiles) and reduced to its record. A quarter of the drives each has no wear, Coulomb "
+        "warm-up, random profiles) and reduced to its record. One quarter of the drives each has no wear, Coulomb "
         "friction +10 % (level and stiction), the gap +20 %, the ripple doubled; at once or over 4 to 11 runs.",
         "- Drawn: runs of real drives without wear in blocks of five neighbours, with temperature, slopes and times "
-        "drawn anew; wear adds what it adds to real records on the mean (tools/benchmarks/lives_records.py). "
+        "drawn anew; wear adds its mean effect on real records (tools/benchmarks/lives_records.py). "
         f"{100 * WORN_SHARE:.0f} % of the second fleet wear, a third by each law.",
         f"- Seeds: the method was chosen on real lives of seeds {CHOSEN_ON}, 5 and 8; {len(chosen_on)} drives of the "
-        "first are what the drawn ones are drawn from"
+        "first are the source of the drawn ones"
         f"; the real figures are of seed {MEASURED_ON}, the drawn ones of seeds {HEALTHY} and "
         f"{WORN}.",
         f"- The other methods' thresholds were calibrated to that rate on {options.drives} drawn drives without wear "
-        f"(seed {CALIBRATING}); `watch` has the bound of its theory and no calibration.",
+        f"(seed {CALIBRATING}); `watch` uses its theoretical bound without calibration.",
         f"- `watch` took {took:.1f} s of processor time for {options.drives * RUNS} records, learning included.",
         "",
         f"Made by `tools/benchmarks/fleet_watch.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.",

@@ -1,4 +1,4 @@
-"""Hostile clients beside a running axis at 2 kHz: faults, late ticks, CPU, memory and what is still told."""
+"""Hostile clients beside a running axis at 2 kHz: faults, late ticks, CPU, memory and displaced events."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def run() -> int:
     report.figure("rows lost in the ring or on the disk", _lost(status), "", 0.0)
     report.figure("what the hostile clients did a second (median)", float(np.median(rates)), "")
     first = next((event for event in events if event["kind"] == "started"), None)
-    report.figure("events of before the load that were displaced", float(first is None), "", 0.0)
+    report.figure("earlier events that were displaced", float(first is None), "", 0.0)
     report.figure("journal", journal / 1e3, "kB")
     report.table(
         ("variant", "late ticks", "CPU", "memory"),
@@ -95,8 +95,8 @@ def run() -> int:
     )  # fmt: skip
     report.table(("hostile clients", "socket", "what they do"), described())
     report.notes += [
-        f"{passes} passes of {seconds:g} s, with {COUNT} hostile clients and {VIEWERS} viewers without the key, "
-        "and of half as long without them; they use the same cores as the daemon and the simulated drive.",
+        f"{passes} passes of {seconds:g} s with {COUNT} hostile clients and {VIEWERS} viewers without the key, and of "
+        "half that time without them; they use the same cores as the daemon and the simulated drive.",
         axis.note,
     ]
     return finish(report, chosen)

@@ -1,4 +1,4 @@
-"""Identification against known truth, coverage of its intervals, the published EMPS errors, and how long it takes."""
+"""Identification against known truth, coverage of its intervals, the published EMPS errors, and run time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from fffo_drive.units import NORMAL_95
 NAME = "identification"
 PURPOSE = (
     "Fits of a simulated axis (single 2SEP surface of its own, current loop, 15-bit resolver, tracking loop, noise) "
-    "from the current chirp (60 s) and the recipe (about 105 s), whose truth is known; the measured EMPS axis."
+    "with known truth, from the current chirp (60 s) and the recipe (about 105 s); the measured EMPS axis."
 )
 TRUTH_SETS = 10
 TRUTH_LIMITS = dict.fromkeys(MODEL_PARAMETERS, 3.0) | {"stiffness_per_rev": 10.0, "stribeck_exponent": 10.0}
@@ -99,7 +99,7 @@ def coverage(report: Report, seeds: int, progress: Any) -> None:
     covered = np.abs(deviation) < NORMAL_95 * sd
     spread = np.std(deviation, axis=0, ddof=1) if seeds > 1 else np.full(deviation.shape[1], np.nan)
     whole = 100.0 * float(covered.mean())
-    report.figure("95 % intervals that hold the truth, all parameters", whole, "%")
+    report.figure("95 % intervals that contain the truth, all parameters", whole, "%")
     report.figure("their distance from 90 to 99 %", max(0.0, LEAST_COVERED - whole, whole - MOST_COVERED), "%", 0.0)
     width = np.median(sd, axis=0) / spread
     report.figure("widest median interval over the spread of the estimates", float(width.max()), "", WIDEST)
@@ -114,8 +114,8 @@ def coverage(report: Report, seeds: int, progress: Any) -> None:
     ]
     report.table(["parameter", "covered", "median width / spread", "mean width / spread"], rows)
     report.notes.append(
-        f"Coverage over {seeds} noise seeds of one axis. The oracle is the spread of the estimates over the seeds; the "
-        "intervals also hold what shifts when the fit is repeated at half the observer's bandwidth."
+        f"Coverage over {seeds} noise seeds of one axis. Spread: of the estimates over the seeds. The intervals also "
+        "include the shift of the estimates when the fit is repeated at half the observer's bandwidth."
     )
 
 

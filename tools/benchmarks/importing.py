@@ -1,4 +1,4 @@
-"""Import of foreign logs: time and memory of 100 MB of text, and what becomes of the published logs as they lie."""
+"""Import of foreign logs: time and memory for 100 MB of text, and the results on published logs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from common import ROOT, Report, finish, main, parser, shown
 NAME = "importing"
 PURPOSE = (
     "`fffo-drive import` in a process of its own: a CSV of 100 MB beside pyarrow's parser alone on the same file, and "
-    "the published logs as their authors wrote them, each with one command and `identify` behind it."
+    "the published logs as their authors wrote them, each imported with one command and then identified."
 )
 ROWS, SAMPLE_ROWS = 1_900_000, 20_000
 PERIOD_S = 5e-4
@@ -92,7 +92,7 @@ def run() -> int:
             rows.append(of_set(program, one, Path(folder) / f"set{number}", options.sample))
             if progress is not None:
                 progress((number + 1) / len(SETS))
-    report.table(["log", "files", "said beforehand", "recognised", "assumed", "becomes"], rows)
+    report.table(["log", "files", "options given", "recognised", "assumed", "becomes"], rows)
     report.notes.append("`assumed`: what the import marks with '?' because neither names nor units nor data decide it.")
     return finish(report, options)
 

@@ -202,10 +202,10 @@ def run() -> int:
     )
     report.notes += [
         f"{passes} passes (a third as many without FIFO) of {ticks} ticks; late: beyond {LATE_SHARE:g} of the period.",
-        "Lateness counts from when a loop asked to be woken. Medians of the passes, the worst of all, mean shares.",
-        "Deadlines that pass while a loop is held up are skipped by both and counted apart: one stall of a virtual"
+        "Lateness counts from the requested wake-up time. Medians of the passes, the worst of all, mean shares.",
+        "Both loops skip deadlines that pass while they are stalled. These are counted apart: one stall of a virtual"
         " machine skips dozens.",
-        "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+        "In ratios of late ticks, half a tick is added on both sides, so that none over none is one.",
         f"The loop does all of its work, with a drive that answers in the same thread. C by {compiler_version()}, -O2.",
     ]
     report.notes += [f"The system refused: {refusal}" for refusal in loops.refusals]

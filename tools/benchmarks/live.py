@@ -186,12 +186,12 @@ def run() -> int:
     report.figure("rows lost by the recorder", recording["rows_lost"] + recording["rows_dropped"], "", 0.0)
     report.facts |= {"frames a second": float(np.median(rates)), "faults": axis.faults, "passes": passes}
     report.notes += [
-        f"{passes} passes of {seconds:g} s each with {PAGES} pages and {VIEWERS} viewer that read everything, and "
-        f"without; they got {np.median(rates):.0f} binary frames a second in all. Load when it began: {load:.1f}.",
+        f"{passes} passes of {seconds:g} s each, with {PAGES} pages and {VIEWERS} viewer that read everything and "
+        f"without them; they got {np.median(rates):.0f} binary frames a second in all. Initial load: {load:.1f}.",
         "CPU of the stream: the live server's thread in the daemon's process.",
         "The browser (headless Chromium, drawing in software), the clients and the simulated drive are other processes"
-        " on the same cores; the browser looks after the passes, beside two of the clients.",
-        "Ratios of late ticks count half a tick more on both sides, so that none over none is one.",
+        " on the same cores; the browser runs after the passes, beside two of the clients.",
+        "In ratios of late ticks, half a tick is added on both sides, so that none over none is one.",
         axis.note,
     ]
     return finish(report, chosen)
@@ -203,7 +203,7 @@ def _add(report: Report, found: dict[str, Any], drawn_hz: float | None) -> None:
     report.figure(
         f"CPU of the stream, {three} (median)", float(np.median(looked["stream"])), "% of a core", LARGEST_SHARE
     )
-    report.figure("CPU of the stream, nobody looks (median)", float(np.median(quiet["stream"])), "% of a core")
+    report.figure("CPU of the stream, no client (median)", float(np.median(quiet["stream"])), "% of a core")
     report.figure(
         f"CPU of the daemon, {three} less none (median)", float(np.median(looked["cpu"] - quiet["cpu"])), "% of a core"
     )

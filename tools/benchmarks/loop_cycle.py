@@ -255,7 +255,7 @@ def run() -> int:
     )
     report.notes += [
         f"{passes_of(chosen)} passes of {cycles} cycles each; C by {compiler_version()}, -O2.",
-        "Every row of both loops holds the same numbers (the clock's fields aside), bit for bit.",
+        "Both loops write the same rows, bit for bit, except for the fields of the clock.",
         "The drive answers in the same thread, outside the measured time; cycles follow one another without a pause.",
     ]
     return finish(report, chosen)

@@ -1,4 +1,4 @@
-"""Measured machines: what is in them, what a textbook makes of them, and what the diagnosis says, each run held out."""
+"""Measured machines: published findings, a textbook fit, and the diagnosis, with each run held out in turn."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ NAME = "measured"
 PURPOSE = (
     "Measured machines as their authors published them: EMPS (Janot, Gautier and Brunot, 2019), LAAS "
     "(heitor-andrade/laas_anti_cogging, BSD-3-Clause), BAM (Rhoban/bam, Apache-2.0). Effects are chosen on the fit "
-    "runs alone. The textbook is least squares with inertia, viscous and Coulomb friction and a constant, and on BAM "
-    "sin and cos of the angle."
+    "runs alone. The textbook fit is least squares with inertia, viscous and Coulomb friction and a constant, on BAM "
+    "also sin and cos of the angle."
 )
 EMPS_PERCENT = 3.0  # of the command, held out
 LAAS_SHARE = 0.5  # of the textbook's error
@@ -115,19 +115,19 @@ def run() -> int:
     rows = [_row(report, case, said) for case, said in zip(wanted, found, strict=True)]
     header = [
         "machine: fitted -> held out", "inside", "said", "textbook in its own band", "textbook", "base", "ours",
-        "rest told",
+        "residual reported",
         "diagnosis; fresh process: wall, CPU, memory",
     ]  # fmt: skip
     report.table(header, rows)
     report.notes += [
-        "Errors: rms of the held-out torque that is left, over the rms of the command / over that of the torque that "
-        "the axis needs by the textbook (inertia and friction: one yardstick for all), in the band of the diagnosis "
+        "Errors: rms of the held-out torque residual, relative to the rms of the command / of the torque that the axis "
+        "needs by the textbook (inertia and friction: one reference for all), in the band of the diagnosis "
         f"(its `cutoff_hz`, else {CUTOFF_HZ:g} Hz). Own bands of the textbook: "
         + ", ".join(f"{machine} {hz:g} Hz" for machine, hz in OWN_BAND_HZ.items())
         + ". The diagnosis' own figures are "
-        "over its own rows, which leave out what no row can be made of.",
+        "over its own rows, which omit the parts of a log that give no rows.",
         "On BAM the command is a voltage (load times supply).",
-        "tro2021 is left out: three logs of velocity and torque alone, of 500 samples at 16 to 78 Hz, one speed each.",
+        "tro2021 is omitted: three logs with velocity and torque only, 500 samples at 16 to 78 Hz, one speed each.",
     ]
     return finish(report, options)
 
@@ -136,7 +136,7 @@ def _options() -> argparse.Namespace:
     made = parser(NAME, PURPOSE, 1, 1)
     made.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="holds measured/ and emps/")
     made.add_argument("--only", nargs="+", choices=sorted(TRUTH), help="these machines")
-    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for a run that goes on")
+    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for interrupted runs")
     return made.parse_args()
 
 

@@ -119,7 +119,7 @@ def run() -> int:
     report.figure("open files at the end", descriptors, "")
     report.figure("threads at the end", threads, "")
     report.table(("what happened", "times"), [(what, str(count)) for what, count in sorted(done.items())])
-    report.notes.append(f"{seconds:g} s; connection {status['loop'] and status['loop']['connection']} at the end.")
+    report.notes.append(f"{seconds:g} s. Connection {status['loop'] and status['loop']['connection']} at the end.")
     return finish(report, chosen)
 
 

@@ -1,4 +1,4 @@
-"""One simulated node on a loopback bus at 2 kHz: CPU time of its process, and answers that were missing or late."""
+"""One simulated node on a loopback bus at 2 kHz: CPU time of its process, and missing or late answers."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Sample(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a run showed."""
+    """Results of a run."""
 
     share: float  # of a core
     cpu_us_per_sync: float
@@ -177,10 +177,10 @@ def run() -> int:
     report.notes += [
         f"{duration_s:g} s of {AXIS.name} against {DRIVE.name}: five frictional surfaces, sub-steps at 22 kHz.",
         "CPU time is what the scheduler counts for all threads of the node's process (schedstat), without the first "
-        f"and last {MARGIN_S:g} s. Beside busy processes it is higher, because each wake finds the caches cold; "
-        "missing and late answers count the machine's stalls too.",
-        f"The node of itself: {found.node_line}.",
-        f"Load of the machine when it began: {before:.1f}.",
+        f"and last {MARGIN_S:g} s. Beside busy processes it is higher, because caches are cold at each wake-up; "
+        "missing and late answers include stalls of the machine.",
+        f"Report of the node: {found.node_line}.",
+        f"Initial load of the machine: {before:.1f}.",
     ]
     return finish(report, chosen)
 

@@ -25,7 +25,7 @@ from fffo_drive.units import inertia_nm_s2_per_rev
 
 NAME = "peers"
 PURPOSE = (
-    "Held-out torque error of the diagnosis beside that of peers which name nothing: PySINDy (STLSQ, products of two "
+    "Held-out torque error of the diagnosis beside that of peers that name no effects: PySINDy (STLSQ, products of two "
     "and orders 1 to 30 of the angle), SysIdentPy (FROLS, BIC), scikit-learn's boosted trees, gplearn (symbolic "
     "regression). All are given position, velocity, acceleration, sign, travel since reversal, sin and cos."
 )
@@ -77,8 +77,8 @@ def record_times(record: Record) -> Floats:
 
 
 def fit_peers(drive: DriveFolder, ours: Path, answer: Path) -> None:
-    """Our diagnosis to a file, its base model's rows to the peers' environment, and what they say to another. An answer
-    that exists is kept."""
+    """Run our diagnosis, and the peers on the rows of its base model; each answer goes to a file. Existing answers are
+    kept."""
     diagnose_folder(drive.logs, ours)
     if answer.exists():
         return
@@ -102,7 +102,7 @@ def run() -> int:
     """Ours and the peers on every drive."""
     made = parser(NAME, PURPOSE, 1, 1)
     made.add_argument("folders", type=Path, nargs="*", default=[ROOT.parent / "shared" / "data" / "blind"])
-    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for a run that goes on")
+    made.add_argument("--answers", type=Path, help="a folder that keeps the answers, for interrupted runs")
     options = made.parse_args()
     drives = drive_folders(options.folders)[: 1 if options.sample else None]
     with tempfile.TemporaryDirectory() as folder, shown("peers") as progress:
@@ -145,13 +145,13 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
     share = wilson(near, len(drives))
     what = f"drives on which ours is within {WITHIN:g} times the best peer's held-out error"
     report.bounded(what, str(share), share.value >= SHARE, f">= {100 * SHARE:.0f} %")
-    report.bounded("a peer better by more than our interval, and no rest told", str(untold), untold == 0, "0")
+    report.bounded("a peer better by more than our interval, and no residual reported", str(untold), untold == 0, "0")
     report.facts |= {"near": near, "untold": untold, "drives": len(drives), "peers": [peers for _, peers in said]}
     if false_ours:
-        report.bounded("findings a drive without effects, ours", f"{np.mean(false_ours):.2f}")
+        report.bounded("findings per drive without effects, ours", f"{np.mean(false_ours):.2f}")
         for name, terms in false_terms.items():
             if terms:
-                report.bounded(f"terms beyond the axis' own a drive without effects, {name}", f"{np.mean(terms):.1f}")
+                report.bounded(f"terms beyond the axis' own per drive without effects, {name}", f"{np.mean(terms):.1f}")
     header = [
         "drive",
         "in it",
@@ -161,11 +161,11 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
         "ours, %",
         *(f"{n}, %" for n in names),
     ]
-    report.table([*header, "rest told"], table)
+    report.table([*header, "residual reported"], table)
     report.notes += [
-        "Errors: held-out torque that is left over the command, both rms below 45 Hz. The peers fit what our base "
-        f"model (inertia, delay, friction of one surface) leaves, on rows at {RATE_HZ:g} Hz without standstill; ours "
-        "is over the rows of the diagnosis. In brackets: terms (of gplearn: nodes of its program) and time.",
+        "Errors: held-out torque residual over the command, both rms below 45 Hz. The peers fit the residual of our "
+        f"base model (inertia, delay, friction of one surface), on rows at {RATE_HZ:g} Hz without standstill; our "
+        "error is over the rows of the diagnosis. In brackets: terms (gplearn: nodes of its program) and time.",
         f"Versions: {', '.join(line for line in _pinned() if '==' in line)}.",
     ]
     return report

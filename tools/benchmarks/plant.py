@@ -82,7 +82,7 @@ def commands(ticks: int) -> Floats:
 
 
 def differing_parts(plants: Plants) -> list[str]:
-    """What is not bit for bit the same in both languages."""
+    """Parts that are not bit for bit the same in both languages."""
     _, ours, state = plants.run("numba")
     _, theirs, other = plants.run("C")
     parts: dict[str, tuple[Any, Any]] = {"measured velocity": (ours, theirs)}
@@ -151,9 +151,9 @@ def run() -> int:
     rows.append(("closed loop, a tick", f"{loop['tick'].min():.0f}", f"{np.median(loop['tick']):.0f}"))
     report.table(("variant", "least, ns", "median, ns"), rows)
     report.notes += [
-        f"{passes_of(chosen)} passes, in each the best of {REPEATS} runs of {seconds:g} s of simulated time.",
+        f"{passes_of(chosen)} passes; each takes the best of {REPEATS} runs of {seconds:g} s of simulated time.",
         f"C by {compiler_version()}, -O2.",
-        "State and measured velocity in the end are the same in both, bit for bit.",
+        "Final state and measured velocity are the same in both, bit for bit.",
         "The closed loop is the shipped axis on the five-surface drive, sensor noise included, under FFFO:"
         f" the best of {REPEATS} runs of {16.0 * seconds:g} s a pass.",
     ]

@@ -323,7 +323,7 @@ def run() -> int:
         report.table([*header, "overshoot of the three starts, median, %"], grid_rows(found))
     for one in done:
         if one.refused:
-            report.notes.append(f"{one.number} ({one.law}) is left out: {one.refused}")
+            report.notes.append(f"{one.number} ({one.law}) is omitted: {one.refused}")
     report.notes.append(
         f"In use: {HOLD_SHARE:g} of the largest gain (`HOLD_SHARE`), {HELD_DEAD_BANDS:g} dead bands "
         f"(`HELD_DEAD_BANDS`) or 1/K if that is more. Load: {LOAD_SHARE:g} of the true Coulomb friction. Delay: of the "

@@ -179,12 +179,13 @@ def run() -> int:
                 recorded = record_live(plan, duration, path, progress)
             add_recorded(report, recorded, f"{duration:g} s live")
             report.notes.append(
-                f"The loop ran {recorded.ticks} ticks beside it and skipped {recorded.skipped} (this machine)."
+                f"The loop beside it ran {recorded.ticks} ticks and skipped {recorded.skipped}, because of this "
+                "machine."
             )
         _add_reader(report, plan, Path(directory), passes_of(chosen), chosen.sample)
     report.notes += [
         "Live: the closed loop on the simulated drive in process at 2 kHz under FIFO, with sensor noise, in real time.",
-        "Share of a core: CPU time of the recorder's thread over the time that passed.",
+        "Share of a core: CPU time of the recorder's thread over elapsed time.",
     ]
     return finish(report, chosen)
 

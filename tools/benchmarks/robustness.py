@@ -100,8 +100,8 @@ def axes_table(drawn: list[RandomAxis], every: list[Found], case: Case) -> list[
     axes = [axis for axis, one in zip(drawn, every, strict=True) if one.passive]
     found = [one for one in every if one.passive]
     lines = [
-        f"{len(active)} of them give energy, so that no controller can bring them to rest "
-        "(fffo_drive/evaluation/passivity.py), and are left out: "
+        f"{len(active)} of them supply energy, so that no controller can bring them to rest "
+        "(fffo_drive/evaluation/passivity.py), and are omitted: "
         + (", ".join(f"{axis.number} ({', '.join(axis.effects)})" for axis in active) or "none")
         + ".",
         "",
@@ -218,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "# Robustness",
         "",
         "Made by tools/benchmarks/robustness.py. Gains of configs/scenarios/paper.yaml, tuned to the nominal axis and",
-        "not retuned. What counts as unstable or as a limit cycle: fffo_drive/evaluation/robustness.py.",
+        "not retuned. fffo_drive/evaluation/robustness.py defines unstable and limit cycle.",
         "",
         "Linear margins on the nominal axis: "
         + ", ".join(

@@ -433,11 +433,11 @@ def run() -> int:
     report.table(("hostile clients", "socket", "what they do"), described())
     report.facts["faults"] = faults
     report.notes += [
-        f"Hostile: {COUNT} clients, those of the watching socket without any right, and {VIEWERS} viewers without the "
-        "key that ask for a stop which is refused, without a pause; all on the same cores. The daemon is as nice as "
-        "its unit has it.",
-        "Commanded: the first frame to the drive that no longer asks for Operation Enabled, heard on the bus; told: "
-        "the first statusword that says so. Both by the kernel's time stamps of the frames. The axis turned.",
+        f"Hostile: {COUNT} clients, some on the read-only socket without any right, and {VIEWERS} viewers without the "
+        "key that request stops without a pause, which are refused; all on the same cores. The daemon has the nice "
+        "value of its unit.",
+        "Commanded: the first frame on the bus that no longer requests Operation Enabled; told: the first statusword "
+        "that confirms it. Both by the kernel's time stamps of the frames. The axis was turning.",
         f"Faults by load: {faults or 'none'}.",
     ]
     return finish(report, chosen)
@@ -446,7 +446,7 @@ def run() -> int:
 def run_races(chosen: argparse.Namespace) -> int:
     """The races, with a table of their own."""
     count = SAMPLE_RACES if chosen.sample else RACES
-    report = Report("races", "A start and what ends it a moment later, at 2 kHz on the loopback bus.")
+    report = Report("races", "A start, and a stop a moment later, at 2 kHz on the loopback bus.")
     bus = f"loopback:{free_loopback_port()}"
     with (
         tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_") as name,
@@ -465,13 +465,13 @@ def run_races(chosen: argparse.Namespace) -> int:
         [tuple(map(str, row)) for row in table],
     )
     if wrong:
-        report.table(("not as it should be, or not counted",), [(text,) for text in wrong])
+        report.table(("wrong, or not counted",), [(text,) for text in wrong])
     report.facts |= {"faults": faults, "wrong": wrong}
     report.notes += [
-        "A race: `start` on one connection, then what ends it, a random 0 to 100 ms later, on another; 100 ms after "
-        "the acknowledgement the state and the shaft are looked at. The page's stop is always `disable` and does not "
-        "wait for standstill: the race does. `enable` after a stop goes the same way, by the page over the control "
-        "socket. Profiles are named and inline (60 s of the paper's reference) in turn.",
+        "A race: `start` on one connection, then a stop on another, a random 0 to 100 ms later; 100 ms after the "
+        "acknowledgement state and shaft are checked. The page's stop is always `disable` and does not wait for "
+        "standstill; the race does. `enable` after a stop uses the same connection, for the page the control socket. "
+        "Profiles are named and inline (60 s of the paper's reference) in turn.",
         f"Faults by load: {faults or 'none'}.",
     ]
     return finish(report, chosen)

@@ -1,4 +1,4 @@
-"""Table II over what the paper does not print: the nearest point, what each detail moves, what stands in the way."""
+"""Table II over the details that the paper does not print: the nearest point, the influence of each, obstacles."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from fffo_drive.evaluation.metrics import PAPER_TABLE_2, ErrorMetrics, Floats
 
 NAME = "table_two"
 PURPOSE = (
-    "The eight ratios of Table II to PI+FFFO, measured velocity, on the simulated drive: a search over what the paper "
-    "does not print, then each detail alone. A point is judged by the largest factor between a ratio and the paper's."
+    "The eight ratios of Table II to PI+FFFO, measured velocity, on the simulated drive: a search over the details "
+    "that the paper does not print, then each detail alone. A point is judged by the largest factor between a ratio "
+    "and the paper's."
 )
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
 BASE, OTHERS = "pi+fffo", ("pi", "pi+fbfo")
@@ -76,7 +77,7 @@ HELD: dict[str, dict[str, Any]] = {
 }
 GAINS = ("observer_nm_per_rev", "proportional_a_per_rps", "integral_time_s")
 SHARES = (0.25, 0.5, 0.75, 1.5, 2.0)  # of the nearest point's gains
-APART = 0.15  # a value that is nearer to the nearest point's tells nothing new
+APART = 0.15  # values closer than this to that of the nearest point are left out
 NEAR = 1.1  # within this factor a ratio counts as reached
 TRIALS, SAMPLE_TRIALS = 90, 2  # of each of the four searches
 
@@ -297,7 +298,7 @@ def tables(report: Report, outcome: Outcome) -> None:
     report.table(["point", *LABELS, "factor"], rows)
     ends = {name: [said(getattr(one.point, name)) for one in (series[0], series[-1])] for name, series in details}
     moves = [[f"`{name}`", " and ".join(ends[name]), *moved(series)] for name, series in details]
-    report.table(["detail alone: moves by", "between", *LABELS, "factor"], moves)
+    report.table(["detail alone: changes by", "between", *LABELS, "factor"], moves)
     values = [[f"`{name}`", said(getattr(one.point, name)), *cells(one)] for name, series in details for one in series]
     report.table(["detail alone", "value", *LABELS, "factor"], values)
     points = zip(PROJECT, best.point, *(nearest(tried).point for tried in outcome.held.values()), strict=True)

@@ -1,4 +1,4 @@
-"""What an estimated velocity buys: PI+FFFO+ on the drive's velocity and on the estimate, same gains and same margins.
+"""The benefit of an estimated velocity: PI+FFFO+ on the drive's velocity and on the estimate, same gains or margins.
 
   .venv/bin/python tools/benchmarks/velocity.py [--seeds N] [--duration-s S]
 
@@ -175,7 +175,7 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
         cells += [f"{one.phase_deg:.1f} deg, {one.gain:.2f}" for one in (moving, resting)]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     shares = [run.estimated_share for found in runs.values() for name in found for run in found[name] if "est" in name]
-    return [*lines, "", f"The estimate was followed in at least {min(shares):.2%} of the ticks of a run.", ""]
+    return [*lines, "", f"The estimate was in use in at least {min(shares):.2%} of the ticks of a run.", ""]
 
 
 def wrong_inertia(sensor: str, duration_s: float, seeds: int) -> list[str]:
@@ -213,8 +213,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "wrong with random signs,",
         "five surfaces, 3 ms end to end. True ISE in per cent of PI+FFFO and of PI+FFFO+ on the drive's velocity, 95 %",
         "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin",
-        "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; the margins are the smaller",
-        "ones of the two cuts (fffo_drive/control/stability.py). 200 Hz is the default.",
+        "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; each margin is the smaller",
+        "one of the two cuts (fffo_drive/control/stability.py). 200 Hz is the default.",
         "",
     ]
     for sensor in TRACKING_HZ:

@@ -18,6 +18,7 @@ from .checked import write_checked, write_if_present
 from .config import CanopenDriveConfig
 from .needs import check_device_type, check_modes, mode_text, needs
 from .object_map import MODE, MODE_DISPLAY, PdoMap, interpolation_period
+from .sdo_objects import SdoObjects
 from .sdo_writes import write_phase
 from .service import (
     NMT_PRE_OPERATIONAL,
@@ -28,7 +29,6 @@ from .service import (
     Service,
     object_name,
 )
-from .told import ToldObjects
 
 COB_ID_INVALID = 1 << 31
 READ_ONLY = 0x06010002  # abort code
@@ -122,7 +122,7 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
 
 def _check_drive(service: Service, config: CanopenDriveConfig) -> None:
     """Check the drive itself against the list of requirements that `drive-info` applies to a file."""
-    objects = ToldObjects(service.read, most_silences=1)
+    objects = SdoObjects(service.read, most_timeouts=1)
     problems = [*check_device_type(objects, config), *check_modes(objects, config), *needs(objects, config)]
     if problems:
         raise DriveRefusedError(f"node {service.node_id}: {'; '.join(problems)}")
@@ -164,8 +164,8 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
 
 
 def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
-    told = service.read_optional_int(0x1005, 0)  # a drive without the object uses the predefined COB-ID
-    if told is not None and told & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
+    reported = service.read_optional_int(0x1005, 0)  # a drive without the object uses the predefined COB-ID
+    if reported is not None and reported & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
         write_checked(service, 0x1005, 0, can.SYNC, 4, "receiving our SYNC", mask=SYNC_PRODUCER | can.STANDARD_MASK)
     if service.read_optional_int(0x1019, 0):  # a counter would need a byte in SYNC
         write_if_present(service, 0x1006, 0, 0, 4, "changing 0x1019")
@@ -250,10 +250,12 @@ def _count_is_fixed(service: Service, mapping: int, wanted: int, purpose: str) -
 def _configure_reactions(service: Service, config: CanopenDriveConfig) -> None:
     """Reactions to silence of the master or the drive; if one is refused, the drive is not enabled."""
     emergency = can.EMERGENCY + config.node_id
-    told = service.read_optional_int(0x1014, 0)  # a drive without the object uses the predefined COB-ID
-    if told is not None and told & COB_ID_MASK != emergency:
-        if not told & COB_ID_INVALID:  # a COB-ID in use must not be changed (CiA 301 7.5.2.17)
-            write_checked(service, 0x1014, 0, told | COB_ID_INVALID, 4, "changing EMCY messages", mask=COB_ID_INVALID)
+    reported = service.read_optional_int(0x1014, 0)  # a drive without the object uses the predefined COB-ID
+    if reported is not None and reported & COB_ID_MASK != emergency:
+        if not reported & COB_ID_INVALID:  # a COB-ID in use must not be changed (CiA 301 7.5.2.17)
+            write_checked(
+                service, 0x1014, 0, reported | COB_ID_INVALID, 4, "changing EMCY messages", mask=COB_ID_INVALID
+            )
         write_checked(service, 0x1014, 0, emergency, 4, "EMCY messages", mask=COB_ID_MASK)
     silence.configure(service, config)
     if config.quick_stop_option is not None:

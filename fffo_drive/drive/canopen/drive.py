@@ -78,8 +78,8 @@ class CanopenDrive:
         obstacles = self._listening.heard().obstacles()
         self._listening.close()
         if obstacles:
-            told = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
-            raise BusOccupiedError(f"{self.config.bus}: {told}")
+            found = "; ".join(f"{obstacle.text}: {obstacle.remedy}" for obstacle in obstacles)
+            raise BusOccupiedError(f"{self.config.bus}: {found}")
 
     def connect(self) -> DriveIdentity:
         """Listen, then bring the drive to NMT operational, mapped, verified, not enabled.
@@ -197,10 +197,6 @@ class CanopenDrive:
         Raises SdoRefusedError (a DriveRefusedError) and BusUnavailableError.
         """
         return self._connected().read(index, sub)
-
-    def write_object(self, index: int, sub: int, data: bytes) -> None:
-        """Write an object (little-endian bytes of the right length). Raises as `read_object`."""
-        self._connected().write(index, sub, data)
 
     def _connected(self) -> Service:
         if self._service is None:

@@ -129,7 +129,7 @@ def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
         yield from missing_in_pdo(dictionary, first + pdo.number - 1, pdo)
 
 
-def mapping_told(dictionary: Any) -> bool:
+def declares_mapping(dictionary: Any) -> bool:
     """False for a file that marks no object as mappable: then the drive decides."""
     return any(
         variable.pdo_mappable
@@ -140,12 +140,12 @@ def mapping_told(dictionary: Any) -> bool:
 
 def missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     """Why a PDO with these communication parameters cannot be used as needed."""
-    told = mapping_told(dictionary)
+    checked = declares_mapping(dictionary)
     for item in pdo.objects:
         variable = dictionary.get_variable(item.index, item.sub)
         if variable is None:
             continue  # `needs` names it
-        if told and not variable.pdo_mappable:
+        if checked and not variable.pdo_mappable:
             yield f"object {item} cannot be mapped to a PDO"
         elif len(variable) != item.bits:
             yield f"object {item} has {len(variable)} bits"

@@ -51,8 +51,8 @@ class LssAddress(NamedTuple):
 class LssMaster:
     """Requests to the nodes of a bus."""
 
-    def __init__(self, ask: Ask, told: Callable[[float], None] = lambda share: None) -> None:
-        self._ask, self._told = ask, told
+    def __init__(self, ask: Ask, progress: Callable[[float], None] = lambda share: None) -> None:
+        self._ask, self._progress = ask, progress
 
     def nodes_without_id(self) -> list[LssAddress]:
         """All nodes without an id; they keep it that way. Raises DriveRefusedError for answers that form no address."""
@@ -116,7 +116,7 @@ class LssMaster:
             for bit in range(ADDRESS_BITS - 1, -1, -1):
                 if not self._fits(number, bit, part, part, patience_s):
                     number |= 1 << bit
-                self._told((part * ADDRESS_BITS + ADDRESS_BITS - bit) / (count * ADDRESS_BITS))
+                self._progress((part * ADDRESS_BITS + ADDRESS_BITS - bit) / (count * ADDRESS_BITS))
             if not self._fits(number, 0, part, (part + 1) % count, PATIENCE_S[-1]):
                 return
             yield number

@@ -56,13 +56,13 @@ def has_mode(modes: int, mode: int) -> bool:
 
 def check_device_type(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
     """0x1000 must name the device profile in its low word."""
-    told = objects.value(0x1000)
-    if config.device_profile is None or (told is not None and told & 0xFFFF == config.device_profile):
+    reported = objects.value(0x1000)
+    if config.device_profile is None or (reported is not None and reported & 0xFFFF == config.device_profile):
         return []
-    if told is None:
+    if reported is None:
         return ["0x1000:00 (device type) does not tell a number"]
     return [
-        f"0x1000:00 says 0x{told:08X}, which is no CiA 402 drive (0x0192 in the low word); is the node id right? "
+        f"0x1000:00 says 0x{reported:08X}, which is no CiA 402 drive (0x0192 in the low word); is the node id right? "
         "For a drive that does not report its profile set drive.device_profile: null"
     ]
 
@@ -71,15 +71,15 @@ def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
     """0x6502 must list the mode in use."""
     if not config.modes_told:
         return []
-    told = objects.value(0x6502)
-    if told is not None and has_mode(told, config.mode):
+    reported = objects.value(0x6502)
+    if reported is not None and has_mode(reported, config.mode):
         return []
-    shown = "is missing" if told is None else f"says 0x{told:08X}"
+    shown = "is missing" if reported is None else f"says 0x{reported:08X}"
     bit = f"bit {config.mode - 1}" if config.mode > 0 else f"one of bits {VENDOR_MODES} to 31"
     other = MODE_PROFILE_TORQUE
-    if told is not None and config.mode != other and has_mode(told, other):
+    if reported is not None and config.mode != other and has_mode(reported, other):
         remedy = f"; it has profile torque: set drive.mode: {other}"
-    elif told is None:
+    elif reported is None:
         remedy = "; a drive that has the mode and does not say so takes drive.modes_told: false"
     else:
         remedy = ""

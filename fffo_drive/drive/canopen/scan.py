@@ -112,14 +112,14 @@ def ask_every_node(
     link: NodeLink,
     roll: Roll,
     node_ids: Iterable[int] = can.NODE_IDS,
-    told: Callable[[int], None] = lambda node_id: None,
+    progress: Callable[[int], None] = lambda node_id: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Ask each id for 0x1000 and take what comes. `told` gets each id asked. Raises BusUnavailableError."""
+    """Ask each id for 0x1000 and take what comes. `progress` gets each id asked. Raises BusUnavailableError."""
     try:
         for node_id in node_ids:
             link.send(pack_frame(can.SDO_REQUEST + node_id, READ_DEVICE_TYPE))
-            told(node_id)
+            progress(node_id)
             _listen(link, roll, PACE_S, clock)
         _listen(link, roll, ANSWER_S, clock)
     except LinkError as error:
@@ -172,7 +172,7 @@ class NodeName(NamedTuple):
 
     def _other_kind(self) -> str:
         if self.device_type is None:
-            return "type not told"
+            return "type unknown"
         return f"device profile {self.device_type & 0xFFFF}" if self.device_type & 0xFFFF else "no device profile"
 
 

@@ -43,7 +43,7 @@ def brake_step(
 ) -> tuple[float, float, bool]:
     """One step of braking: next speed on the ramp, current (A), and whether it is done.
 
-    `ramp_rps` is the measured speed when braking begins, and after that what the step before returned.
+    `ramp_rps`: the measured speed when braking begins, then the value that the previous step returned.
     """
     if kind == COAST:
         return 0.0, 0.0, True

@@ -1,12 +1,11 @@
 """The drive's side of the CiA 402 state machine (IEC 61800-7-201), for the in-process port and the CANopen node.
 
-`TRANSITIONS` is the machine, the one table; `device_step` looks the next state up in it, one transition a
-call. Controlwords act as levels (the same word sent again carries on: enable operation takes READY TO SWITCH
-ON through SWITCHED ON in two calls); only fault reset is an edge, of bit 7. A word that is no legal command
-in the present state is ignored.
+`TRANSITIONS` is the whole machine; `device_step` makes at most one transition per call. A controlword acts by level:
+repeating it continues (enable operation takes READY TO SWITCH ON through SWITCHED ON in two calls). Only fault reset
+acts on an edge, of bit 7. A word that commands nothing in the present state is ignored.
 
-A word with bit 7 set is never taken as a command towards torque, but "disable voltage" and "quick stop" are obeyed
-whatever bit 7 is: a drive must not miss a stop because of a reset bit that was not cleared.
+A word with bit 7 set commands no transition towards torque. "Disable voltage" and "quick stop" are obeyed whatever
+bit 7 is: a drive must not miss a stop because a reset bit was not cleared.
 """
 
 from __future__ import annotations

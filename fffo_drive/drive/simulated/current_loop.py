@@ -1,8 +1,8 @@
 """Transport delay, current controller and winding of the simulated drive.
 
-The command passes a delay line, then a current controller at 11 kHz (every other sub-step) sets the voltage that moves
-the current by a share of its error, as far as the DC link allows against the back-EMF. Between its updates the net
-voltage is held; the winding (R, L) is stepped exactly.
+The command passes a delay line. A current controller at 11 kHz (every other sub-step) then sets the voltage that
+reduces the current error by a fixed share, limited by the DC link. In between, the voltage less back-EMF is held. The
+step of the winding (R, L) is exact.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from .state import Floats, Integers
 
 @njit
 def transport_step(line: Floats, words: Integers, steps: int, fraction: float, command_a: float) -> float:
-    """Put the command into the delay line; the demand (A) of `steps` + `fraction` sub-steps ago comes out.
+    """Put a command into the delay line; returns the demand (A) of `steps` + `fraction` sub-steps ago.
 
-    `line` is a ring with room for steps + 2; words[HEAD] moves on.
+    `line`: a ring of steps + 2. Advances words[HEAD].
     """
     length = line.shape[0]
     head = int(words[at.HEAD])
@@ -36,8 +36,7 @@ def transport_step(line: Floats, words: Integers, steps: int, fraction: float, c
 def current_step(c: Floats, x: Floats, words: Integers, demand_a: float) -> float:
     """One sub-step of controller and winding; the mean current over it (A).
 
-    `c`, `x`, `words`: numbers of the parameters, values and words of the state. A limit that was met is noted
-    there.
+    `c`, `x`, `words`: `numbers` of the parameters, `values` and `words` of the state. Sets words[LIMITED] at a limit.
     """
     kept = c[at.CURRENT_KEPT]
     resistance = c[at.RESISTANCE_OHM]

@@ -1,24 +1,23 @@
 """The plant's own friction, in four kinds. None shares code with `fffo_drive.model`.
 
 *Five surfaces.* The torque is the sum over the frictional surfaces f1 to f5 of the paper's Fig. 2b: four
-bearings and the teeth of the gear. Each surface is an elasto-plastic element (Dupont et al., 2002) that is
-elastic up to a share of its level and slides at the level, with a level of its own that follows the Stribeck
-curve not at once, but over a sliding distance (the contacts renew themselves): that is the frictional lag,
-and why the break-away peak depends on the torque rate. Surfaces that give way one after the other make the
-hysteresis of presliding.
+bearings and the teeth of the gear. Each surface is an elasto-plastic element (Dupont et al., 2002): elastic up
+to a share of its friction level, sliding at the level. The level follows the Stribeck curve over a sliding
+distance, in which the contacts renew themselves. This gives frictional lag, and a break-away peak that depends
+on the torque rate. Surfaces that break away one after another give presliding its hysteresis.
 
 *Single surface.* The two-state model with elasto-plasticity (2SEP) as paper/NOTES.md derives it, by its exact
 step.
 
 *LuGre.* Bristles that bend from the first torque on and slip at the Stribeck level (Canudas de Wit, Olsson, Astrom and
-Lischinsky, "A new model for control of systems with friction", IEEE TAC 40, 1995), with a damping of the bristles that
-fades with speed, so that the contact never gives energy (Olsson, 1996).
+Lischinsky, "A new model for control of systems with friction", IEEE TAC 40, 1995). Their damping fades with speed,
+which keeps the contact dissipative (Olsson, 1996).
 
-*Maxwell slip.* Parallel springs that stick and slip one after the other, so that a reversal inside a reversal closes
-its own loop (generalised Maxwell slip, Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005).
+*Maxwell slip.* Parallel springs that break away one after another, so that a reversal within a stroke closes an inner
+hysteresis loop (generalised Maxwell slip, Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005).
 
 All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step is exact for a speed that is
-constant over it, so it is stable at any stiffness. Friction is positive against positive speed.
+constant over it, so it is stable at any stiffness. Friction that opposes positive speed is positive.
 """
 
 from __future__ import annotations
@@ -47,11 +46,10 @@ STIFFNESS = 5  # Nm/rev of the elastic contact; single: K in 1/rev
 ELASTIC_SHARE = 6  # surfaces: share of the level below which the contact is elastic
 DAMPING = 6  # LuGre: Nm/rps of the bristles
 MEMORY = 7  # surfaces: 1/rev, one over the sliding distance that renews the level; single: B in Nm/rev
-ATTRACTION = 7  # Maxwell slip: Nm/s with which a slipping element follows the level
+ATTRACTION = 7  # Maxwell slip: rate in Nm/s at which a slipping element follows the level
 TABLE_COLUMNS = 8
 
-# columns of the state, surfaces: torque of the contact, and how much of the stiction rise is there (1 at
-# rest)
+# columns of the state, surfaces: contact torque, and share of the stiction rise in force (1 at rest)
 CONTACT_NM = 0
 STICTION = 1
 SLIPS = 1  # Maxwell slip: direction (+-1) in which the element slips; 0: it sticks
@@ -62,7 +60,7 @@ TRAVEL_REV = 2
 DIRECTION = 3
 STATE_COLUMNS = 4
 
-_NEGLIGIBLE = 25.0  # exp(-25) of a level is far below anything that can be measured
+_NEGLIGIBLE = 25.0  # exp(-25) of a level is far below what can be measured
 
 
 class FrictionScales(NamedTuple):
@@ -75,7 +73,7 @@ class FrictionScales(NamedTuple):
 
 @njit
 def stribeck_share(ratio: float, exponent: float) -> float:
-    """exp(-ratio^exponent) of ratio = |w|/Vs: how much of the stiction rise is left at a steady speed."""
+    """exp(-ratio^exponent) with ratio = |w|/Vs: share of the stiction rise at a steady speed."""
     if exponent == 2.0:
         ratio = ratio * ratio
     elif exponent != 1.0:
@@ -85,14 +83,13 @@ def stribeck_share(ratio: float, exponent: float) -> float:
 
 @njit
 def _contact_step(contact_nm: float, level_nm: float, elastic_share: float, pull_nm: float) -> float:
-    """One elasto-plastic contact over a step in which it would stretch by `pull_nm` if it were elastic.
+    """One elasto-plastic contact over a step that would load it by `pull_nm` if it were elastic.
 
     dz = k dx (1 - alpha z sgn(dx)/g): alpha rises from 0 (elastic, or unloading) at |z| = elastic_share * g
-    to 1 at |z| = g. Exact for the alpha at the start of the step, and never beyond the level in the direction
-    of loading.
+    to 1 at |z| = g. Exact for the alpha at the start of the step; loading never exceeds the level.
     """
     direction = 1.0 if pull_nm > 0.0 else -1.0
-    load = direction * contact_nm / level_nm  # in levels from here on
+    load = direction * contact_nm / level_nm  # in multiples of the level from here on
     pull = direction * pull_nm / level_nm
     if load <= elastic_share:
         load = min(1.0, load + pull)
@@ -109,7 +106,7 @@ def _contact_step(contact_nm: float, level_nm: float, elastic_share: float, pull
 
 @njit
 def surfaces_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales) -> float:
-    """Friction torque of all surfaces (Nm) after one step at a constant speed; `state` moves on."""
+    """Friction torque of all surfaces (Nm) after one step at a constant speed. Updates `state`."""
     speed_rps = abs(velocity_rps)
     travel_rev = speed_rps * step_s
     total_nm = 0.0
@@ -239,7 +236,7 @@ def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: f
 def friction_after(
     kind: int, table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales
 ) -> float:
-    """Friction torque (Nm) of a kind after one step at a constant speed; `state` moves on."""
+    """Friction torque (Nm) of a kind after one step at a constant speed. Updates `state`."""
     if kind == FIVE_SURFACES:
         return surfaces_step(table, state, velocity_rps, step_s, scales)
     if kind == SINGLE_2SEP:

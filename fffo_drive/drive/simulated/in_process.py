@@ -1,8 +1,8 @@
 """The simulated drive in process: the plant behind the drive port, on a clock that only the loop advances.
 
 At each SYNC the plant advances to the present with the current applied at the last SYNC, and the drive latches its
-feedback and takes the latest command, as a drive does with synchronous PDOs. Nothing waits, so a minute takes as long
-as its computation, and the same seed gives the same bits.
+feedback and takes the latest command, as a drive does with synchronous PDOs. Nothing waits, so a run takes as long as
+its computation, and the same seed gives the same bits.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class SimulatedDrive:
         """Power-on: clock zero, shaft at rest, device in START, noise from `seed` (the configured one when
         None).
 
-        The arrays stay the same, so a port that was taken before remains valid.
+        The arrays stay the same objects, so that an existing port remains valid.
         """
         if seed is not None:
             self.plant_config = replace(self.plant_config, seed=seed).validate()
@@ -197,7 +197,7 @@ class SimulatedDrive:
         words[CYCLE_ADDRESS] = self._cycle_address
 
     def connect(self) -> DriveIdentity:
-        """The device walks from START to SWITCH ON DISABLED, as a drive does while it boots."""
+        """Take the device from START to SWITCH ON DISABLED, as a drive does while it boots."""
         state = int(self._port.words[DEVICE_STATE])
         while state != SWITCH_ON_DISABLED and state != FAULT:
             state, _ = device_step(state, 0, 0, False, True, self.device_config.quick_stop_option)
@@ -225,7 +225,7 @@ class SimulatedDrive:
 
     @property
     def plant_state(self) -> PlantState:
-        """The plant's memory itself; `state.copy_state` and `state.restore_state` take and set a snapshot."""
+        """State of the plant, not a copy."""
         return self._port.state
 
     @property

@@ -38,7 +38,7 @@ def plant_parameters(config: PlantConfig) -> PlantParameters:
 
 
 def new_state(config: PlantConfig, seed: int | None = None) -> PlantState:
-    """The plant at power-on: at rest, contacts unloaded. `seed` instead of the configured one."""
+    """The plant at power-on: at rest, contacts unloaded. `seed` replaces the configured one."""
     whole, _ = _transport(config.prepared())
     values = np.zeros(at.N_VALUES)
     values[at.ANGLE_REV] = values[at.TRACKED_REV] = config.initial_angle_rev
@@ -157,7 +157,7 @@ def _put_resolver(numbers: Floats, config: PlantConfig) -> None:
 
 
 def _kernels(config: PlantConfig) -> list[tuple[str, dict[str, float]]]:
-    """Effects that run in the plant, in the order of their stages (and in one stage as configured)."""
+    """Effects that run in the plant, in the order of their stages; within a stage as configured."""
     running = [(name, values) for name, values in config.present_effects() if EFFECTS[name].kernel is not None]
     return sorted(running, key=lambda item: EFFECTS[item[0]].stage)
 

@@ -38,7 +38,7 @@ class ResolverConfig:
     tracking_hz: float = key(400.0, "Hz", 20.0, 2000.0, "natural frequency of the tracking loop")
     tracking_damping: float = key(0.9, "-", 0.3, 3.0, "damping ratio of the tracking loop")
     noise_rev: float = key(1.5e-5, "rev", 0.0, 0.01, "standard deviation of the converted angle")
-    velocity_noise_rps: float = key(0.008, "rps", 0.0, 10.0, "noise of the reported velocity beside that")
+    velocity_noise_rps: float = key(0.008, "rps", 0.0, 10.0, "additional noise of the reported velocity")
     velocity_lsb_rps: float = key(0.001, "rps", 0.0, 1.0, "resolution of the reported velocity; 0 for none")
 
 
@@ -46,11 +46,11 @@ class ResolverConfig:
 class ThermalConfig:
     """First-order warm-up by the losses of winding and friction, with its influence on friction and an offset."""
 
-    k_per_w: float = key(1.5, "K/W", 0.0, 1000.0, "temperature rise in the end, per watt of loss")
+    k_per_w: float = key(1.5, "K/W", 0.0, 1000.0, "final temperature rise per watt of loss")
     time_constant_s: float = key(600.0, "s", 1.0, 1e5, "thermal time constant")
     viscous_per_k: float = key(-0.01, "1/K", -0.1, 0.1, "relative change of viscous friction")
     coulomb_per_k: float = key(0.0, "1/K", -0.1, 0.1, "relative change of the friction level")
-    offset_nm_per_k: float = key(0.0, "Nm/K", -1.0, 1.0, "constant torque that the axis takes")
+    offset_nm_per_k: float = key(0.0, "Nm/K", -1.0, 1.0, "change of the constant load torque")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class EffectConfig:
     """An effect that is switched on. Missing parameters have the defaults of the registry."""
 
     name: str = required_note("as `fffo-drive config effects` lists it")
-    parameters: Mapping[str, float] = note({}, "by name; absent ones have the defaults of that list")
+    parameters: Mapping[str, float] = note({}, "by name; the others have the defaults listed there")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class DelayBudget:
 
     bus_tick_s: float
     hold_s: float
-    transport_s: float  # negative: delay_s is less than the rest
+    transport_s: float  # negative: delay_s is shorter than the other parts
     current_loop_s: float
     tracking_loop_s: float
 
@@ -85,11 +85,11 @@ class PlantConfig:
     electrical_time_constant_s: float = key(1.2e-3, "s", 2e-4, 0.1, "L/R of the winding")
     current_bandwidth_hz: float = key(1000.0, "Hz", 50.0, 5000.0, "bandwidth of the current loop (rate 11 kHz)")
     gear_ratio: float = key(160.0, "-", 0.001, 1e4, "motor speed over output speed")
-    delay_s: float = key(0.003, "s", 0.0, 0.1, "end-to-end delay, all of it")
-    sync_period_s: float = key(0.0005, "s", 1e-4, 0.1, "period of the SYNC for which delay_s holds")
+    delay_s: float = key(0.003, "s", 0.0, 0.1, "total end-to-end delay")
+    sync_period_s: float = key(0.0005, "s", 1e-4, 0.1, "SYNC period for which delay_s is specified")
     extra_delay_s: float = key(0.0, "s", 0.0, 0.5, "transport delay beyond delay_s")
     current_noise_a: float = key(0.01, "A", 0.0, 10.0, "noise of the measured current")
-    roughness_nm: float = key(0.0004, "Nm", 0.0, 1.0, "standard deviation of the coloured torque of rough surfaces")
+    roughness_nm: float = key(0.0004, "Nm", 0.0, 1.0, "standard deviation of the coloured torque by rough surfaces")
     roughness_hz: float = key(15.0, "Hz", 0.01, 2000.0, "its bandwidth")
     initial_angle_rev: float = key(0.0, "rev", -1e4, 1e4, "angle of the motor shaft at power-on")
     motor_inertia_share: float = key(1.0, "-", 0.05, 1.0, "share of the inertia on the motor shaft (effects)")
@@ -114,10 +114,10 @@ class PlantConfig:
             return found
         if self.delay_s > 0.0 and delay_budget(self).transport_s < 0.0:
             least_s = self.delay_s - delay_budget(self).transport_s
-            found.append(("delay_s", f"{self.delay_s:g} is less than its fixed parts, {least_s:.6f} s in all"))
+            found.append(("delay_s", f"{self.delay_s:g} is shorter than the fixed parts together, {least_s:.6f} s"))
         prepared = self.prepared()
         for name, text in range_errors(prepared):
-            found.append((name, f"{text} once all effects are counted"))
+            found.append((name, f"{text}, with all effects applied"))
         return found
 
     def validate(self) -> PlantConfig:
@@ -128,7 +128,7 @@ class PlantConfig:
         return self
 
     def present_effects(self) -> list[tuple[str, dict[str, float]]]:
-        """Effects with a strength, with all their parameters."""
+        """Effects of nonzero strength, each with all its parameters."""
         pairs = [(e.name, effect_values(e.name, e.parameters)) for e in self.effects]
         return [(name, values) for name, values in pairs if is_present(name, values)]
 
@@ -143,7 +143,7 @@ class PlantConfig:
 
 
 def paper_plant() -> PlantConfig:
-    """The axis that the model describes in full: one 2SEP surface, no roughness, no warming.
+    """The axis that the model describes exactly: one 2SEP surface, no roughness, no warming.
 
     Delay, current loop, resolver and their noise are those of the default.
     """

@@ -2,9 +2,9 @@
 
     J dw/dt = T(i) - F(w, ...) + what effects add
 
-A sub-step takes the friction at the speed of its beginning and then moves speed and angle, which keeps the
-energy of elastic contacts bounded. Advancing by 11 sub-steps is, bit for bit, advancing 11 times by one. A
-plant without effects runs no line of theirs but a comparison.
+A sub-step computes the friction at its initial speed, then advances speed and angle; this keeps the energy of elastic
+contacts bounded. Advancing by 11 sub-steps gives the same bits as advancing 11 times by one. Without effects their
+code is skipped.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from .noise import random_normal
 from .resolver import resolver_step
 from .state import STEP_S, SUBSTEPS_PER_S, Floats, Integers, PlantParameters, PlantState
 
-_ROUGH_RPS = 0.5  # speed at which half of the roughness is felt
+_ROUGH_RPS = 0.5  # speed at which half of the roughness acts
 _TWO_PI = 6.283185307179586
 
 
 @njit
 def _roughness(c: Floats, x: Floats, words: Integers) -> float:
-    """A coloured torque that no model explains: surfaces are a little rough. Felt in motion only."""
+    """Coloured torque from surface roughness, which no model explains. Zero at rest."""
     if c[at.ROUGHNESS_NM] == 0.0:
         return 0.0
     x[at.ROUGH_NM] = c[at.ROUGHNESS_KEPT] * x[at.ROUGH_NM] + c[at.ROUGHNESS_NM] * random_normal(words)
@@ -97,9 +97,9 @@ def plant_advance(parameters: PlantParameters, state: PlantState, command_a: flo
 
 @njit
 def substeps_due(state: PlantState, elapsed_ns: int) -> int:
-    """Sub-steps missing for the plant to have lived `elapsed_ns` since power-on (0 when it is not behind).
+    """Sub-steps still to run until `elapsed_ns` since power-on (0 when the plant is not behind).
 
-    In whole numbers, so that no error builds up: 22 sub-steps are a millisecond.
+    Integer arithmetic, so that no error accumulates: 22 sub-steps are a millisecond.
     """
     due = elapsed_ns * (SUBSTEPS_PER_S // 1000) // 1_000_000 - int(state.words[at.SUBSTEP])
     return due if due > 0 else 0

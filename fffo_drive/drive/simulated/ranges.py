@@ -1,7 +1,6 @@
-"""Keys with a unit, a range and a meaning, on plain dataclasses, and the check of them.
+"""Dataclass fields with unit, range and meaning, and their check.
 
-A configuration layer can read `Key` from the fields' metadata (`key_of`) and need not list anything a second
-time.
+`config` reads them from the metadata (`key_of`, `note_of`), so that nothing is listed a second time.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ NOT_IN_A_FILE = "not in a file"  # in the metadata of a field that a program set
 
 
 class Key(NamedTuple):
-    """What a number in a configuration may be. `low` and `high` are allowed themselves."""
+    """Allowed numbers of a configuration key, `low` and `high` included."""
 
     unit: str  # "-" for a number without one
     low: float
@@ -35,14 +34,14 @@ def required_key(unit: str, low: float, high: float, meaning: str) -> Any:
 
 
 def note(default: Any, meaning: str) -> Any:
-    """A dataclass field that is no number, with its meaning. A mapping as default is made anew for each."""
+    """A dataclass field other than a number, with its meaning. A mapping as default is copied for each instance."""
     if isinstance(default, dict):
         return dataclasses.field(default_factory=lambda: dict(default), metadata={_NOTE: meaning})
     return dataclasses.field(default=default, metadata={_NOTE: meaning})
 
 
 def required_note(meaning: str) -> Any:
-    """A dataclass field that is no number and has no default, with its meaning."""
+    """A dataclass field other than a number, without default, with its meaning."""
     return dataclasses.field(metadata={_NOTE: meaning})
 
 
@@ -57,7 +56,7 @@ def key_of(field: dataclasses.Field[Any]) -> Key | None:
 
 
 def range_errors(record: Any, path: str = "") -> list[tuple[str, str]]:
-    """Everything out of range in a dataclass and what it holds: pairs of dotted key and text."""
+    """Everything out of range in a dataclass and its members: pairs of dotted key and text."""
     errors: list[tuple[str, str]] = []
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)

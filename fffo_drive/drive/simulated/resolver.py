@@ -1,13 +1,11 @@
 """Resolver, converter and the drive's tracking loop: where the measured position and velocity come from.
 
-The converter gives the angle in whole counts, with a little noise. A type-II tracking loop (no lag of the
-angle at constant speed, none of the speed at rest) follows it each sub-step; its integrator is the velocity
-estimate:
+The converter gives the angle in whole counts, with a little noise. A type-II tracking loop (its angle has no lag at
+constant speed) follows it each sub-step. Its integrator is the velocity estimate:
 
     velocity/true velocity = wn^2/(s^2 + 2 zeta wn s + wn^2)
 
-so the velocity is late by 2 zeta/wn at low frequency. The drive reports it in multiples of its velocity
-resolution.
+so at low frequency the velocity lags by 2 zeta/wn. The drive reports it in multiples of its velocity resolution.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from .state import STEP_S, Floats, Integers, PlantParameters, PlantReport, Plant
 def resolver_step(c: Floats, x: Floats, words: Integers, sensed_rev: float) -> None:
     """One sub-step: convert the angle (rev, multi-turn) and let the tracking loop follow.
 
-    `c`, `x`, `words`: numbers of the parameters, values and words of the state.
+    `c`, `x`, `words`: `numbers` of the parameters, `values` and `words` of the state.
     """
     noise_rev = c[at.RESOLVER_NOISE_REV]
     if noise_rev > 0.0:
@@ -39,7 +37,7 @@ def resolver_step(c: Floats, x: Floats, words: Integers, sensed_rev: float) -> N
 
 @njit
 def plant_latch(parameters: PlantParameters, state: PlantState) -> PlantReport:
-    """What the drive measures now. Draws the noise of the measurement and clears the note of a limit."""
+    """What the drive measures now, with fresh noise. Clears words[LIMITED]."""
     c = parameters.numbers
     x = state.values
     velocity_rps = x[at.TRACKED_RPS] + c[at.VELOCITY_NOISE_RPS] * random_normal(state.words)

@@ -1,8 +1,7 @@
-"""The records of the plant's kernels: constants and memory as arrays, with the name of every slot.
+"""Constants and state of the plant's kernels as arrays, with the name of every slot.
 
-Arrays and not fields, because kernels take a dozen arrays for the price at which they take a dozen numbers,
-and there are more numbers than that. All of the plant's memory is in `PlantState`: `copy_state` of it is a
-complete snapshot.
+Arrays rather than fields: passing an array to a kernel costs as much as passing one number, and there are many
+numbers. `PlantState` is the complete state of the plant.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ DC_LINK_V = 3
 RESISTANCE_OHM = 4
 BACK_EMF = 5  # V per rev/s
 CURRENT_KEPT = 6  # exp(-step R/L)
-CURRENT_APPROACH = 7  # share of the error that the current controller takes away in one of its periods
+CURRENT_APPROACH = 7  # share of the error that the current controller removes in one of its periods
 TRANSPORT_FRACTION = 8  # of a sub-step, beyond the whole ones
 COUNTS_PER_REV = 9
 TRACKING_POSITION = 10  # correction of the angle by the angle error, per sub-step
@@ -35,7 +34,7 @@ VELOCITY_NOISE_RPS = 13
 VELOCITY_LSB_RPS = 14
 CURRENT_NOISE_A = 15
 ROUGHNESS_KEPT = 16  # of the coloured torque, per sub-step
-ROUGHNESS_NM = 17  # fresh share of it, per sub-step
+ROUGHNESS_NM = 17  # new share of it, per sub-step
 WARMING_K_PER_W = 18  # over a sub-step
 COOLING = 19  # share of the temperature rise lost in a sub-step
 VISCOUS_PER_K = 20
@@ -79,7 +78,7 @@ class PlantParameters(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """All memory of a plant, changed in place by the kernels. Made by `pack.new_state`."""
+    """State of a plant, changed in place by the kernels. Made by `pack.new_state`."""
 
     values: Floats  # (N_VALUES,)
     words: Integers  # (N_WORDS,)
@@ -90,7 +89,7 @@ class PlantState(NamedTuple):
 
 
 class PlantReport(NamedTuple):
-    """What the drive measures at a SYNC, and beside it the truth."""
+    """What the drive measures at a SYNC, and the true values."""
 
     velocity_rps: float  # the drive's estimate, in multiples of its resolution
     position_counts: int  # multi-turn, of the resolver's resolution
@@ -98,14 +97,3 @@ class PlantReport(NamedTuple):
     true_velocity_rps: float
     true_friction_nm: float
     limited: bool  # current or voltage were at their limit since the last report
-
-
-def copy_state(state: PlantState) -> PlantState:
-    """A snapshot that shares nothing with `state`."""
-    return PlantState._make([field.copy() for field in state])
-
-
-def restore_state(state: PlantState, snapshot: PlantState) -> None:
-    """Set `state` back to a snapshot of the same plant, in place."""
-    for field, kept in zip(state, snapshot, strict=True):
-        field[...] = kept

@@ -1,4 +1,4 @@
-"""The friction of a simulated drive as a person configures it: five surfaces, the paper's single one, or a peer's."""
+"""Configuration of a simulated drive's friction: five surfaces, the paper's single one, LuGre, or Maxwell slip."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Surface:
     `ratio` is the motor's speed over the speed of that shaft; torque, travel and speed are converted with it.
     """
 
-    name: str = required_note("a label for whoever reads the file; it changes nothing")
+    name: str = required_note("a label; it has no effect on the simulation")
     coulomb_nm: float = required_key("Nm", 1e-6, 1000.0, "Coulomb level")
-    stiction_nm: float = required_key("Nm", 1e-6, 1000.0, "level at the lowest speed")
+    stiction_nm: float = required_key("Nm", 1e-6, 1000.0, "static level, at the lowest speed")
     viscous_nm_per_rps: float = required_key("Nm/rps", 0.0, 1e5, "viscous coefficient")
     stribeck_rps: float = required_key("rps", 1e-6, 1000.0, "Stribeck velocity")
     stiffness_nm_per_rev: float = required_key("Nm/rev", 1e-3, 1e9, "stiffness of the contact")
@@ -31,7 +31,7 @@ class Surface:
 
 
 # Calibrated so that the best 2SEP model of them, along the paper's reference, is Table I within a tenth: Fc 0.025,
-# Fs 0.067 Nm, sigma 0.003 Nm/rps, Vs 0.73 rps, K 780 1/rev, B 2.3 Nm/rev; 5 % of the friction are left over.
+# Fs 0.067 Nm, sigma 0.003 Nm/rps, Vs 0.73 rps, K 780 1/rev, B 2.3 Nm/rev; it leaves 5 % of the friction unexplained.
 FIVE_SURFACES: tuple[Surface, ...] = (
     Surface("f1 motor bearing, drive end", 0.0066, 0.0096, 0.00055, 1.40, 15.0, 0.003, elastic_share=0.15),
     Surface("f2 motor bearing, far end", 0.0044, 0.0067, 0.00045, 1.30, 10.0, 0.005, elastic_share=0.20),
@@ -43,10 +43,10 @@ FIVE_SURFACES: tuple[Surface, ...] = (
 
 @dataclass(frozen=True)
 class StribeckLevel:
-    """Level and viscous friction of a contact that is one, at the motor shaft."""
+    """Stribeck level and viscous friction of a single contact, at the motor shaft."""
 
     coulomb_nm: float = key(0.025, "Nm", 1e-6, 1000.0, "Coulomb level Fc")
-    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "level at the lowest speed, Fs")
+    stiction_nm: float = key(0.067, "Nm", 1e-6, 1000.0, "static level Fs, at the lowest speed")
     viscous_nm_per_rps: float = key(0.003, "Nm/rps", 0.0, 1e5, "viscous coefficient")
     stribeck_rps: float = key(0.733, "rps", 1e-6, 1000.0, "Stribeck velocity Vs")
     stribeck_exponent: float = key(1.07, "-", 0.2, 4.0, "exponent of the (falling) Stribeck curve")
@@ -70,9 +70,9 @@ class Lugre(StribeckLevel):
 
 @dataclass(frozen=True)
 class SlipElement:
-    """A spring of the Maxwell slip model that slips at its share of the level."""
+    """A spring of the Maxwell slip model, which slips at its share of the level."""
 
-    share: float = required_key("-", 1e-6, 1.0, "of the level at which it slips")
+    share: float = required_key("-", 1e-6, 1.0, "share of the level at which it slips")
     stiffness_nm_per_rev: float = required_key("Nm/rev", 1e-3, 1e9, "stiffness while it sticks")
 
 
@@ -107,7 +107,7 @@ class PlantFriction:
     maxwell_slip: MaxwellSlip = field(default_factory=MaxwellSlip)
 
     def errors(self, path: str) -> list[tuple[str, str]]:
-        """What ranges alone do not tell: pairs of dotted key and text."""
+        """Errors that the ranges do not cover: pairs of dotted key and text."""
         found: list[tuple[str, str]] = []
         if self.kind not in KINDS:
             found.append((f"{path}kind", f"{self.kind!r} is not one of {', '.join(KINDS)}"))
@@ -132,7 +132,7 @@ class PlantFriction:
 
     @property
     def _whole(self) -> StribeckLevel | None:
-        """The record of a kind that has its levels as one; None for surfaces."""
+        """The record of a kind with a single Stribeck level; None for surfaces."""
         if self.kind == "single_2sep":
             return self.single
         if self.kind == "lugre":
@@ -141,17 +141,17 @@ class PlantFriction:
 
     @property
     def coulomb_nm(self) -> float:
-        """Coulomb level of the whole, at the motor shaft."""
+        """Total Coulomb level, at the motor shaft."""
         return self._whole.coulomb_nm if self._whole else sum(s.coulomb_nm / s.ratio for s in self.surfaces)
 
     @property
     def stiction_nm(self) -> float:
-        """Level at the lowest speed of the whole, at the motor shaft."""
+        """Total static level, at the motor shaft."""
         return self._whole.stiction_nm if self._whole else sum(s.stiction_nm / s.ratio for s in self.surfaces)
 
     @property
     def viscous_nm_per_rps(self) -> float:
-        """Viscous coefficient of the whole, at the motor shaft."""
+        """Total viscous coefficient, at the motor shaft."""
         if self._whole:
             return self._whole.viscous_nm_per_rps
         return sum(s.viscous_nm_per_rps / (s.ratio * s.ratio) for s in self.surfaces)
@@ -164,7 +164,7 @@ class PlantFriction:
         stiffness: float = 1.0,
         memory: float = 1.0,
     ) -> PlantFriction:
-        """The same with levels, rise to stiction, Stribeck velocity, stiffness or memory distance scaled."""
+        """A copy with levels, rise to stiction, Stribeck velocity, stiffness or memory distance scaled."""
 
         def stiction(coulomb_nm: float, stiction_nm: float) -> float:
             return level * (coulomb_nm + rise * (stiction_nm - coulomb_nm))

@@ -1,6 +1,6 @@
-"""What the simulated drive does at a SYNC: live on to the present, measure, take the command that came last.
+"""The simulated drive in process at a SYNC: advance the plant to now, latch the feedback, take the last command.
 
-This is the drive in process; the CANopen node does the same with an object dictionary in between.
+The CANopen node does the same with an object dictionary in between.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NO_STATUS = -1
 CLOCK_NS = 0  # time of the port's clock
 DEVICE_STATE = 1
 CONTROLWORD = 2  # of the last command
-PREVIOUS_CONTROLWORD = 3  # of the command before the one that the device took last
+PREVIOUS_CONTROLWORD = 3  # that the device took at the previous SYNC
 TARGET_PERMILLE = 4  # of the last command
 FAULT_PRESENT = 5
 QUICK_STOP_OPTION = 6
@@ -53,7 +53,7 @@ CYCLE_ADDRESS = 15  # of drive_cycle
 N_WORDS = 16
 
 # values of the drive
-APPLIED_A = 0  # what the drive makes of the last command
+APPLIED_A = 0  # current that the drive applies
 PERMILLE_PER_A = 1
 RAMP_RPS = 2  # of the brake
 LATCHED_RPS = 3
@@ -78,7 +78,7 @@ def _latch(values: Floats, report: PlantReport) -> None:
 def _brakes(
     words: Integers, values: Floats, brake: BrakeSettings, state: int, velocity_rps: float, step_s: float
 ) -> bool:
-    """Run the brake of QUICK STOP ACTIVE or FAULT REACTION ACTIVE. True when nothing is left to wait for."""
+    """Run the brake of QUICK STOP ACTIVE or FAULT REACTION ACTIVE. True when it has ended."""
     option = words[QUICK_STOP_OPTION] if state == QUICK_STOP_ACTIVE else words[FAULT_REACTION_OPTION]
     kind = brake_kind(int(option))
     ramp_rps, current_a, done = brake_step(brake, kind, float(values[RAMP_RPS]), velocity_rps, step_s)
@@ -89,7 +89,7 @@ def _brakes(
 
 @njit
 def _device(words: Integers, values: Floats, brake: BrakeSettings, velocity_rps: float, step_s: float) -> int:
-    """The CiA 402 device takes the last command: next state, which is returned, and current to apply."""
+    """The CiA 402 device takes the last command: sets the current to apply and returns the next state."""
     before = int(words[DEVICE_STATE])
     done = True
     if words[BRAKING] != 0:
@@ -124,7 +124,7 @@ def _device(words: Integers, values: Floats, brake: BrakeSettings, velocity_rps:
 def drive_cycle(
     parameters: PlantParameters, state: PlantState, brake: BrakeSettings, words: Integers, values: Floats
 ) -> None:
-    """One SYNC at words[CLOCK_NS]: the plant lives on with the current applied so far, then the device acts."""
+    """One SYNC at words[CLOCK_NS]: the plant advances with the current applied so far, then the device acts."""
     now_ns = int(words[CLOCK_NS])
     plant_advance(parameters, state, float(values[APPLIED_A]), substeps_due(state, now_ns))
     report = plant_latch(parameters, state)

@@ -1,1 +1,1 @@
-"""Peers of the controller, each from its publication: friction observers and disturbance observers on the same axis."""
+"""Published laws for comparison with the controller: friction observers and disturbance observers on the same axis."""

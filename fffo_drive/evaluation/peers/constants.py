@@ -1,6 +1,6 @@
-"""What every peer has: PI on the same error, inertia and preview from the same reference, the same limit.
+"""The common part of all peers: PI on the same error, inertia and preview from the same reference, the same limit.
 
-A law is a step that returns the command; its memory is a flat vector that begins as zeros, first the PI's slots.
+A law is a step that returns the command. Its memory is a flat vector, initially zero, that begins with the PI's slots.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PeerConfig(NamedTuple):
     torque_constant_nm_per_a: float
     current_limit_a: float
     period_s: float
-    error_share: float  # of a new error that is taken in a period
+    error_share: float  # weight of a new error in the filter, per period
 
 
 @njit

@@ -1,11 +1,11 @@
-"""One procedure for all laws: the largest integral action whose margins on the linear axis are the wanted ones.
+"""One procedure for all laws: the largest integral action with the required margins on the linear axis.
 
 Laws with a friction model have the loop of PI plus L (identification.tuning chooses it). A disturbance observer has
 
     T = -C(s) w,   C = (Kp Kt / (1 + Tf s) + Q J s) / (1 - Q exp(-Td s)),   open loop  C exp(-Td s) / (J s + D)
 
-with Tf of the error's filter, which the observer does not see. It rejects a slow disturbance as an integral of
-Kp Kt / (n / wo + Td) does, n being the order of Q.
+with Tf of the error's filter, which is outside the observer. It rejects a slow disturbance like an integral with gain
+Kp Kt / (n / wo + Td), where n is the order of Q.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def observer_margins(
 
 
 def observer_gains(axis: LinearAxis, order: int, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
-    """Gains with the wanted margins and the largest integral action. Raises ValueError where there are none."""
+    """Gains with the required margins and the largest integral action. Raises ValueError if there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
     found = [
         _gains_at(axis, float(crossover), order, wish, error_filter_s)
@@ -55,7 +55,7 @@ def observer_gains(axis: LinearAxis, order: int, wish: Wish, error_filter_s: flo
     ]
     held = [gains for gains in found if gains.bandwidth_rad_per_s > 0.0]
     if not held:
-        raise ValueError("no proportional gain has the wanted margins")
+        raise ValueError("no proportional gain has the required margins")
     return max(
         held, key=lambda gains: gains.proportional_a_per_rps / (order / gains.bandwidth_rad_per_s + axis.delay_s)
     )

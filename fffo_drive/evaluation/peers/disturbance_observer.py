@@ -3,8 +3,8 @@ extended state observer of Gao ("Scaling and bandwidth-parameterization based co
 
     d = Q(s) (Kt i(t - Td) - J s w),    Q = wo / (s + wo), or its square for the extended state observer
 
-The command is delayed as the axis delays it, so that the observer does not take the delay for a disturbance. Nothing is
-known of friction: d is whatever torque is missing, and is given with the command.
+The command is delayed as in the axis, so that the observer does not mistake the delay for a disturbance. There is no
+friction model: d is any missing torque, and is added to the command.
 """
 
 from __future__ import annotations

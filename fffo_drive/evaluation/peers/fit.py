@@ -1,8 +1,9 @@
 """Friction models of all laws fitted to the same record: the plant's own friction along the motion of a run.
 
-Least squares over the logarithms of the parameters, from Table I. What a model cannot say stays in its rms. The motion
-is to follow the reference on which the laws compute their friction: along one that sticks at every reversal, as under
-PI, the parameters of a model that is not the plant's run off (2SEP on five surfaces: K to its bound from any start).
+Least squares over the logarithms of the parameters, from Table I; the rms shows what a model cannot describe. The
+motion must follow the reference, on which the laws compute their friction. With a motion that sticks at every reversal,
+as under PI, the parameters of a model that differs from the plant diverge (2SEP on five surfaces: K goes to its bound
+from any start).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The laws of a comparison on one axis: this project's and its peers, on one model map and with one set of margins.
+"""The laws of a comparison on one axis: this project's and its peers, with the same margins.
 
-Laws with a friction model have the gains of PI+FFFO+: their linear loop is the same PI plus L / s, wherever L goes.
+Laws with a friction model have the gains of PI+FFFO+: their linear loop is the same PI plus L / s, wherever L is added.
 Those with a disturbance observer have the gains of `design.observer_gains` for the margins of that loop. The friction
-models are fitted to one record of the same plant and are then wrong by the same share.
+models are fitted to one record of the same plant; then all are changed by the same share.
 
-On another axis the gains follow inertia, torque constant and delay: with time in units of the delay the loop is the
-same one, but for the viscous damping, which is small beside J / Td.
+On another axis the gains follow from inertia, torque constant and delay: with time in units of the delay the loop is
+the same except for the viscous damping, which is small compared with J / Td.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ DOB_ORDER, ESO_ORDER = 1, 2
 
 
 class Models(NamedTuple):
-    """One friction map in the words of each model."""
+    """One friction map in the parameters of each model."""
 
     two_state: FrictionConfig
     lugre: LugreModel
@@ -67,7 +67,7 @@ class AxisNumbers(NamedTuple):
 
 
 class PeerDesign(NamedTuple):
-    """Gains on the nominal axis, with what they were made for."""
+    """Gains on the nominal axis, with the plant and margins that they are for."""
 
     nominal: AxisNumbers
     margins: Margins  # of PI+FFFO+
@@ -117,7 +117,7 @@ def scaled(models: Models, scale: Scale) -> Models:
 
 
 def wrong(models: Models, share: float, seed: int) -> Models:
-    """Each number of each model wrong by `share`; the signs are drawn from the seed, the same for equal names."""
+    """Each parameter of each model changed by `share`; the seed gives the signs, the same for equal names."""
     names = sorted({name for model in models for name in model._fields if name != "omega_form"})
     drawn = np.random.default_rng([seed, 0xF]).choice((-1.0, 1.0), len(names))
     factors = {name: 1.0 + share * float(sign) for name, sign in zip(names, drawn, strict=True)}

@@ -2,8 +2,8 @@
 
     dz/dt = w - s0 |w| z / g(w) + (L / s0) e,    F = s0 z + s1 dz/dt + s2 w,    g(w) = Fc + (Fs - Fc) exp(-(|w|/Vs)^d)
 
-w is the reference read ahead, e the error: the observer is driven as the friction observer of this project is, so that
-both have the same integral action L at the same margins.
+w is the reference read ahead, e the error. The inputs are those of this project's friction observer, so both have the
+same integral action L at the same margins.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Feed-forward of generalised Maxwell slip friction (Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005) with PI.
 
 Elements in parallel: one that sticks is a spring, dF/dt = k w; one that slips follows its share of the Stribeck level,
-dF/dt = C (1 - F / S(w)); it sticks again when the motion reverses. The reference read ahead drives all of them, and
-what the model leaves goes to the integral.
+dF/dt = C (1 - F / S(w)); it sticks again when the motion reverses. All are driven by the reference read ahead; the
+integral supplies what the model lacks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the peers are measured by: errors against both velocities, reversals, the start of the record apart, effort."""
+"""Measures for comparing the peers: errors against both velocities, reversals, the start on its own, effort."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class Law:
     motions: tuple[str, ...]  # the part of it that a run can do: parts of the recipe
     # (identification.excitation.PARTS), or CHIRP
     picture: Axis  # the axis over which a plot shows it best
-    figure: FigureKind = "axis"  # what is drawn beside that, of diagnosis.own_pictures; axis: nothing else
+    figure: FigureKind = "axis"  # what is drawn beside that, of diagnosis.law_pictures; axis: nothing else
     per_run: tuple[str, ...] = ()  # strengths with a datum per run, unless the drive declares an absolute angle
     feedforward: VectorKernel | None = None  # None: the same kernel, on the reference's signals
     level: bool = False  # it changes the level of the friction

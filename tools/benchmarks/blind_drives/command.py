@@ -19,22 +19,22 @@ from .score import Scored, score_drive
 from .tables import blind_report, drives_report
 
 PURPOSE = (
-    "Drives drawn from a seed, simulated by the plant alone, with none, one or two effects that the diagnosis is not "
-    "told and whose torque is 5 to 30 % of the friction torque once a base model is refitted; the diagnosis sees logs."
+    "Drives drawn from a seed, simulated by the plant alone, with none, one or two effects whose torque is 5 to 30 % "
+    "of the friction torque after a refit of the base model. The diagnosis sees only the logs."
 )
 NOTES = [
-    "Only as many of the first accepted findings of a drive count as it has effects. Of an effect of the library the "
-    "name is asked for; one of no library is right as `unknown:` on an axis on which it lives.",
+    "Of the accepted findings of a drive only the first count, as many as it has effects. An effect of the library "
+    "must be named; one outside it is right as `unknown:` on an axis on which it depends.",
     "Removed: (before2 - after2)/(before2 - floor2) of the held-out torque error; the floor is what the base model "
-    "leaves on the twin of the drive, simulated without the effects under the same noise: an oracle that is told the "
+    "leaves on the twin of the drive, simulated without the effects under the same noise: an oracle that knows the "
     "truth leaves no less. Drives whose held-out run hardly shows the effect (removable part below a tenth of floor2) "
-    "are left out.",
-    "A wave of more than 8 periods a turn is drawn by its rms over Coulomb friction, as a refit takes in nothing of "
-    "it; its name counts with its order (to 1 %). A name that a drive cannot have gets another drive, so that all "
-    "names come as often as they are drawn.",
-    "Changes of delay, Stribeck, presliding and lag parameters are not drawn: on one surface a refit takes them in.",
+    "are omitted.",
+    "The strength of a wave of more than 8 periods per turn is its rms over Coulomb friction, because a refit absorbs "
+    "none of it; its name counts with its order (to 1 %). If a drive cannot have an effect, another drive is drawn, "
+    "so that the effects keep their frequencies.",
+    "Changes of delay, Stribeck, presliding and lag parameters are not drawn: on one surface a refit absorbs them.",
 ]
-DRIVES_PURPOSE = "The eight drives of shared/data/blind, whose effects nobody has told: what is found in them."
+DRIVES_PURPOSE = "Findings on the eight drives of shared/data/blind, whose effects are unknown."
 FRICTIONS = ("single_2sep", "five_surfaces")
 Progress = Callable[[float], None] | None
 
@@ -147,7 +147,7 @@ def _run(options: argparse.Namespace, progress: Progress) -> int:
     report.notes += NOTES
     if missing:
         report.notes.append(
-            f"{missing} drives of the set were not diagnosed in the time there was; they are in no figure."
+            f"{missing} drives of the set were not diagnosed in the available time; no figure includes them."
         )
     return finish(report, options)
 

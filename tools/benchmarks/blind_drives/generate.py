@@ -51,7 +51,7 @@ ORDER = tuple(DECIMALS)
 
 @dataclass(frozen=True)
 class BlindDrive:
-    """A drive with its runs, and what nobody is told."""
+    """A drive with its runs, and the truth, which the diagnosis does not get."""
 
     seed: int
     plant: PlantConfig

@@ -1,6 +1,6 @@
-"""Leave one kind out: the effects that are in no library, diagnosed without the curves that serve their kind.
+"""Leave one kind out: effects outside the library, diagnosed without the curves that serve their kind.
 
-Right is `unknown:` on an axis that can be defended, or a rest that is told; wrong is a law's name or another axis.
+Right: `unknown:` on a defensible axis, or a reported residual. Wrong: a law's name or another axis.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from engine import claimed, first_names, rest_is_told
 
 from .score import wilson
 
-# All that shows the kind directly, as the search calls it: a word takes away every curve over that axis, "drag(...)"
-# and its like one sort of it, "x" a table.
+# Everything that shows the kind directly, by the names of the search: a word removes every curve over that axis,
+# "drag(...)" and the like one sort of it, "x" a table.
 SERVED_BY: dict[str, frozenset[str]] = {
     "odd_speed_band": frozenset({"unknown:velocity"}),
     "odd_direction_angle": frozenset({
@@ -40,7 +40,7 @@ class LeftOut(NamedTuple):
     seed: int
     kind: str
     said: str
-    outcome: str  # "right axis", "rest told", "wrong" or "silent"
+    outcome: str  # "right axis", "residual reported", "wrong" or "silent"
 
 
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
@@ -53,14 +53,14 @@ def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
     elif names:
         outcome = "right axis"
     else:
-        outcome = "rest told" if rest_is_told(report) else "silent"
+        outcome = "residual reported" if rest_is_told(report) else "silent"
     return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome)
 
 
 def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report:
     """Figures and a line a drive."""
     report = Report("blind_left_out", __doc__ or "")
-    for outcome in ("right axis", "rest told", "wrong", "silent"):
+    for outcome in ("right axis", "residual reported", "wrong", "silent"):
         share = wilson(sum(one.outcome == outcome for one in judged), len(judged))
         if outcome == "wrong":
             report.bounded("wrong name or axis", str(share), share.value <= MOST_WRONG, f"<= {100 * MOST_WRONG:.0f} %")
@@ -72,7 +72,9 @@ def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report
         for one in sorted(judged, key=lambda one: (one.kind, one.seed))
     ]
     report.table(["kind", "drive", "left out of the search", "said", "is"], rows)
-    report.notes.append("A name with ? is in doubt by the report itself: it is no claim.")
+    report.notes.append("?: a name that the report itself puts in doubt, which does not count.")
     if ignored:
-        report.notes.append("**The search left nothing out:** this version of it cannot. The figures are of all of it.")
+        report.notes.append(
+            "**Nothing was left out:** this version of the search cannot. These are figures of the full search."
+        )
     return report

@@ -1,8 +1,8 @@
 """Hand blind drives to the diagnosis, which sees a folder of logs and nothing else, and keep what it says.
 
-Each report is a file, so an interrupted run goes on where it stopped. Beside it the
+Each report is a file, so that an interrupted run resumes. Beside it is the
 floor: the held-out torque error of the base model on the twin of the drive, simulated without the effects under the
-same noise. An oracle that is told the true effects leaves no less than that.
+same noise. An oracle that knows the true effects leaves no less than that.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def blind_report(name: str, purpose: str, sets: Mapping[str, Sequence[Scored]]) 
         )
     for scored in sets.values():
         report.table(
-            ["drive", "in it", "said", "beside it", "held-out torque error", "removed", "verdict"],
+            ["drive", "in it", "said", "besides", "held-out torque error", "removed", "verdict"],
             [_drive(one) for one in sorted(scored, key=lambda one: (not one.has_effects, one.seed))],
         )
     return report
@@ -57,12 +57,12 @@ def _figures(report: Report, kind: str, summary: Summary, scored: Sequence[Score
     report.bounded(f"{label}: held-out squared error removed, of what an oracle removes", str(summary.removed))
     report.facts[f"{KINDS[kind]}: removed"] = summary.removed.mean
     count("effect-free drives with a finding", summary.false_drives, MOST_FALSE)
-    count("effect-free drives whose friction is said to be not that of one surface", summary.forms)
+    count("effect-free drives whose friction is reported to be of another form than one surface", summary.forms)
     count("effect-free drives called unexplained", summary.unexplained_free)
     count("drives with an effect that is not named, and no residual reported", summary.silent, 0)
-    count("drives with effects where something stands beside the truth", summary.extra_drives)
-    count("effects whose right name the report puts in doubt", summary.doubted_truths)
-    count("effect-free drives with something that the report puts in doubt", summary.doubted_free)
+    count("drives with a finding besides the true effects", summary.extra_drives)
+    count("true effects that the report names but puts in doubt", summary.doubted_truths)
+    count("effect-free drives with a finding in doubt", summary.doubted_free)
     count("drives with effects whose held-out error is larger after", summary.worse_drives)
     report.figure(f"{label}: median processor time, over two cores", summary.median_s, "s", USUAL_S)
     report.figure(f"{label}: longest processor time, over two cores", summary.slowest_s, "s", SLOWEST_S)
@@ -87,7 +87,7 @@ def _mark(guess: Any) -> str:
 
 
 def drives_report(name: str, purpose: str, reports: Mapping[str, Mapping[str, Any]]) -> Report:
-    """What was found in drives whose truth nobody has told."""
+    """Findings on drives whose truth is unknown."""
     report = Report(name, purpose)
     rows = []
     for drive, found in reports.items():
@@ -114,8 +114,8 @@ def drives_report(name: str, purpose: str, reports: Mapping[str, Mapping[str, An
         "fresh process: wall, CPU, memory",
     ]
     report.table(header, rows)
-    report.figure("slowest, as it ran", max(found["seconds"] for found in reports.values()), "s", SLOWEST_S)
-    report.notes.append("Times are by the clock: the load at the end tells how much of the machine there was.")
+    report.figure("slowest", max(found["seconds"] for found in reports.values()), "s", SLOWEST_S)
+    report.notes.append("Times are by the wall clock; the load at the end shows how busy the machine was.")
     return report
 
 
@@ -127,7 +127,7 @@ def _effect(effect: Mapping[str, Any]) -> str:
         numbers = ", ".join(f"{key} {_number(value)}" for key, value in effect["parameters"].items())
     probability = effect["false_alarm_probability"]
     chance = "< 1e-4" if probability < 1e-4 else f"{probability:.2g}"
-    share = f"{100 * effect['explained_fraction']:.0f} % of what all others leave, p {chance}"
+    share = f"{100 * effect['explained_fraction']:.0f} % of the residual of all others, p {chance}"
     return f"`{effect['name']}`{family} ({share}; {numbers})"
 
 

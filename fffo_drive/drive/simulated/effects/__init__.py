@@ -1,1 +1,1 @@
-"""Effects that can be switched on in the plant, any number together: what a base model does not have."""
+"""Effects of the plant that a base model lacks; a configuration switches on any number of them."""

@@ -15,7 +15,7 @@ Prepare = Callable[["PlantConfig", Values], "PlantConfig"]
 
 
 class PlantParameter(NamedTuple):
-    """One parameter of an effect. With every `strength` parameter at zero the effect is not there at all."""
+    """One parameter of an effect. With every `strength` parameter at zero the effect is absent."""
 
     name: str
     unit: str  # "-" for a number without one
@@ -27,7 +27,7 @@ class PlantParameter(NamedTuple):
 
 
 class PlantEffect(NamedTuple):
-    """One row of the registry. `parameters` stand in the order in which the kernel reads them."""
+    """One row of the registry. `parameters` are in the order in which the kernel reads them."""
 
     name: str
     stage: int

@@ -39,7 +39,7 @@ def asymmetric_viscous(signals: Vector, parameters: Vector, memory: Vector) -> N
 
 @njit
 def dwell_stiction(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """Contacts grow together at rest and are torn apart by travel.
+    """Contacts age: adhesion grows at rest and is lost by travel.
 
     memory[0]: adhesion from 0 to 1. At rest it approaches 1 with the time constant, in motion it decays with
     travel.
@@ -61,7 +61,7 @@ def dwell_stiction(signals: Vector, parameters: Vector, memory: Vector) -> None:
 
 @njit
 def load_dependent_friction(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """The torque that is transmitted presses on the teeth: the level rises in proportion to it."""
+    """Transmitted torque loads the teeth: the level rises in proportion to it."""
     signals[s.LEVEL_SCALE] += parameters[0] * abs(signals[s.TORQUE_NM]) / signals[s.COULOMB_NM]
 
 
@@ -137,7 +137,7 @@ def _frictional_lag(config: PlantConfig, values: Values) -> PlantConfig:
 
 _SHARE = PlantParameter("share", "-", 0.2, -0.9, 0.9, "change of the level in positive direction, as a share", True)
 _DRIFT = (
-    PlantParameter("share", "-", 0.3, -0.9, 5.0, "change in the end, as a share", True),
+    PlantParameter("share", "-", 0.3, -0.9, 5.0, "final change, as a share", True),
     PlantParameter("time_constant_s", "s", 60.0, 0.1, 100_000.0, "time constant"),
 )
 
@@ -164,7 +164,7 @@ EFFECTS = (
             PlantParameter("rise_share", "-", 0.4, -1.0, 5.0, "change of the rise from Coulomb to stiction", True),
             PlantParameter("velocity_share", "-", 1.0, -0.9, 20.0, "change of the Stribeck velocity", True),
         ),
-        "another Stribeck curve than the configured one",
+        "a Stribeck curve that differs from the configured one",
         _stribeck_shape,
     ),
     PlantEffect(
@@ -180,7 +180,7 @@ EFFECTS = (
         s.PREPARED,
         None,
         (PlantParameter("length_share", "-", 3.0, -0.95, 50.0, "change of the sliding distance of the memory", True),),
-        "friction follows the Stribeck curve over another distance",
+        "friction follows the Stribeck curve over a different distance",
         _frictional_lag,
     ),
     PlantEffect(
@@ -191,7 +191,7 @@ EFFECTS = (
             PlantParameter("rise_share", "-", 0.8, 0.0, 10.0, "rise of the level after a long rest, as a share", True),
             PlantParameter("time_constant_s", "s", 3.0, 0.01, 10_000.0, "time constant of the rise"),
             PlantParameter("release_rev", "rev", 0.03, 0.0001, 10.0, "travel over which it is lost"),
-            PlantParameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact rests"),
+            PlantParameter("rest_rps", "rps", 0.05, 0.0001, 10.0, "speed below which the contact counts as at rest"),
         ),
         "break-away torque grows with the time at rest",
     ),

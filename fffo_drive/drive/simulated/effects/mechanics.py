@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..parameters import PlantConfig
 
 _TURN = 2.0 * math.pi
-_CREEP_RPS = 0.02  # speed at which the load's own friction is fully there
+_CREEP_RPS = 0.02  # speed at which the load's own friction acts in full
 
 
 @njit

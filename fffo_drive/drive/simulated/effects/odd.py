@@ -1,6 +1,6 @@
-"""Effects that stand in no library: for trying whether a diagnosis sees what it has no name for.
+"""Effects that no library has, to test whether a diagnosis finds what it has no name for.
 
-They are drawn from what axes do in workshops, in shapes that no term of a friction model has.
+They occur on real machines, in shapes that no term of a friction model has.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TURN = 2.0 * math.pi
 
 @njit
 def odd_speed_band(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """A bump of friction in a band of speed, where a part of the structure resonates and eats power."""
+    """A bump of friction in a band of speed, where a part of the structure resonates and absorbs power."""
     amplitude_nm, centre_rps, width_rps = parameters[0], parameters[1], parameters[2]
     velocity_rps = signals[s.VELOCITY_RPS]
     away = (abs(velocity_rps) - centre_rps) / width_rps
@@ -36,9 +36,9 @@ def odd_direction_angle(signals: Vector, parameters: Vector, memory: Vector) -> 
 
 @njit
 def odd_fatigue(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """Grease that is worked loses its grip and takes a while to get it back.
+    """Thixotropic grease: friction falls as the grease is worked, and recovers with time.
 
-    memory[0]: how much is lost, 0 to 1.
+    memory[0]: share that is lost, 0 to 1.
     """
     share, travel_rev, recovery_s = parameters[0], parameters[1], parameters[2]
     step_s = signals[s.STEP_S]
@@ -49,7 +49,7 @@ def odd_fatigue(signals: Vector, parameters: Vector, memory: Vector) -> None:
 
 @njit
 def odd_stick_patch(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """A sticky patch on the motor's turn that is only felt when it is passed slowly."""
+    """A sticky patch on the motor's turn that acts only at low speed."""
     amplitude_nm, centre_rev, width_rev, fades_rps = (
         parameters[0],
         parameters[1],
@@ -69,7 +69,7 @@ def odd_current_heating(signals: Vector, parameters: Vector, memory: Vector) -> 
     """The winding warms the front bearing, whose preload rises: Coulomb friction follows the square of the
     current.
 
-    memory[0]: the square of the current over the rated one, as the bearing has come to feel it.
+    memory[0]: the square of the current over the rated one, low-pass filtered.
     """
     share, time_constant_s = parameters[0], parameters[1]
     ratio = signals[s.CURRENT_A] / signals[s.RATED_CURRENT_A]
@@ -79,7 +79,7 @@ def odd_current_heating(signals: Vector, parameters: Vector, memory: Vector) -> 
 
 @njit
 def odd_two_levels(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """A seal that lifts off above a speed and lies down again only below a lower one.
+    """A seal lip that lifts off above a speed and touches down again only below a lower one.
 
     memory[0]: 1 when lifted.
     """
@@ -104,7 +104,7 @@ def odd_alternate_turns(signals: Vector, parameters: Vector, memory: Vector) -> 
 
 @njit
 def odd_eddy_brake(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """Losses in the iron brake in proportion to speed, and more the more current flows: w (i/rated)^2."""
+    """Iron losses: a drag in proportion to speed and to the current squared, w (i/rated)^2."""
     ratio = signals[s.CURRENT_A] / signals[s.RATED_CURRENT_A]
     signals[s.ADDED_FRICTION_NM] += parameters[0] * signals[s.VELOCITY_RPS] * ratio * ratio
 
@@ -129,7 +129,7 @@ def odd_late_kick(signals: Vector, parameters: Vector, memory: Vector) -> None:
 
 @njit
 def odd_cable(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """A cable wound up by the travel pulls back, and slips at its clamp: a slow spring with an end.
+    """A cable wound up by the travel pulls back and slips at its clamp: a soft spring with limited reach.
 
     memory: wound travel in rev, within the reach.
     """
@@ -174,11 +174,11 @@ EFFECTS = (
         s.LEVEL,
         odd_fatigue,
         (
-            _share(0.35, "share of the level that work takes away", 0.9),
-            PlantParameter("travel_rev", "rev", 20.0, 0.01, 100_000.0, "travel over which it goes"),
-            PlantParameter("recovery_s", "s", 8.0, 0.01, 100_000.0, "time over which it comes back"),
+            _share(0.35, "share of the level that is lost by travel", 0.9),
+            PlantParameter("travel_rev", "rev", 20.0, 0.01, 100_000.0, "travel over which it is lost"),
+            PlantParameter("recovery_s", "s", 8.0, 0.01, 100_000.0, "time over which it recovers"),
         ),
-        "friction is lost by travel and comes back with time",
+        "friction falls with travel and recovers with time",
     ),
     PlantEffect(
         "odd_stick_patch",
@@ -190,7 +190,7 @@ EFFECTS = (
             PlantParameter("width_rev", "rev", 0.08, 0.001, 1.0, "its width"),
             PlantParameter("fades_rps", "rps", 1.0, 0.001, 50.0, "speed at which half of it is left"),
         ),
-        "sticky patch on the motor's turn, felt at low speed",
+        "sticky patch on the motor's turn, at low speed",
     ),
     PlantEffect(
         "odd_current_heating",
@@ -207,9 +207,9 @@ EFFECTS = (
         s.LEVEL,
         odd_two_levels,
         (
-            _share(0.4, "rise of the level while the seal lies"),
+            _share(0.4, "rise of the level while the seal touches"),
             PlantParameter("lifts_rps", "rps", 7.0, 0.01, 50.0, "speed above which it lifts"),
-            PlantParameter("lies_rps", "rps", 2.0, 0.0, 50.0, "speed below which it lies down"),
+            PlantParameter("lies_rps", "rps", 2.0, 0.0, 50.0, "speed below which it touches down"),
         ),
         "friction switches between two levels, with a hysteresis in speed",
     ),
@@ -219,7 +219,7 @@ EFFECTS = (
         odd_alternate_turns,
         (
             _share(0.4, "rise of the level during the turn"),
-            PlantParameter("turns", "-", 3.0, 1.0, 1000.0, "one turn of how many"),
+            PlantParameter("turns", "-", 3.0, 1.0, 1000.0, "turns from one to the next"),
         ),
         "friction is higher during one motor turn of several",
     ),
@@ -228,7 +228,7 @@ EFFECTS = (
         s.LOAD,
         odd_eddy_brake,
         (PlantParameter("brake_nm_per_rps", "Nm/rps", 0.03, 0.0, 1.0, "at rated current", True),),
-        "brake in proportion to speed and current squared",
+        "drag in proportion to speed and current squared",
     ),
     PlantEffect(
         "odd_late_kick",

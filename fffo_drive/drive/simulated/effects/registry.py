@@ -1,5 +1,4 @@
-"""The registry: every effect by name, the checks of what a configuration asks for, and the table for the
-documentation.
+"""The registry: every effect by name, the checks of a configuration, and the table for the manual.
 
 An effect is added by a kernel and one row in the `EFFECTS` of its file.
 """

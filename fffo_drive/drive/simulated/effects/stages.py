@@ -1,4 +1,4 @@
-"""The stages of a sub-step at which effects act: what they are shown, and what is taken from them."""
+"""The stages of a sub-step at which effects act, with their inputs and results."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def torque_saturation(signals: Vector, parameters: Vector, memory: Vector) -> No
 
 @njit
 def dead_zone(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """The amplifier does nothing below a current, and gives that much less above it."""
+    """The amplifier gives no current below a threshold, and that much less above it."""
     width_a = parameters[0]
     demand_a = signals[s.COMMAND_A]
     if demand_a > width_a:
@@ -73,7 +73,7 @@ def dead_zone(signals: Vector, parameters: Vector, memory: Vector) -> None:
 
 @njit
 def current_lag(signals: Vector, parameters: Vector, memory: Vector) -> None:
-    """A first-order lag in front of the current loop (a set-point filter that nobody mentioned)."""
+    """A first-order lag in front of the current loop (an undocumented set-point filter)."""
     memory[0] += (signals[s.COMMAND_A] - memory[0]) * (1.0 - math.exp(-signals[s.STEP_S] / parameters[0]))
     signals[s.COMMAND_A] = memory[0]
 
@@ -95,7 +95,7 @@ EFFECTS = (
         s.LOAD,
         torque_offset,
         (PlantParameter("torque_nm", "Nm", 0.01, -0.5, 0.5, "the torque", True),),
-        "constant torque on the shaft (also what an offset of the current makes)",
+        "constant torque on the shaft (an offset of the current has the same effect)",
     ),
     PlantEffect(
         "cogging",
@@ -144,7 +144,7 @@ EFFECTS = (
         "dead_zone",
         s.COMMAND,
         dead_zone,
-        (PlantParameter("width_a", "A", 0.08, 0.0, 5.0, "current below which nothing happens", True),),
+        (PlantParameter("width_a", "A", 0.08, 0.0, 5.0, "threshold of the current", True),),
         "dead zone of the amplifier",
     ),
     PlantEffect(
@@ -167,7 +167,7 @@ EFFECTS = (
         s.PREPARED,
         None,
         (PlantParameter("drop_share", "-", 0.7, 0.0, 0.95, "share of the DC-link voltage that is missing", True),),
-        "weak supply: the current falls behind at speed",
+        "weak supply: the current falls short at speed",
         _voltage_limit,
     ),
 )

@@ -1,6 +1,6 @@
-"""One braking of the drive, while it lasts: the brake of `simulated.braking`, stepped on the node's clock.
+"""One braking of the drive: the brake of `simulated.braking`, stepped on the node's clock.
 
-Quick stop, fault reaction and slow-down ramp use it. In torque mode a ramp cannot be one of torque: the drive
+Quick stop, fault reaction and slow-down ramp use it. Their ramps are ramps of speed, in torque mode too: the drive
 closes its own velocity loop.
 """
 
@@ -10,11 +10,11 @@ from ....units import NS_PER_S
 from ..braking import BrakeSettings, brake_step
 
 PERIOD_NS = 500_000  # of the drive's velocity loop
-PATIENCE_NS = 3_000_000_000  # a load that does not stop is let go
+PATIENCE_NS = 3_000_000_000  # then braking ends, even if the load still moves
 
 
 class Brake:
-    """`kind` as in `simulated.braking`; `stopped` says that the motor stands, or will not be stopped."""
+    """`kind` as in `simulated.braking`. `stopped`: the motor stands, or the time is up."""
 
     def __init__(self, settings: BrakeSettings, kind: int, velocity_rps: float) -> None:
         self.settings, self.kind = settings, kind

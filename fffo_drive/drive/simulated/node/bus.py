@@ -1,7 +1,7 @@
-"""What the services of a node share: the time of the event at hand, frames to send, who listens to what.
+"""What the services of a node share: the time of the present event, frames to send, listeners.
 
-Frames are the 16 bytes of `struct can_frame`. Time is the caller's (`Node.handle`, `Node.poll`), in
-nanoseconds; nothing in the node reads a clock, so a test can run years of bus time in no time.
+Frames are the 16 bytes of `struct can_frame`. Time is the caller's (`Node.handle`, `Node.poll`), in nanoseconds.
+Nothing in the node reads a clock, so a test can run far faster than real time.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, pack_frame
 
-NEVER = 1 << 62  # a deadline that does not come
+NEVER = 1 << 62  # no deadline
 NS_PER_MS = 1_000_000
 NS_PER_100_US = 100_000
 NS_PER_US = 1_000
@@ -28,7 +28,7 @@ class Bus:
 
     def __init__(self) -> None:
         self.now_ns = 0
-        self.deadlines: list[int] = []  # of all services, one place each: the least is the node's
+        self.deadlines: list[int] = []  # of all services, one entry each: the earliest is the node's
         self.outbox: list[bytes] = []
         self.listeners: dict[int, Handler] = {}
 
@@ -37,7 +37,7 @@ class Bus:
         self.outbox.append(pack_frame(can_id, data))
 
     def listen(self, can_id: int, handler: Handler) -> None:
-        """Call `handler` for each data frame with this 11-bit identifier, after those who listen already."""
+        """Call `handler` for each data frame with this 11-bit identifier, after earlier listeners."""
         first = self.listeners.get(can_id)
         if first is None:
             self.listeners[can_id] = handler
@@ -51,7 +51,7 @@ class Bus:
 
 
 class Timed:
-    """A service that has something to do at a time: `deadline_ns`, NEVER while there is nothing."""
+    """A service with a deadline, `deadline_ns`: NEVER while it has none."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus

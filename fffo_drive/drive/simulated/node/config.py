@@ -10,10 +10,10 @@ from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..ranges import NOT_IN_A_FILE, key, note, range_errors
 from .dictionary import Value, multiplexer
 from .faults import Fault
+from .foreign_dictionary import ForeignDictionary, derived_modes, entries_of, personality_problems
 from .objects import DEVICE_TYPE, WAITS_FOR_MASTER
 from .personality import Personality
 from .plant_port import Ratings
-from .worn import WornDictionary, entries_of, personality_problems, told_modes
 
 PERMILLE = 1000.0
 
@@ -42,20 +42,20 @@ class NodeConfig:
     velocity_counts_per_rps: int = key(
         32768, "-", 1, 1 << 24, "0x606C counts in one revolution per second, where no object declares them"
     )
-    undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "of dc_link_v: below, the drive trips with 0x3220")
-    overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "of dc_link_v: above, the drive trips with 0x3210")
-    highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "rise at which the drive trips with 0x4310")
-    sync_loss_tolerance_ms: int = key(50, "ms", 0, 65535, "default of 0x2010: SYNC missing for longer is a loss")
+    undervoltage_share: float = key(0.6, "-", 0.0, 1.0, "share of dc_link_v below which the drive trips (0x3220)")
+    overvoltage_share: float = key(1.3, "-", 1.0, 10.0, "share of dc_link_v above which the drive trips (0x3210)")
+    highest_temperature_k: float = key(80.0, "K", 1.0, 1000.0, "temperature rise at which the drive trips (0x4310)")
+    sync_loss_tolerance_ms: int = key(50, "ms", 0, 65535, "default of 0x2010: a longer gap is a loss of SYNC")
     step_by_sync: bool = note(
         False,
-        "each SYNC advances the plant by one period (0x1006, or 0x60C2 where that is 0), nothing else does, and a loss "
-        "of SYNC is not watched; false: the plant runs on the clock",
+        "only SYNC advances the plant, by one period (0x1006, or 0x60C2 where that is 0), and loss of SYNC is not "
+        "monitored; false: the plant runs on the clock",
     )
     faults: tuple[Fault, ...] = note((), "faults planned from the start; object 0x2100 injects others")
     personality: Personality = field(default_factory=Personality)
-    # of another drive, which the node wears; None: its own
-    dictionary: WornDictionary | None = field(default=None, metadata={NOT_IN_A_FILE: True})
-    realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: not asked for")
+    # of another drive; None: the node's own
+    dictionary: ForeignDictionary | None = field(default=None, metadata={NOT_IN_A_FILE: True})
+    realtime_priority: int = key(0, "-", 0, 49, "SCHED_FIFO priority of the process; 0: ordinary scheduling")
 
     def validate(self) -> NodeConfig:
         """Return self if valid. Raises PlantConfigError."""
@@ -93,7 +93,7 @@ class NodeConfig:
 
 
 def device_defaults(config: NodeConfig) -> dict[int, Value]:
-    """Defaults of objects without their own, by `multiplexer(index, sub)`: those of the configured drive."""
+    """Defaults of the configured drive, by `multiplexer(index, sub)`, for objects whose entry has none."""
     identity, ratings, device, personality = config.identity, config.ratings, config.device, config.personality
     values: dict[tuple[int, int], Value] = {
         (0x1008, 0): identity.device_name.encode(),
@@ -114,7 +114,7 @@ def device_defaults(config: NodeConfig) -> dict[int, Value]:
         (0x60E0, 0): ratings.peak_permille,
         (0x60E1, 0): ratings.peak_permille,
     }
-    values |= _of_a_worn_one(config) if config.dictionary is not None else _of_its_own(config)
+    values |= _of_another_drive(config) if config.dictionary is not None else _of_its_own(config)
     return {multiplexer(index, sub): value for (index, sub), value in values.items()}
 
 
@@ -131,7 +131,7 @@ def _of_its_own(config: NodeConfig) -> dict[tuple[int, int], Value]:
     }
 
 
-def _of_a_worn_one(config: NodeConfig) -> dict[tuple[int, int], Value]:
+def _of_another_drive(config: NodeConfig) -> dict[tuple[int, int], Value]:
     """Values by CiA 301 and 402 that the drive's file does not give."""
     return {
         (0x1000, 0): DEVICE_TYPE,
@@ -140,5 +140,5 @@ def _of_a_worn_one(config: NodeConfig) -> dict[tuple[int, int], Value]:
         (0x1011, 1): 1,
         (0x1F80, 0): WAITS_FOR_MASTER,
         (0x6087, 0): 0xFFFFFFFF,
-        (0x6502, 0): told_modes(entries_of(config), config.personality),
+        (0x6502, 0): derived_modes(entries_of(config), config.personality),
     }

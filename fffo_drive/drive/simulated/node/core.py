@@ -1,8 +1,7 @@
 """The node: all services put together. Frames and time in, frames out; no sockets, no clock, no threads.
 
-`handle` takes a frame, `poll` acts on what time brought, `deadline_ns` says when it must be called at the
-latest. A SYNC goes the short way: let the plant run up to now, latch the feedback, apply the buffered RPDOs,
-compute the command, queue the TPDOs.
+`handle` takes a frame; `poll` does what is due, at `deadline_ns` at the latest. At a SYNC: advance the plant to now,
+latch the feedback, apply the buffered RPDOs, compute the command, queue the TPDOs.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from .drive_profile import LARGEST_INDEX, NodeDrive
 from .emcy import EmergencyProducer
 from .fault_target import FaultTarget
 from .faults import FaultInjector
+from .foreign_dictionary import dictionary_of
 from .guarding import NodeGuarding
 from .habits import EmcyWarning, HoldingBrake
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer
@@ -43,7 +43,6 @@ from .storage import Storage
 from .sync import STATISTICS, SyncConsumer
 from .sync_producer import SyncProducer
 from .tpdo import Tpdo
-from .worn import dictionary_of
 
 ERROR_BEHAVIOUR = 0x1029
 PLANT_PERIOD_NS = 10 * NS_PER_MS  # the plant is never further behind than this
@@ -53,7 +52,7 @@ MOST_PDOS = 512  # in each direction
 
 
 class NodeService(Protocol):
-    """A part of the node that has something to do at a time."""
+    """A part of the node with a deadline."""
 
     deadline_ns: int
 
@@ -130,7 +129,7 @@ class Node:
         self._plant_ns = 0
 
     def _habits(self) -> Iterator[NodeService]:
-        """What this drive does that others do not."""
+        """Services that only some vendors' drives have."""
         personality = self.config.personality
         self._warning: EmcyWarning | None = None
         if personality.brake_release_s:
@@ -140,7 +139,7 @@ class Node:
             self._warning = EmcyWarning(self.bus, self.emergency, self.drive, code, at_s)
             yield self._warning
 
-    # the three entrances
+    # entry points
 
     def start(self, now_ns: int) -> list[bytes]:
         """Power on: boot-up."""
@@ -164,7 +163,7 @@ class Node:
         return self._collect()
 
     def poll(self, now_ns: int) -> list[bytes]:
-        """Time has come to `now_ns`. Returns the frames to send."""
+        """Do what is due at `now_ns`. Returns the frames to send."""
         self.bus.now_ns = now_ns
         if self.deadline_ns > now_ns:
             return []
@@ -180,7 +179,7 @@ class Node:
         return self._collect()
 
     def bus_changed(self, present: bool, now_ns: int) -> list[bytes]:
-        """The interface went away (as bus-off), or came back. Returns the frames to send."""
+        """The interface went down (as at bus-off) or came back. Returns the frames to send."""
         self.bus.now_ns = now_ns
         self._on_error_frame(ERROR_RESTARTED if present else ERROR_BUS_OFF)
         return self._collect()
@@ -223,7 +222,7 @@ class Node:
         return frames
 
     def _wire_up(self) -> None:
-        """Who listens to what: after a change of any identifier."""
+        """Register all listeners anew, after a change of an identifier."""
         bus = self.bus
         bus.listeners.clear()
         bus.listen(REQUEST_ID, self._acting(self.lss.receive))
@@ -249,7 +248,7 @@ class Node:
         bus.listen(self.guarding.question, self._acting(self.guarding.receive))
 
     def _waiting_for_sync(self) -> Iterator[Box]:
-        """RPDOs of which nothing but the last before SYNC matters: alone on their identifier, and in no window."""
+        """RPDOs of which only the last frame before SYNC matters: no other listener, no synchronous window."""
         for rpdo in self._sync_rpdos:
             can_id = rpdo.parameters.can_id
             if self.bus.listeners.get(can_id) == rpdo.receive and self.sync.window_ns == NEVER:
@@ -257,11 +256,11 @@ class Node:
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """Frames that may be handed over late, as of their time, before anything that comes after them."""
+        """Frames that may be handled late, with their time of arrival, before any later event."""
         return self._patient if self.faults.quiet else ()
 
     def _acting(self, handler: Handler) -> Handler:
-        """What may change the drive meets it as it is now."""
+        """`handler` with the drive advanced to now before it and updated after it."""
 
         def act(frame: bytes) -> None:
             self._advance()
@@ -287,7 +286,7 @@ class Node:
     # time
 
     def _advance(self) -> None:
-        """Let the plant run up to now, unless time is made of SYNCs."""
+        """Advance the plant to now, unless only SYNC advances it."""
         if not self.config.step_by_sync:
             self._plant_ns = self.bus.now_ns - self._start_ns
         self._plant_due.deadline_ns = self.bus.now_ns + PLANT_PERIOD_NS
@@ -348,7 +347,7 @@ class Node:
         return self.config.personality.starts_itself or not self.od.number(STARTUP) & WAITS_FOR_MASTER
 
     def _check_startup(self, sub: int, value: int) -> None:
-        if not self.od.foreign and value & ~WAITS_FOR_MASTER:  # it is no master, and starts nobody else
+        if not self.od.foreign and value & ~WAITS_FOR_MASTER:  # it is no NMT master
             raise SdoAbortError(Abort.INVALID_VALUE)
 
     def _take_node_id(self, node_id: int) -> None:
@@ -367,7 +366,7 @@ class Node:
         self.emergency.clear(emcy.HEARTBEAT_LOSS, node_id)
 
     def _communication_error(self, code: int, announce: bool = False) -> None:
-        """0x6007 for the drive and 0x1029 for the node. `announce`: no EMCY told of it yet."""
+        """0x6007 for the drive and 0x1029 for the node. `announce`: no EMCY was sent for it yet."""
         self._drive_lost(code, announce)
         behaviour = self.od.number(ERROR_BEHAVIOUR, 1)
         if behaviour == 2:

@@ -1,8 +1,8 @@
 """The object dictionary as a store: typed values in slots, checked access from the network.
 
 An `Entry` is one sub-index as CiA 306 describes it; the whole device is a flat tuple of them (`objects.py`).
-Values lie in one list, so that a PDO picks its data with a prepared `itemgetter` and no look-up. Behind the objects of
-the device lie cells that no SDO and no PDO reaches: for what a service needs and this drive does not have as an object.
+Values are in one list, so that a PDO picks its data with a prepared `itemgetter` and no look-up. After the objects of
+the device come cells that neither SDO nor PDO reaches, for objects that a service needs and this drive lacks.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ _SIZES = {  # bytes on the wire; a type that is not here has the length of its v
     DataType.TIME_OF_DAY: 6,
     DataType.TIME_DIFFERENCE: 6,
 }
-LONGEST_TEXT = 255  # bytes that an object without a told length takes
-_BEYOND_SDO = 0x10000  # added to an index: one that no SDO can name
+LONGEST_TEXT = 255  # bytes that an object without a declared length takes
+_BEYOND_SDO = 0x10000  # added to an index that no SDO may reach
 
 
 def type_range(data_type: DataType) -> tuple[int, int]:
@@ -108,7 +108,7 @@ MAPPABLE_IN_RPDO = frozenset({"wo", "rw", "rww"})
 class Entry:
     """One sub-index. `low` and `high` bound what the network may write (None: the range of the type).
 
-    `relative`: the default is an offset to which the node-ID is added ($NODEID in the EDS). `default` None: not told,
+    `relative`: the default is an offset to which the node-ID is added ($NODEID in the EDS). `default` None: unknown,
     such as that of a measured value. `value`: what a DCF sets, in place of the default (None: nothing), and
     `value_relative` of it. For types without a size, `high` is the greatest length in bytes.
     """
@@ -150,9 +150,8 @@ Reader = Callable[[int], Value]
 class ObjectDictionary:
     """Values of the entries, with the checks of CiA 301 on access from the network.
 
-    Services hang themselves in per index: a guard (sub, value) raises `SdoAbortError` to refuse a value, an
-    effect (sub, value) acts after the value was stored by SDO or RPDO, a reader (sub) supplies it at the time
-    of reading.
+    Services register per index: a guard (sub, value) raises `SdoAbortError` to refuse a value, an effect (sub, value)
+    acts after the value was stored by SDO or RPDO, a reader (sub) supplies the value when it is read.
     """
 
     def __init__(
@@ -164,18 +163,18 @@ class ObjectDictionary:
         own: range | None = None,
         codes: Mapping[int, str] | None = None,
     ) -> None:
-        """`defaults`: of entries that tell none, by `multiplexer(index, sub)`; 0 where there is none either.
+        """`defaults`: by `multiplexer(index, sub)`, for entries without one; 0 for all others.
 
-        `absent`: entries that the services need where the device does not have them. Of those with an index in `own`
-        (objects of this program alone) none is the device's, even if it has the same index: `place` tells where they
-        are. `codes`: struct codes of what the device writes itself, whatever sign the file gives it.
+        `absent`: entries that the services need, used where the device lacks them. Indices in `own` belong to this
+        program alone: their entries are separate from the device's even at the same index (`place`). `codes`: struct
+        codes of objects that the device writes itself, whatever sign the file gives them.
         """
         self.node_id = node_id
         self.entries: list[Entry] = list(entries)
         self._public = {entry.multiplexer: entry for entry in self.entries}
         self._own = own
         self._codes = codes or {}
-        self._mapping_told = any(entry.mappable for entry in self.entries)
+        self._declares_mapping = any(entry.mappable for entry in self.entries)
         self.cells = [*self.entries]  # with those that cannot be reached
         for entry in absent:
             placed = replace(entry, index=self.place(entry.index))
@@ -191,11 +190,11 @@ class ObjectDictionary:
 
     @property
     def foreign(self) -> bool:
-        """It is that of another drive."""
+        """The dictionary is that of another drive."""
         return self._own is not None
 
     def place(self, index: int) -> int:
-        """Where an object of this program alone is: at its index, or where no SDO reaches it."""
+        """Index of an object of this program alone: its own, or one that no SDO reaches."""
         return index + _BEYOND_SDO if self._own is not None and index in self._own else index
 
     def power_on_value(self, entry: Entry) -> Value:
@@ -211,7 +210,7 @@ class ObjectDictionary:
         return value
 
     def _untold(self, entry: Entry) -> Value:
-        """A default of the device's own, as far as it is one of this entry."""
+        """The default that the device gives this entry, if it is valid for it."""
         known = self._defaults.get(entry.multiplexer)
         if not entry.size:
             return known if isinstance(known, bytes) else b""
@@ -314,11 +313,11 @@ class ObjectDictionary:
             effect(sub, value)
 
     def mappable(self, entry: Entry) -> bool:
-        """It may stand in a PDO. Where a file calls nothing mappable, it does not tell; everything is then."""
-        return entry.mappable or not self._mapping_told
+        """It may be mapped into a PDO. If the file marks no object as mappable, every object is."""
+        return entry.mappable or not self._declares_mapping
 
     def struct_code(self, entry: Entry) -> str:
-        """How a PDO carries it: what the device writes itself has the sign that the device gives it."""
+        """Struct code in a PDO; what the device writes itself has the device's signedness."""
         return self._codes.get(entry.multiplexer) or STRUCT_CODES[entry.data_type]
 
     def limits(self, entry: Entry) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""CiA 402 above the plant: state machine, option codes acted out, faults, statusword, feedback objects.
+"""CiA 402 above the plant: state machine, option codes, faults, statusword, feedback objects.
 
 The transitions are `cia402_device.device_step`. A controlword acts when it is written; between writes the
 drive makes only its own transitions. The target torque acts in OPERATION ENABLED alone; in the other states
@@ -54,7 +54,7 @@ _INT32 = 1 << 31
 
 
 class NodeDrive:
-    """The drive. `advance_to` lets its time pass, `update` computes what it does next."""
+    """The drive. `advance_to` advances its time, `update` computes what it does next."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class NodeDrive:
         self.setpoint = Setpoint(od, self.scales, personality)
         self.time_ns = 0  # of the plant
         self.stuck = False  # fault injection: the statusword no longer changes
-        self.injected: set[int] = set()  # fault conditions that are held present
+        self.injected: set[int] = set()  # fault conditions in effect
         self.on_transition: list[Callable[[int], None]] = []
         self._word = 0  # the last controlword
         self._settled_word = -1  # a word that changes nothing any more
@@ -104,7 +104,7 @@ class NodeDrive:
         self.restart()
 
     def _scale(self) -> None:
-        """Take the scales as they are."""
+        """Read the scales again."""
         scales = self.scales
         self._a_per_permille = scales.a_per_permille
         self._current_a_per_permille = scales.current_a_per_permille
@@ -162,7 +162,7 @@ class NodeDrive:
     # time
 
     def advance_to(self, until_ns: int) -> None:
-        """Let the plant run up to `until_ns` of its time with the command in force; latch the feedback."""
+        """Advance the plant to `until_ns` of its time with the command in force; latch the feedback."""
         while self._brake is not None and self.time_ns < until_ns:
             to_ns = min(self.time_ns + PERIOD_NS, until_ns)
             self._current_a = self._brake.step(self.plant.velocity_rps, to_ns - self.time_ns)
@@ -207,7 +207,7 @@ class NodeDrive:
 
     @property
     def current_command_a(self) -> float:
-        """What the current loop is told now."""
+        """Command of the current loop."""
         return self._current_a
 
     @property
@@ -226,7 +226,7 @@ class NodeDrive:
             return
         previous, self._word = self._word, word
         if self.state != cia402.OPERATION_ENABLED or not self._defers(word):
-            if self._deferred_word is not None:  # the ramp is given up for another command
+            if self._deferred_word is not None:  # another command ends the ramp
                 self._deferred_word = None
                 self._release_brake()
             self._step(word, previous)
@@ -312,7 +312,7 @@ class NodeDrive:
         return Brake(settings, kind, self.plant.velocity_rps)
 
     def _ramp_rps2(self, index: int, otherwise_rps2: float) -> float:
-        """A ramp in velocity units a second; of the drive itself where no object tells it."""
+        """Deceleration of a ramp from its object in velocity units a second; without the object the drive's own."""
         units = self.od.number(index) if self.od.has(index) else 0
         return units / self.scales.units_per_rps if units > 0 else otherwise_rps2
 
@@ -378,13 +378,13 @@ class NodeDrive:
             self.trip(OVERTEMPERATURE)
 
     def _fault_remains(self) -> bool:
-        """A condition that a fault reset does not pass by: measured also without torque."""
+        """A fault condition that blocks a fault reset; it is measured without torque too."""
         plant, ratings = self.plant, self.ratings
         hot = plant.temperature_k > ratings.highest_temperature_k
         return bool(self.injected) or hot or plant.dc_link_v > ratings.overvoltage_v
 
     def _check_period(self) -> None:
-        """A cyclic mode needs an interpolation period that is the SYNC's (0x1006, where it is told)."""
+        """A cyclic mode needs an interpolation period equal to the SYNC period (0x1006, if it is set)."""
         number = self.od.number
         period_us = number(CYCLE_PERIOD)
         power = min(max(number(INTERPOLATION_PERIOD, 2), -LARGEST_INDEX), LARGEST_INDEX)

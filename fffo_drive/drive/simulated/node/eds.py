@@ -1,4 +1,4 @@
-"""The electronic data sheet (CiA 306) of a simulated drive, made from its object dictionary; or of the one it wears."""
+"""The electronic data sheet (CiA 306) of a simulated drive, made from its object dictionary."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Iterable, Iterator
 from .config import NodeConfig, device_defaults
 from .core import pdo_numbers
 from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, ObjectDictionary, ObjectKind, Value
+from .foreign_dictionary import dictionary_of
 from .objects import OBJECT_NAMES
 from .pdo_parameters import DUMMIES
-from .worn import dictionary_of
 
 MANDATORY = (0x1000, 0x1001, 0x1018)
 BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
 DUMMY_TYPES = range(1, 8)
-_CREATED = "01-01-2026"  # a date of the format, not of the run: the same device gives the same file
+_CREATED = "01-01-2026"  # fixed, so that the same device gives the same file
 
 
 def eds_text(config: NodeConfig, file_name: str = "simulated_drive.eds") -> str:
-    """The EDS of the drive that `config` describes, line by line as CiA 306 wants it; for any node-ID.
+    """The EDS of the drive that `config` describes, line by line as in CiA 306; for any node-ID.
 
-    What the drive measures has no default. Of another drive that the node wears it has what that drive's file has:
-    where that is a DCF, its values too.
+    Measured values have no default. With the dictionary of another drive it has the contents of that drive's file,
+    values of a DCF included.
     """
     od = dictionary_of(config, config.node_id, device_defaults(config))
     indices = sorted({entry.index for entry in od.entries})
@@ -49,7 +49,7 @@ def eds_text(config: NodeConfig, file_name: str = "simulated_drive.eds") -> str:
 def _origin(config: NodeConfig) -> str:
     if config.dictionary is None:
         return "Generated from the simulated drive's own table."
-    return f"Objects of {_name(config)}, as the simulated drive wears them."
+    return f"Objects of {_name(config)}, as the simulated drive has them."
 
 
 def _name(config: NodeConfig) -> str:
@@ -127,7 +127,7 @@ def _description(od: ObjectDictionary, entry: Entry) -> Iterator[tuple[str, obje
     yield "AccessType", entry.access
     default = entry.default
     if default is None and entry.access != "ro" and not od.foreign:
-        default = od.power_on_value(entry)  # what the device itself has; another drive's file does not tell it
+        default = od.power_on_value(entry)  # of the device itself; another drive's file may lack it
     if default is not None:
         yield "DefaultValue", _value(entry, default, entry.relative)
     if entry.value is not None:

@@ -1,8 +1,7 @@
 """Emergency object (CiA 301, 7.2.7): errors that exist, 0x1001, the history 0x1003, the EMCY messages.
 
-An error is named by its code and a detail (such as the node that fell silent): it is announced once when it
-comes, and its end once, with code 0x0000 and what remains in the error register. In STOPPED nothing is sent;
-what happened then follows afterwards.
+An error is identified by its code and a detail (such as the silent node). One message announces it and one its end,
+with code 0x0000 and what remains in the error register. In STOPPED nothing is sent; the messages follow afterwards.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def register_bit(code: int) -> int:
 
 
 class EmergencyProducer(Timed):
-    """Errors of the device. Bounded: the history by the places of 0x1003, the queue to the bus by 16; the oldest go."""
+    """Errors of the device. 0x1003 bounds the history, 16 the queue to the bus; the oldest are dropped."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
         super().__init__(bus)
@@ -72,7 +71,7 @@ class EmergencyProducer(Timed):
         od.guard(COB_ID_EMCY, self._check_cob_id)
 
     def reset(self, whole_node: bool) -> None:
-        """After an NMT reset: nothing waits. Errors of the drive survive a reset of the communication."""
+        """After an NMT reset: empty the queue. Errors of the drive survive a reset of the communication."""
         self._queue.clear()
         self._allowed_ns = 0
         self.deadline_ns = NEVER
@@ -101,7 +100,7 @@ class EmergencyProducer(Timed):
             self.flush()
 
     def announce(self, code: int, detail: int = 0) -> None:
-        """Tell of an event that leaves no error behind (and goes into the history)."""
+        """Report an event that leaves no error (it goes into the history)."""
         self._history.appendleft(code | (detail & 0xFFFF) << 16)
         self._queue.append(
             _MESSAGE.pack(code, self.od.number(ERROR_REGISTER), (detail & 0xFFFFFFFF).to_bytes(5, "little"))
@@ -137,9 +136,9 @@ class EmergencyProducer(Timed):
         if sub == 0:
             return len(self._history)
         if sub > len(self._history):
-            told = self.od.find(HISTORY, sub).default
-            if isinstance(told, int):  # some drives have an empty field, others none
-                return told
+            default = self.od.find(HISTORY, sub).default
+            if isinstance(default, int):  # some drives have an empty field, others none
+                return default
             raise SdoAbortError(Abort.NO_DATA)
         return self._history[sub - 1]
 

@@ -1,4 +1,4 @@
-"""What fault injection does to a node: the hands of `faults.FaultInjector`."""
+"""The actions of `faults.FaultInjector` on a node."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .tpdo import Tpdo
 
 
 class FaultTarget:
-    """The parts of a node that a fault reaches. See `faults.Device` for the meaning of each method."""
+    """The parts of a node on which faults act. `faults.Device` says what each method does."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class FaultTarget:
         self.nmt.reset(whole_node=True)
 
     def bus_off(self, present: bool) -> None:
-        """Tell it on the bus as a CAN controller tells its own host; the node then acts as on a bus-off of its own."""
+        """Report it as a CAN controller reports it to its host; the node then acts as at a bus-off of its own."""
         error_class = ERROR_BUS_OFF if present else ERROR_RESTARTED
         self.bus.outbox.append(pack_frame(error_class, bytes(MAX_DATA), error=True))
         if present:

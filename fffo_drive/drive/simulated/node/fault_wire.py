@@ -1,7 +1,6 @@
 """Wire faults: frames dropped, doubled, delayed or reordered on their way to or from the node.
 
-Used only while such a fault is in effect; chance comes from a seeded generator, so that a run can be
-repeated.
+Used only while such a fault is in effect. The random generator is seeded, so that a run can be repeated.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ class WireEffect(IntEnum):
 
 
 class WireRule(NamedTuple):
-    """Which frames are concerned. `can_ids` None: all. A delay is `delay_ns` and up to `jitter_ns` more."""
+    """Which frames are affected. `can_ids` None: all. A delay is `delay_ns` and up to `jitter_ns` more."""
 
     effect: WireEffect
     can_ids: frozenset[int] | None = None
@@ -74,7 +73,7 @@ class FaultyWire:
 
     def _apply(self, rule: WireRule, frames: list[bytes], now_ns: int) -> list[bytes]:
         if rule.effect is WireEffect.DUPLICATE:
-            return [*frames, frames[0]]  # one more a rule: rules that doubled what others doubled would fill the memory
+            return [*frames, frames[0]]  # one more per rule: copies of copies would fill the memory
         if rule.effect is WireEffect.DELAY:
             for frame in frames:
                 self._sequence += 1

@@ -50,7 +50,7 @@ class FaultKind(IntEnum):
     EMCY_STORM = 25
     REBOOT = 26
     BUS_OFF = 27
-    RESOLVER_SLIP = 28  # the tracking loop takes up another angle, and nothing tells of it
+    RESOLVER_SLIP = 28  # the tracking loop locks to another angle, and nothing reports it
 
 
 _WIRE_EFFECTS = {
@@ -92,14 +92,14 @@ class Fault:
 
 
 class Device(Protocol):
-    """What the injector does to the node around it."""
+    """The node as the injector acts on it."""
 
     def can_ids_of(self, kind: FaultKind) -> frozenset[int] | None:
         """Identifiers that NO_SYNC_ANSWER, NO_HEARTBEAT and NO_RPDO concern at present; None of other kinds: all."""
         ...
 
     def hold_condition(self, code: int, present: bool) -> None:
-        """Keep a fault condition of the drive present, or let it go."""
+        """Hold a fault condition of the drive, or release it."""
         ...
 
     def stick_statusword(self, stuck: bool) -> None:
@@ -158,7 +158,7 @@ class FaultInjector(Timed):
         od.on_read(self._injection, self._read)
 
     def start(self) -> None:
-        """The node's life begins now: `at_s` counts from here."""
+        """The node starts: `at_s` counts from now."""
         for fault in self._schedule:
             self._plan(self.bus.now_ns + round(fault.at_s * NS_PER_S), True, fault)
 
@@ -175,7 +175,7 @@ class FaultInjector(Timed):
         self.take_stock()
 
     def take_stock(self) -> None:
-        """Note whether frames pass, and what is next to do: after any change."""
+        """Update `dark`, `quiet` and the deadline, after any change."""
         self.dark = any(fault.kind in DARK_KINDS for fault in self._active)
         self.quiet = self.sent.idle and self.received.idle and not self.dark
         begin_or_end = self._events[0][0] if self._events else NEVER
@@ -190,7 +190,7 @@ class FaultInjector(Timed):
         self.renew()
 
     def renew(self) -> None:
-        """Take the rules of the wire anew: from the faults in effect, and the identifiers in use."""
+        """Set the rules of the wire again from the faults in effect and the identifiers in use."""
         self.sent.rules.clear()
         self.received.rules.clear()
         for fault in self._active:
@@ -225,7 +225,7 @@ class FaultInjector(Timed):
             self._switch(fault, False)
 
     def _switch(self, fault: Fault, present: bool) -> None:
-        """Turn on or off what is no matter of the wire."""
+        """Begin or end a fault that does not act on frames."""
         device, kind = self.device, fault.kind
         if kind in _CONDITIONS:
             device.hold_condition(_CONDITIONS[kind], present)
@@ -278,7 +278,7 @@ class FaultInjector(Timed):
                 jump_rev=amount / 1000.0,
                 rate_hz=min(max(float(amount), 0.1), 10_000.0),
             )
-            self._plan(self.bus.now_ns, True, fault)  # after the answer: whoever injects a silence hears of it
+            self._plan(self.bus.now_ns, True, fault)  # after the answer: the client that injects a silence gets it
 
     def _read(self, sub: int) -> int:
         return len(self._active) if sub == 7 else self.od.number(self._injection, sub)

@@ -1,7 +1,7 @@
-"""Node guarding and life guarding (CiA 301, 7.2.8.2.1): the master asks with a remote frame, the node tells its state.
+"""Node guarding and life guarding (CiA 301, 7.2.8.2.1): the node answers the master's remote frames with its state.
 
-Bit 7 of the answer changes with each. With 0x100C (ms) times 0x100D above 0 the node watches the master in turn, from
-the first question on: its silence is a life guarding event. While the node sends a heartbeat (0x1017) there is neither.
+Bit 7 toggles with each answer. With 0x100C (ms) times 0x100D above 0 the node monitors the master, from the first
+request on: silence is a life guarding event. While the node sends a heartbeat (0x1017) there is neither.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TOGGLE = 0x80
 
 
 class NodeGuarding(Timed):
-    """Answers the questions. `on_loss()` and `on_recovery()` tell of life guarding events."""
+    """Answers guarding requests. `on_loss()` and `on_recovery()` report life guarding events."""
 
     def __init__(
         self,
@@ -40,17 +40,17 @@ class NodeGuarding(Timed):
 
     @property
     def question(self) -> int:
-        """The word of the remote frame that asks."""
+        """The identifier word of the request, a remote frame."""
         return REMOTE_FLAG | HEARTBEAT + self.nmt.node_id
 
     def reset(self) -> None:
-        """After an NMT reset: nobody has asked yet."""
+        """After an NMT reset: no request so far."""
         self._toggle = 0
         self._lost = False
         self.deadline_ns = NEVER
 
     def _forget(self) -> None:
-        """Other times: the master is watched from its next question on."""
+        """The times changed: monitoring begins with the next request."""
         self.deadline_ns = NEVER
         self._found()
 
@@ -60,7 +60,7 @@ class NodeGuarding(Timed):
             self._on_recovery()
 
     def receive(self, frame: bytes) -> None:
-        """A question."""
+        """A request."""
         number = self.od.number
         if number(PRODUCER_TIME):
             return
@@ -71,7 +71,7 @@ class NodeGuarding(Timed):
         self._found()
 
     def poll(self) -> None:
-        """No question came within the life time."""
+        """No request came within the life time."""
         self.deadline_ns = NEVER
         if not self.od.number(PRODUCER_TIME):
             self._lost = True

@@ -1,4 +1,4 @@
-"""What drives of some vendors do in time: a holding brake that takes a while to open, and a warning by EMCY."""
+"""Two things that only some vendors' drives do: a holding brake that opens with a delay, and a warning by EMCY."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ENABLING = (4, 16)  # transitions
 
 
 class HoldingBrake(Timed):
-    """Holds the shaft without power, and for `release_s` after enabling: torque then acts on a shaft that stands."""
+    """Holds the shaft without power, and for `release_s` after enabling; torque then acts on a held shaft."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, drive: NodeDrive, release_s: float) -> None:
         super().__init__(bus)

@@ -45,8 +45,7 @@ class HeartbeatProducer(Timed):
 class HeartbeatConsumer(Timed):
     """Supervises as many nodes as 0x1016 has places.
 
-    `on_loss(node_id)` and `on_recovery(node_id)` tell of heartbeat events. `on_change()` follows a change of
-    `node_ids`.
+    `on_loss(node_id)` and `on_recovery(node_id)` report heartbeat events; `on_change()`, a change of `node_ids`.
     """
 
     def __init__(
@@ -73,7 +72,7 @@ class HeartbeatConsumer(Timed):
         return list(self._period_ns)
 
     def reset(self) -> None:
-        """Forget what was heard and take 0x1016 as it is."""
+        """Start again with the present values of 0x1016."""
         self._period_ns.clear()
         self._due_ns.clear()
         self._lost.clear()

@@ -1,7 +1,7 @@
-"""Waiting for frames in compiled code: a synchronous RPDO wakes no Python, it lies in a box until something else comes.
+"""Waiting for frames in compiled code: a synchronous RPDO does not wake Python, it waits in a box for the next event.
 
-Such a frame acts at the next SYNC and not before, and the last of several is the one that does. So it is kept here with
-the time of its arrival, and the node takes it before whatever comes next: a frame, or its own time.
+Such a frame acts at the next SYNC, and of several only the last one does. It is kept with its time of arrival, and the
+node takes it before the next event: another frame, or a deadline.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Words = np.ndarray[Any, np.dtype[np.int64]]
 
 BOXES = 8
 NOTHING = 0  # the deadline has come, or a signal
-BOXED = 1 << 16  # flag of a result: something lies in a box
+BOXED = 1 << 16  # flag of a result: a box holds a frame
 
 # words of the memory; a frame is two of them: identifier and length, then the data
 SCRATCH = 0  # 4, for C structures
@@ -41,7 +41,7 @@ class Box(NamedTuple):
 
 @njit
 def wait_for_frame(fd: int, memory: Words, deadline_ns: int) -> int:
-    """Wait until `deadline_ns` for a frame that goes into no box: its size, NOTHING, or -errno; and BOXED."""
+    """Wait until `deadline_ns` for a frame without a box: its size, NOTHING, or -errno; and BOXED."""
     boxed = 0
     while True:
         left_ns = deadline_ns - monotonic_ns(memory)
@@ -75,7 +75,7 @@ class Inbox:
         self.arrange(())
 
     def arrange(self, boxes: tuple[Box, ...]) -> None:
-        """Which frames wait from now on: the first BOXES of them. What waits already must have been taken."""
+        """Set which frames wait from now on, at most BOXES. The boxes must be empty."""
         self.memory[HEAD : HEAD + BOXES] = NO_BOX
         self.memory[ARRIVAL:] = 0
         for place, box in enumerate(boxes[:BOXES]):
@@ -86,7 +86,7 @@ class Inbox:
         return bytes(self._raw[8 * FRAME : 8 * FRAME + size])
 
     def waiting(self) -> list[tuple[int, bytes]]:
-        """Take out what waits, as (time of arrival in ns, frame), oldest first."""
+        """Take out the waiting frames, as (time of arrival in ns, frame), oldest first."""
         found = []
         arrivals = self.memory[ARRIVAL:].tolist()
         for place, arrival_ns in enumerate(arrivals):

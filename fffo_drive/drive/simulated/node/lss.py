@@ -1,8 +1,8 @@
 """LSS slave (CiA 305): the node-ID set over the bus, by vendor, product, revision and serial number of the drive.
 
-A node-ID that was configured acts from the next reset of the communication on, and beyond a reset of the node when it
-was stored. 255 takes the drive off the bus: without a node-ID it listens to LSS alone, until it is given one. The bit
-timing cannot be changed: it is the interface's.
+A configured node-ID acts from the next communication reset on; one that was stored, after a reset of the node too. 255
+takes the drive off the bus: it then listens to LSS alone, until it is given a node-ID. The bit timing is that of the
+interface and cannot be changed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class LssCommand(IntEnum):
 SELECTIVE = range(LssCommand.SWITCH_SELECTIVE, LssCommand.SWITCHED)
 IDENTIFY = range(LssCommand.IDENTIFY, LssCommand.IDENTIFY_UNCONFIGURED)
 INQUIRE = range(LssCommand.INQUIRE_ADDRESS, LssCommand.INQUIRE_NODE_ID)
-# which part of the address each request to identify speaks of, and whether its number is a lower or upper bound
+# part of the address in each identify request, and whether its number is a lower or an upper bound
 _BOUNDS = ((1, True, True), (2, True, True), (3, True, False), (3, False, True), (4, True, False), (4, False, True))
 _ARGUMENT = struct.Struct("<I")
 
@@ -126,7 +126,7 @@ class LssSlave:
             self._answer(LssCommand.IDENTIFIED)
 
     def _scan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Fastscan: the master guesses the address bit by bit; whoever fits, answers."""
+        """Fastscan: the master guesses the address bit by bit; nodes that match answer."""
         if self.nmt.node_id != UNCONFIGURED or self._configuring:
             return
         if bit == CONFIRM_ALL:

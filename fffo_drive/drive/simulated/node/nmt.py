@@ -1,7 +1,6 @@
 """NMT slave (CiA 301, 7.3.2): the node's communication state, boot-up, and the two resets.
 
-What each state lets through is asked here by the services: `communicates` (SDO, SYNC, EMCY) and `exchanges`
-(PDO).
+Services ask here what the state permits: `communicates` (SDO, SYNC, EMCY) and `exchanges` (PDO).
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ class NmtSlave:
     """The state machine. `on_change(old, new)` follows each change, `on_reset(whole_node)` initialises.
 
     A reset leads through INITIALISING to PRE-OPERATIONAL, announced by the boot-up message, and on to OPERATIONAL in a
-    node that starts itself. `on_reset` may change the
-    node-ID.
+    node that starts itself. `on_reset` may change the node-ID.
     """
 
     def __init__(

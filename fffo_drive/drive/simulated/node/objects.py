@@ -1,8 +1,8 @@
 """Every object of the simulated drive, as one table: CiA 301 communication, manufacturer, CiA 402 profile.
 
 The store, the SDO server's checks, the PDO mapping rules and the EDS are all made from `ENTRIES`, or from the entries
-of another drive that the node wears (`worn.py`). What depends on the configured drive (ratings, counts, identity) has
-no default here: `config.py` has it.
+of another drive (`foreign_dictionary.py`). Objects that depend on the configured drive (ratings, counts, identity) have
+their defaults in `config.py`.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ ENTRIES: tuple[Entry, ...] = tuple(
     for entry in (*_COMMUNICATION, *_MANUFACTURER, *_DRIVE)
 )
 
-# What a drive does that does not have the object, where it is not what ours does by default
+# Behaviour of a drive without the object, where it differs from our default
 _WITHOUT = {
     (0x1014, 0): PDO_INVALID,  # no emergency messages
     (0x6007, 0): 0,  # no action when the connection is lost

@@ -61,7 +61,7 @@ class PdoParameters:
         on_change: Callable[[], None],
         rtr_required: bool = False,
     ) -> None:
-        """`rtr_required`: bit 30 of a TPDO's COB-ID must be 1, as a device may ask that answers no remote frames."""
+        """`rtr_required`: bit 30 of a TPDO's COB-ID must be 1, as for devices that answer no remote frames."""
         self.od = od
         self.receives = receives
         self._rtr_required = rtr_required
@@ -72,7 +72,7 @@ class PdoParameters:
         od.on_write(self.communication, lambda sub, value: on_change())
         od.on_write(self.mapping_index, lambda sub, value: on_change())
         self._places = len(od.subs(self.mapping_index))
-        # a drive that keeps the number of entries lets them be written as they stand
+        # with a fixed number of entries they can be written without the sequence above
         self._fixed_count = self._places > 0 and od.find(self.mapping_index, 0).access not in WRITABLE
 
     @property
@@ -112,7 +112,7 @@ class PdoParameters:
     def mapping(self) -> Mapping:
         """The mapping in force; empty while sub 0 is 0.
 
-        A default that names what the drive's file does not describe is a gap: zeros, or data that nothing takes.
+        A default that maps an object which the drive's file lacks is a gap: zeros sent, or data ignored.
         """
         count = min(self.od.number_or(self.mapping_index, 0, 0), self._places)
         try:

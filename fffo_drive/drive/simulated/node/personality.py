@@ -33,8 +33,8 @@ class Personality:
     starts_itself: bool = note(False, "goes OPERATIONAL after boot-up without its master, whatever 0x1F80 says")
     remote: bool = note(True, "statusword bit 9; false: the drive is in local control and takes no controlword")
     warning_code: int = key(0, "-", 0, 0xFFFF, "code of an emergency message that is only a warning; 0 for none")
-    warning_at_s: float = key(-1.0, "s", -1.0, 1e6, "when it is sent, after power-on; -1: with each enabling")
-    brake_release_s: float = key(0.0, "s", 0.0, 10.0, "holding brake: opens so long after enabling; 0 for no brake")
+    warning_at_s: float = key(-1.0, "s", -1.0, 1e6, "time after power-on at which it is sent; -1: with each enabling")
+    brake_release_s: float = key(0.0, "s", 0.0, 10.0, "holding brake: time to open after enabling; 0 for no brake")
     sto_active: bool = note(False, "safe torque off: bit 4 of the statusword is 0, the drive does not switch on")
     sto_input_bit: int = key(3, "-", 0, 31, "bit of 0x60FD that is 1 while safe torque off is active")
     dc_link_share: float = key(1.0, "-", 0.0, 2.0, "of plant.dc_link_v, as 0x6079 reports it; too low: no switching on")
@@ -46,9 +46,9 @@ class Personality:
     vendor_target: str = note("", "object with the target of the vendor's mode")
     vendor_target_bits: int = key(32, "-", 8, 32, "its size where the drive's file does not have it: 8, 16, 32")
     vendor_units_per_a: float = key(1.0, "1/A", 1e-6, 1e9, "what the target counts")
-    values: Mapping[str, int] = note({}, "objects with another value at power-on")
-    lowest: Mapping[str, int] = note({}, "objects that take nothing below this")
-    highest: Mapping[str, int] = note({}, "objects that take nothing above this")
+    values: Mapping[str, int] = note({}, "by object: another value at power-on")
+    lowest: Mapping[str, int] = note({}, "by object: lowest value that it accepts")
+    highest: Mapping[str, int] = note({}, "by object: highest value that it accepts")
 
     def errors(self) -> list[tuple[str, str]]:
         """Problems in addition to the ranges: pairs of key and text."""

@@ -1,4 +1,4 @@
-"""What the drive's firmware sees of the machine below it, and the numbers on its name plate."""
+"""The machine as the drive's firmware sees it, and the numbers on its name plate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Ratings(NamedTuple):
     undervoltage_v: float
     overvoltage_v: float
     highest_temperature_k: float  # above the surroundings
-    slow_rps2: float  # ramps of the drive, where no object tells them
+    slow_rps2: float  # ramps of the drive, where it has no object for them
     quick_rps2: float
     brake_a_per_rps: float  # the drive's own velocity loop, which it closes to brake
     standstill_rps: float
@@ -69,7 +69,7 @@ class PlantPort(Protocol):
         ...
 
     def advance(self, until_ns: int, current_a: float) -> None:
-        """Let time pass up to `until_ns` (since it began) with this command; the feedback is then fresh."""
+        """Advance to `until_ns` (since the start) with this command, and update the feedback."""
         ...
 
     def lose_resolver(self, lost: bool, jump_rev: float) -> None:
@@ -77,7 +77,7 @@ class PlantPort(Protocol):
         ...
 
     def hold(self, held: bool) -> None:
-        """A holding brake shuts (at once, on a shaft that turns too), or opens."""
+        """Close (at once, even on a turning shaft) or open the holding brake."""
         ...
 
     def lose_dc_link(self, lost: bool) -> None:

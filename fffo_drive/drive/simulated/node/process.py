@@ -1,7 +1,7 @@
 """The simulated drive as a process on a bus: a thin shell around `core.Node` with a clock and a link.
 
-One thread: wait for a frame or the node's next deadline, let the node act, send. What the loop will call is
-rehearsed before it begins, so that nothing is compiled while the bus waits.
+One thread: wait for a frame or the node's next deadline, let the node act, send. A rehearsal runs all code beforehand,
+so that nothing is compiled while the bus waits.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class NodeSummary(NamedTuple):
 
     duration_s: float
     syncs: int
-    missed_syncs: int  # where 0x1006 told what to expect
+    missed_syncs: int  # where 0x1006 gives the period
     rpdos: int
     dropped_frames: int  # lost by the receive queue; -1: unknown
     send_errors: int
@@ -75,13 +75,13 @@ def stop_on_signals() -> threading.Event:
 
 
 def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> NodeSummary:
-    """Be a drive on `link` until `stop` is set. Prints a line when it is ready and one when it ends.
+    """Run the node on `link` until `stop` is set. Prints a line when it is ready and one when it ends.
 
     Raises PlantConfigError for a configuration that makes no drive.
     """
     config.validate()
     if sys.stdout.isatty():
-        print("simulated drive: starts; the first time it compiles for a while", flush=True)
+        print("simulated drive: starting; the first start compiles for a while", flush=True)
     rehearse(config)
     node = Node(config, SimulatedPlant(config.plant))
     shell = _Shell(node, link)
@@ -95,7 +95,7 @@ def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> NodeSummary:
 
 
 def rehearse(config: NodeConfig) -> None:
-    """Enable, turn and stop a drive with this plant on no bus: everything that will run is then compiled."""
+    """Enable, turn and stop a drive with this plant without a bus, which compiles everything."""
     plain = dataclasses.replace(config, personality=Personality(), dictionary=None)
     node = Node(plain, SimulatedPlant(config.plant))
     now_ns = 0
@@ -153,7 +153,7 @@ class _Shell:
                 self._count_drops(now_ns)
 
     def _open_boxes(self) -> None:
-        """The node takes the frames that wait for a SYNC, as of the time when they came."""
+        """Hand over the frames that wait for a SYNC, with their times of arrival."""
         for arrival_ns, frame in self._inbox.waiting():
             self._send(self.node.handle(frame, arrival_ns))
 
@@ -209,7 +209,7 @@ class _Shell:
 
 @contextmanager
 def _settled_memory() -> Iterator[None]:
-    """Spare the collector what was there before the loop: numba's heap takes it tens of milliseconds."""
+    """Exempt existing objects from garbage collection: numba's heap would take it tens of milliseconds."""
     gc.collect()
     gc.freeze()
     try:
@@ -220,7 +220,7 @@ def _settled_memory() -> Iterator[None]:
 
 @contextmanager
 def _realtime(priority: int) -> Iterator[None]:
-    """SCHED_FIFO where it is asked for and allowed; a refusal is told once and borne."""
+    """SCHED_FIFO if requested and allowed; a refusal is reported once."""
     if priority <= 0:
         yield
         return

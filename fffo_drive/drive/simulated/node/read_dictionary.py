@@ -1,8 +1,8 @@
 """The dictionary of a drive from a file: an EDS or DCF of its vendor (CiA 306), or a list of objects in YAML.
 
-The YAML has `drive:` and `objects:`, a mapping of 0xINDEX:SUB to type (CiA 301 number), access, and where they are told
-pdo (may be mapped), default, low, high, value (what a DCF sets) and name. Numbers are in C notation; $NODEID+ in front
-of a default or value adds the node-ID.
+The YAML has `drive:` and `objects:`, a mapping of 0xINDEX:SUB to type (CiA 301 number), access, and optionally pdo (may
+be mapped), default, low, high, value (what a DCF sets) and name. Numbers are in C notation; $NODEID+ in front of a
+default or value adds the node-ID.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from ...canopen.eds_tidy import decode, tidy
 from ...canopen.eds_tidy import number as number_of
 from ...canopen.object_map import MappingError
 from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, Value, type_range
+from .foreign_dictionary import ForeignDictionary
 from .objects import ENTRIES
 from .personality import NAMED_OBJECT
-from .worn import WornDictionary
 
 EDS_SUFFIXES = (".eds", ".dcf")
 ACCESSES = ("ro", "wo", "rw", "rwr", "rww", "const")
@@ -59,7 +59,7 @@ class DictionaryRecord(StrictRecord):
 
 
 class WrongFieldError(ValueError):
-    """A field of an object that cannot be understood."""
+    """A field of an object that cannot be read."""
 
     def __init__(self, field: str, text: str) -> None:
         super().__init__(text)
@@ -67,7 +67,7 @@ class WrongFieldError(ValueError):
 
 
 class _Row(NamedTuple):
-    """An object as a file has it: texts. `strict`: what cannot be understood is refused, not left out."""
+    """An object as a file has it: texts. `strict`: what cannot be read is refused, not left out."""
 
     number: int  # index
     sub: int
@@ -82,13 +82,13 @@ class _Row(NamedTuple):
     strict: bool
 
 
-def read_dictionary(path: str | Path) -> WornDictionary:
+def read_dictionary(path: str | Path) -> ForeignDictionary:
     """The drive that a file describes. Raises DocumentError: file, object, and what is wrong."""
     path = Path(path)
-    worn = _from_eds(path) if _is_eds(path) else _from_yaml(path)
-    for entry, text in worn.problems():
+    foreign = _from_eds(path) if _is_eds(path) else _from_yaml(path)
+    for entry, text in foreign.problems():
         raise DocumentError(f"{path}: 0x{entry.index:04X}:{entry.sub:02X} {text}")
-    return worn
+    return foreign
 
 
 def _is_eds(path: Path) -> bool:
@@ -106,7 +106,7 @@ def _is_eds(path: Path) -> bool:
 # --- YAML
 
 
-def _from_yaml(path: Path) -> WornDictionary:
+def _from_yaml(path: Path) -> ForeignDictionary:
     record = load(path, DictionaryRecord)
     entries: dict[int, Entry] = {}
     problems: list[tuple[str, str]] = []
@@ -129,7 +129,7 @@ def _from_yaml(path: Path) -> WornDictionary:
     elif not problems and 0x1000 << 8 not in entries:
         problems.append(("objects", "0x1000:00 (device type) is missing: every CANopen device has it"))
     refuse(path, problems)
-    return WornDictionary(record.drive, tuple(entries[k] for k in sorted(entries)))
+    return ForeignDictionary(record.drive, tuple(entries[k] for k in sorted(entries)))
 
 
 def _row_of(index: int, sub: int, described: ObjectRecord) -> _Row:
@@ -156,7 +156,7 @@ def _row_of(index: int, sub: int, described: ObjectRecord) -> _Row:
 # --- EDS and DCF
 
 
-def _from_eds(path: Path) -> WornDictionary:
+def _from_eds(path: Path) -> ForeignDictionary:
     try:
         eds = read_eds(str(path), 1)
     except MappingError as error:
@@ -176,7 +176,7 @@ def _from_eds(path: Path) -> WornDictionary:
             except WrongFieldError as error:
                 raise DocumentError(f"EDS file {path}: [{section}] {error.field}: {error.text}") from None
             entries[entry.multiplexer] = entry
-    return WornDictionary(eds.drive_name, tuple(entries[k] for k in sorted(entries)))
+    return ForeignDictionary(eds.drive_name, tuple(entries[k] for k in sorted(entries)))
 
 
 def _rows(index: int, sub: str | None, section: Mapping[str, str]) -> Iterator[_Row]:

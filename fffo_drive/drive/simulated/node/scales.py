@@ -1,8 +1,8 @@
-"""The units in which the drive speaks, from its factor group (CiA 402-2), its ratings, and its polarity.
+"""The drive's units, from its factor group (CiA 402-2), its ratings, and its polarity.
 
-0x6064 counts what 0x60A8, 0x6091 and 0x6092 say, 0x606C what 0x60A9 or 0x6090 says, the torque objects thousandths of
-0x6076, the current objects thousandths of 0x6075. The encoder is what it is: what the network writes changes what the
-drive makes of it, and nothing of the machine. What no object tells is as configured.
+0x6064 has the unit given by 0x60A8, 0x6091 and 0x6092, 0x606C that of 0x60A9 or 0x6090; torque objects are in
+thousandths of 0x6076, current objects in thousandths of 0x6075. Writing these objects changes how the drive scales its
+values, never the machine. Values without an object are as configured.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LARGEST_POWER = 12
 
 
 class NodeUnit:
-    """A notation of CiA 303-2, taken apart. ValueError for one that names no angle or angular velocity."""
+    """A decoded notation of CiA 303-2. ValueError for one that names no angle or angular velocity."""
 
     def __init__(self, notation: int, velocity: bool) -> None:
         power = (notation >> 24 ^ 0x80) - 0x80
@@ -64,8 +64,8 @@ class NodeScales:
         self.od, self.ratings, self.personality = od, ratings, personality
         self._powered = powered
         self.on_change: list[Callable[[], None]] = []
-        told = _ratio(od, ENCODER)
-        self._encoder = Fraction(personality.encoder_counts_per_rev) or told or Fraction(ratings.counts_per_rev)
+        declared = _ratio(od, ENCODER)
+        self._encoder = Fraction(personality.encoder_counts_per_rev) or declared or Fraction(ratings.counts_per_rev)
         for index in FACTORS:
             od.guard(index, self._check)
             od.on_write(index, self._written)
@@ -74,7 +74,7 @@ class NodeScales:
         self.renew()
 
     def renew(self) -> None:
-        """Take the objects as they are."""
+        """Read the objects again."""
         polarity = self.od.number(POLARITY)
         gear = _ratio(self.od, GEAR) or Fraction(1)
         believed = _ratio(self.od, ENCODER) or self._encoder
@@ -100,7 +100,7 @@ class NodeScales:
         return self.ratings.peak_permille * self.ratings.a_per_permille / self.a_per_permille
 
     def _rate(self) -> None:
-        """Torque and current of a thousandth. A drive that was not told its motor goes by what its maker set."""
+        """Torque and current of a thousandth; factory ratings where the motor was not configured."""
         ratings, personality, number = self.ratings, self.personality, self.od.number
         by_torque = number(RATED_TORQUE) * personality.rated_torque_unit_nm / ratings.torque_constant_nm_per_a
         by_current = number(RATED_CURRENT) * personality.rated_current_unit_a
@@ -124,10 +124,10 @@ class NodeScales:
     def _per_rps(self, believed: Fraction) -> Fraction:
         """Velocity units in one revolution per second, without the gear."""
         unit = _unit_of(self.od.number(VELOCITY_UNIT), velocity=True)
-        told = _ratio(self.od, VELOCITY_ENCODER)
+        declared = _ratio(self.od, VELOCITY_ENCODER)
         if unit is None:
-            return told or Fraction(self.ratings.velocity_counts_per_rps)
-        return unit.per_rev * (told or self._encoder if unit.counts_increments else self._encoder / believed)
+            return declared or Fraction(self.ratings.velocity_counts_per_rps)
+        return unit.per_rev * (declared or self._encoder if unit.counts_increments else self._encoder / believed)
 
     def _check(self, sub: int, value: int) -> None:
         if self._powered():
@@ -144,7 +144,7 @@ class NodeScales:
 
 
 def _unit_of(notation: int, velocity: bool) -> NodeUnit | None:
-    """The unit of 0x60A8 or 0x60A9; None where none is told, or none that this machine has."""
+    """The unit of 0x60A8 or 0x60A9; None where it is unset, or not a unit of this machine."""
     try:
         return NodeUnit(notation, velocity) if notation else None
     except ValueError:
@@ -152,7 +152,7 @@ def _unit_of(notation: int, velocity: bool) -> NodeUnit | None:
 
 
 def _ratio(od: ObjectDictionary, index: int) -> Fraction | None:
-    """Sub 1 over sub 2; None where they say nothing: not there, 0, or the 1/1 that stands for "not set"."""
+    """Sub 1 over sub 2; None where they are absent, 0, or 1/1, which stands for "not set"."""
     over, under = od.number_or(index, 1, 0), od.number_or(index, 2, 1) or 1
     ratio = abs(Fraction(over, under))
     return ratio if ratio not in (0, 1) else None

@@ -83,7 +83,7 @@ class BlockUpload:
         self.done = False
 
     def receive(self, data: bytes) -> list[bytes]:
-        """The start, an acknowledgement, or the client's word that it has everything."""
+        """The start, an acknowledgement, or the client's end of the transfer."""
         if self._ended:
             if data[0] & _SPECIFIER != 0xA1:
                 raise SdoAbortError(Abort.INVALID_COMMAND)

@@ -1,8 +1,8 @@
 """SDO server (CiA 301, 7.2.4): expedited, segmented and block transfer in both directions.
 
-A new request to begin ends a segmented transfer under way, as a client that gave up would expect; the segments of
-a block look like anything, so that a block transfer ends by itself, by an abort or by the time-out. Requests
-shorter than 8 bytes are no SDO and are not answered.
+A new initiate request ends a segmented transfer under way, as a client that gave up expects. Segments of a block can
+look like any request, so a block transfer ends only when complete, aborted or timed out. Requests shorter than 8 bytes
+are no SDO and are not answered.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SIZE = struct.Struct("<I")
 
 @dataclass(slots=True)
 class Transfer:
-    """A transfer under way. Segmented upload: `data` is what is left. Download: what came so far."""
+    """A transfer under way. Segmented upload: `data` remains to be sent. Download: `data` came so far."""
 
     index: int
     sub: int
@@ -45,7 +45,7 @@ class Transfer:
 
 
 class SdoServer(Timed):
-    """Answers on 0x580 + node-ID what it is asked on 0x600 + node-ID."""
+    """Answers requests on 0x600 + node-ID with 0x580 + node-ID."""
 
     def __init__(self, bus: Bus, od: ObjectDictionary, nmt: NmtSlave) -> None:
         super().__init__(bus)
@@ -202,7 +202,7 @@ class SdoServer(Timed):
         block, switch_below = data[4], data[5]
         content = self.od.upload(transfer.index, transfer.sub)
         checked_block(block)
-        if len(content) <= switch_below:  # the client would rather have so little in segments
+        if len(content) <= switch_below:  # the client prefers segments for so few bytes
             transfer.upload = True
             self._begin_upload(transfer, content)
             return

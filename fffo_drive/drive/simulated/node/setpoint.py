@@ -17,7 +17,7 @@ from .scales import NodeScales
 
 NO_SLOPE = 1e9  # per mille in one call: 0x6087 = 0 is a slope that was never set, and torque jumps
 LARGEST_DEMAND = 32767  # of 0x6074
-SPEED_TAPER = 0.02  # below the speed limit by this share, torque that drives on begins to fall
+SPEED_TAPER = 0.02  # share below the speed limit at which accelerating torque begins to fall
 
 _ADJUSTABLE = (0x6071, 0x6072, 0x6073, 0x6080, 0x6087, 0x60B2, 0x60E0, 0x60E1)
 
@@ -39,7 +39,7 @@ class Setpoint:
         scales.on_change.append(self.renew)
 
     def renew(self) -> None:
-        """Take the scales as they are."""
+        """Read the scales again."""
         scales = self.scales
         self._a_per_permille = scales.a_per_permille
         self._peak = min(scales.peak_permille, LARGEST_DEMAND)

@@ -1,7 +1,6 @@
 """The simulated plant behind the node's `PlantPort`: follows the node's clock in sub-steps of 1/22 kHz.
 
-A pause of the process longer than `LONGEST_CATCH_UP_NS` is not lived through: the plant stands still for the
-rest of it.
+Of a pause of the process longer than `LONGEST_CATCH_UP_NS` the rest is not simulated: the plant stands still.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ LONGEST_CATCH_UP_NS = 1_000_000_000
 DISCHARGE_S = 0.02  # time constant of the DC link without its supply
 
 
-# Called from Python 2000 times a second: arrays one by one go in, and a plain tuple comes out, for a third of the time
-# that the records take.
+# Called from Python 2000 times a second: single arrays as arguments and a plain tuple as result take a third of the
+# time of records.
 @njit
 def _catch_up(
     numbers: Floats, integers: Integers, surfaces: Floats, effects: Integers, effect_parameters: Floats,
     values: Floats, words: Integers, friction: Floats, delay_line: Floats, signals: Floats, effect_memory: Floats,
     command_a: float, elapsed_ns: int,
 ) -> tuple[float, int, float, bool]:  # fmt: skip
-    """Live `elapsed_ns` since power-on with this command. Returns what is measured then: rps, counts, A, limited."""
+    """Advance to `elapsed_ns` since power-on with this command, and measure: rps, counts, A, limited."""
     parameters = PlantParameters(numbers, integers, surfaces, effects, effect_parameters)
     state = PlantState(values, words, friction, delay_line, signals, effect_memory)
     plant_advance(parameters, state, command_a, substeps_due(state, elapsed_ns))
@@ -68,7 +67,7 @@ class SimulatedPlant:
         return float(self._state.values[at.VELOCITY_RPS])
 
     def advance(self, until_ns: int, current_a: float) -> None:
-        """Live up to `until_ns` with this command, then measure."""
+        """Advance to `until_ns` with this command, then measure."""
         pause_ns = until_ns - self._time_ns - LONGEST_CATCH_UP_NS
         if pause_ns > 0:
             self._skipped_ns += pause_ns
@@ -83,7 +82,7 @@ class SimulatedPlant:
             self.velocity_rps = velocity_rps
 
     def lose_resolver(self, lost: bool, jump_rev: float) -> None:
-        """Without a signal the last angle, moved by the jump, is all there is; the jump stays."""
+        """Without a signal the angle is the last one plus the jump; the jump stays."""
         self._sensed = not lost
         if lost:
             jump = math.floor(jump_rev * self._counts_per_rev)
@@ -99,7 +98,7 @@ class SimulatedPlant:
         numbers[at.SPEED_PER_TORQUE] = 0.0 if held else self._speed_per_torque
 
     def lose_dc_link(self, lost: bool) -> None:
-        """The link discharges through what it feeds; the supply comes back at once."""
+        """The DC link discharges through its load; the supply comes back at once."""
         self._supplied = not lost
         if self._supplied:
             self._set_voltage(self._supply_v, self._supply_v)

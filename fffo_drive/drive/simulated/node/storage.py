@@ -18,7 +18,7 @@ SAVE_SIGNATURE = int.from_bytes(b"save", "little")
 LOAD_SIGNATURE = int.from_bytes(b"load", "little")
 
 COMMUNICATION = range(0x1000, 0x2000)
-MANUFACTURER = range(0x2000, 0x6000)  # what the other sub-indices store is the maker's affair
+MANUFACTURER = range(0x2000, 0x6000)  # what the other sub-indices store is manufacturer-specific
 # sub-index of 0x1010 and 0x1011: the objects that belong to it
 GROUPS = {
     1: range(0x1000, 0x10000),

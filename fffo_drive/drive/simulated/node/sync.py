@@ -2,7 +2,7 @@
 
 A SYNC that is missing is counted at the next one (0x2020:2); no SYNC for 0x1006 plus the tolerance 0x2010
 (ms), and for 1.5 times 0x1006 at least, is a loss: EMCY 0x8700, and the drive's abort connection option. Without
-0x1006 the drive does not know what to expect.
+0x1006 neither is detected.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class SyncConsumer(Timed):
         super().__init__(bus)
         self.od, self.nmt, self.emergency = od, nmt, emergency
         self._on_sync, self._on_loss = on_sync, on_loss
-        self.supervised = True  # False where time is made of SYNCs
+        self.supervised = True  # False where only SYNC advances time
         self._statistics = od.place(STATISTICS)
         self._tolerance = od.place(LOSS_TOLERANCE)
         self._received_slot = od.slots[multiplexer(self._statistics, 1)]

@@ -63,7 +63,7 @@ class Tpdo(Timed):
         self._watch = _picker(watched if watched and self.type != EVENT_TYPES[0] else self.mapping.slots)
 
     def restart(self) -> None:
-        """Begin anew: the parameters changed, or the node entered or left OPERATIONAL."""
+        """Start again: the parameters changed, or the node entered or left OPERATIONAL."""
         parameters = self.parameters
         self._awaits_start = parameters.sync_start != 0
         self._syncs = 0
@@ -74,7 +74,7 @@ class Tpdo(Timed):
             self.check_event()
 
     def frame(self) -> bytes:
-        """The PDO with the values of now."""
+        """The PDO with the present values."""
         self._pack_into(self._template, DATA_OFFSET, *self._pick(self.od.values))
         return bytes(self._template)
 

@@ -6,8 +6,8 @@ import struct
 
 from scripted_node import servo_dictionary
 
+from fffo_drive.drive.canopen.sdo_objects import SdoObjects
 from fffo_drive.drive.canopen.service import SdoRefusedError
-from fffo_drive.drive.canopen.told import ToldObjects
 from fffo_drive.drive.port import BusUnavailableError
 
 NO_OBJECT = 0x06020000
@@ -35,12 +35,12 @@ class Paper:
         return found
 
 
-def told(changes=None, without=()):
-    """A plain servo drive with a supply, ready to be enabled, and what is different about it."""
+def plain_drive(changes=None, without=()):
+    """A plain servo drive with a supply, ready to be enabled; `changes`: objects with other values."""
     objects = servo_dictionary(1) | {
         (0x1001, 0): b"\0", (0x603F, 0): b"\0\0", (0x6041, 0): struct.pack("<H", 0x0250), (0x6079, 0): u32(48_000),
         (0x608F, 1): u32(4096), (0x608F, 2): u32(1), (0x60A9, 0): u32(0x00B44700), (0x60FD, 0): u32(0),
         (0x6080, 0): u32(3000), (0x6073, 0): struct.pack("<H", 2000),
     }  # fmt: skip
     objects |= changes or {}
-    return ToldObjects(Paper({where: value for where, value in objects.items() if where not in without}).read)
+    return SdoObjects(Paper({where: value for where, value in objects.items() if where not in without}).read)

@@ -1,4 +1,4 @@
-"""The objects that a drive reports, each read once: their values, or why there is none."""
+"""Objects of a drive, read by SDO: each once, with its value or why there is none."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from .service import SdoRefusedError, object_name
 Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
 
 NO_DATA = 0x08000024  # abort code of an object that exists but is empty, such as 0x1003:01 without errors
-MOST_SILENCES = 3  # objects in a row without an answer before the drive counts as gone
-# read from every drive first (CiA 301, CiA 402-2)
+MOST_TIMEOUTS = 3  # SDO timeouts in a row after which the drive counts as gone
+# uploaded from every drive first (CiA 301, CiA 402-2)
 WANTED: tuple[tuple[int, int], ...] = (
     (0x1000, 0), (0x1001, 0), (0x1003, 0), (0x1003, 1), (0x1003, 2), (0x1003, 3), (0x1005, 0), (0x100C, 0), (0x100D, 0),
     (0x1014, 0), (0x1016, 1), (0x1017, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4), (0x1029, 1),
@@ -24,61 +24,61 @@ WANTED: tuple[tuple[int, int], ...] = (
 CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # read again once SYNC has run
 
 
-class ToldObjects:
-    """Objects read from a drive on the bus, as the `DriveObjects` that the requirements are checked against.
+class SdoObjects:
+    """`DriveObjects` of a drive on the bus: uploaded by SDO when first asked for.
 
-    `most_silences`: unanswered objects in a row that raise BusUnavailableError.
+    `most_timeouts`: SDO timeouts in a row that raise BusUnavailableError.
     """
 
-    def __init__(self, read: Read, most_silences: int = MOST_SILENCES) -> None:
+    def __init__(self, read: Read, most_timeouts: int = MOST_TIMEOUTS) -> None:
         self._read: Read | None = read
-        self._most_silences = most_silences
+        self._most_timeouts = most_timeouts
         self._known: dict[tuple[int, int], tuple[bool, int | None]] = {}
-        self._silences = 0
+        self._timeouts = 0
         self.unreadable: dict[str, str] = {}  # objects that exist, or may exist, but have no value: the reason
 
     def has(self, index: int, sub: int = 0) -> bool:
         """False where the drive reports that it lacks the object. Raises BusUnavailableError."""
-        return self._ask(index, sub)[0]
+        return self._upload(index, sub)[0]
 
     def value(self, index: int, sub: int = 0) -> int | None:
         """Unsigned, of whatever size. Raises BusUnavailableError."""
-        return self._ask(index, sub)[1]
+        return self._upload(index, sub)[1]
 
     def signed(self, index: int, sub: int, bits: int) -> int | None:
         """As `value`, for a signed object of so many bits."""
         value = self.value(index, sub)
         return value if value is None or value < 1 << bits - 1 else value - (1 << bits)
 
-    def ask_all(self, told: Callable[[float], None] = lambda share: None) -> None:
-        """Read all of `wanted`; `told` gets the fraction done."""
+    def read_all(self, progress: Callable[[float], None] = lambda share: None) -> None:
+        """Read all of WANTED; `progress` gets the fraction done."""
         for k, (index, sub) in enumerate(WANTED, 1):
-            self._ask(index, sub)
-            told(k / len(WANTED))
+            self._upload(index, sub)
+            progress(k / len(WANTED))
 
-    def ask_again(self, read: Read, indices: Iterable[int] = CHANGING) -> None:
+    def read_again(self, read: Read, indices: Iterable[int] = CHANGING) -> None:
         """Read these objects again by another route; an object without an answer keeps its earlier value."""
         wanted = set(indices)
         before = dict(self._known)
-        self._read, self._silences = read, 0
+        self._read, self._timeouts = read, 0
         try:
             for where in [where for where in before if where[0] in wanted]:
                 del self._known[where]
-                self._ask(*where)
+                self._upload(*where)
         except BusUnavailableError:
             self._known = {**before, **self._known}
         self._read = None
 
-    def ask_no_more(self) -> None:
+    def stop_reading(self) -> None:
         """The connection is closed: objects not read yet count as absent."""
         self._read = None
 
     @property
-    def told(self) -> dict[str, int]:
+    def values(self) -> dict[str, int]:
         """0x6041:00 -> number, for all objects read."""
         return {object_name(*where): value for where, (_, value) in sorted(self._known.items()) if value is not None}
 
-    def _ask(self, index: int, sub: int) -> tuple[bool, int | None]:
+    def _upload(self, index: int, sub: int) -> tuple[bool, int | None]:
         where = index, sub
         if self._read is None:
             return self._known.get(where, (False, None))
@@ -87,15 +87,15 @@ class ToldObjects:
             try:
                 data = self._read(index, sub)
                 self._known[where] = True, int.from_bytes(data, "little")
-                self._silences = 0
+                self._timeouts = 0
             except SdoRefusedError as refusal:
                 self._known[where] = not refusal.absent, None
-                self._silences = 0
+                self._timeouts = 0
                 if not refusal.absent and refusal.code != NO_DATA:
                     self.unreadable[object_name(*where)] = f"abort 0x{refusal.code:08X}"
             except BusUnavailableError:
-                self._silences += 1
-                if self._silences >= self._most_silences:
+                self._timeouts += 1
+                if self._timeouts >= self._most_timeouts:
                     raise
                 self._known[where] = True, None
                 self.unreadable[object_name(*where)] = "no answer"

@@ -1,4 +1,4 @@
-"""Real drives' dictionaries, worn by the simulated drive in a process of its own: brought up, enabled, turned.
+"""The simulated drive, in a process of its own, with the dictionaries of real drives: brought up, enabled, turned.
 
 Each axis file names the profile that ships for its family and what belongs to the one axis. Only logic is asserted,
 never how punctual a shared machine is: the limits on silence are wide.
@@ -62,8 +62,8 @@ DRIVES: dict[str, dict[str, Any]] = {
 
 
 @contextlib.contextmanager
-def worn(name: str, keys: dict[str, Any], folder: Path, bus: str) -> Iterator[None]:
-    """The simulated drive as a process that wears a dictionary."""
+def foreign(name: str, keys: dict[str, Any], folder: Path, bus: str) -> Iterator[None]:
+    """The simulated drive as a process with the dictionary of another drive."""
     drive = yaml.safe_load((CONFIGS / "simulated_drive.yaml").read_text())
     drive |= {"node_id": NODE, "sync_loss_tolerance_ms": 5000, **keys.get("node", {})}
     drive["personality"] = keys.get("personality", {})
@@ -105,7 +105,7 @@ def follows(name: str, keys: dict[str, Any], rate_hz: int, folder: Path) -> None
     bus = f"loopback:{free_loopback_port()}"
     path, out = folder / "axis.yaml", folder / "run.mcap"
     path.write_text(yaml.safe_dump(axis_of(keys, bus, rate_hz)))
-    with worn(name, keys, folder, bus):
+    with foreign(name, keys, folder, bus):
         assert main(["run", str(path), "--uncommissioned", "--out", str(out)]) == 0
     run = read_run(out)
     assert run.complete
@@ -134,7 +134,7 @@ def test_the_axis_follows(name: str, rate_hz: int, tmp_path: Path) -> None:
 def test_the_axis_is_commissioned(name: str, tmp_path: Path) -> None:
     bus, path = f"loopback:{free_loopback_port()}", tmp_path / "axis.yaml"
     path.write_text(yaml.safe_dump(axis_of(DRIVES[name], bus, 500)))
-    with worn(name, DRIVES[name], tmp_path, bus):
+    with foreign(name, DRIVES[name], tmp_path, bus):
         assert main(["commission", str(path), "--yes", "--out", str(tmp_path / "record.yaml")]) == 0
     record = read_record(tmp_path / "record.yaml")
     assert record.passed

@@ -82,7 +82,7 @@ class _Seen(NamedTuple):
         return found
 
 
-def own_picture(data: Data, fitted: Fitted, number: int) -> Picture | None:
+def law_picture(data: Data, fitted: Fitted, number: int) -> Picture | None:
     """The figure that the law of an effect declares; None where that is the residual over its axis."""
     effect = fitted.effects[number]
     draw = _KINDS.get(law_of(effect.name).figure)

@@ -9,7 +9,7 @@ import pytest
 from diagnosis.test_pictures import PERIOD_S, model, seen
 from identification.synthetic import chirp_record
 
-from fffo_drive.diagnosis.own_pictures import _KINDS, own_picture
+from fffo_drive.diagnosis.law_pictures import _KINDS, law_picture
 from fffo_drive.diagnosis.scenes import Effect
 from fffo_drive.identification.dataset import Record
 from fffo_drive.model.effects.law import FigureKind
@@ -35,7 +35,7 @@ def effect_of(name, size=0.01, **shapes):
 
 
 def drawn(data, *effects, residual=0.0):
-    return own_picture(data, model(np.full(data.rows.time_s.size, residual), list(effects)), 0)
+    return law_picture(data, model(np.full(data.rows.time_s.size, residual), list(effects)), 0)
 
 
 def curves(picture):

@@ -16,7 +16,9 @@ PER_SECOND, PER_MINUTE = 0x03, 0x47
 MILLI = 1e-3
 
 
-def units_told(objects: DriveObjects, torque_unit_nm: float = MILLI, current_unit_a: float = MILLI) -> dict[str, Any]:
+def reported_units(
+    objects: DriveObjects, torque_unit_nm: float = MILLI, current_unit_a: float = MILLI
+) -> dict[str, Any]:
     """Keys of an axis file's drive section that the drive reports; others are absent.
 
     `torque_unit_nm`, `current_unit_a`: of 0x6076 and 0x6075, mNm and mA in CiA 402.
@@ -44,7 +46,7 @@ def counts_increments(unit: int | None) -> bool:
     return not unit or unit >> 16 & 0xFF == INCREMENTS
 
 
-def remarks_told(objects: DriveObjects) -> list[str]:
+def unit_remarks(objects: DriveObjects) -> list[str]:
     """Remarks on the units that must be read before an axis is commissioned."""
     found = []
     motor, shaft = objects.value(0x6091, 1), objects.value(0x6091, 2)

@@ -1,4 +1,4 @@
-"""The dictionary of another drive, which the node wears: its objects and nothing else."""
+"""The object dictionary of another drive, which the node can have in place of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COUNTED = frozenset(
      0x1029, 0x1F80, *PDO_OBJECTS}
 )  # fmt: skip
 _WRITTEN = {index << 8 for index in WRITTEN}
-# 0x6502 where the file does not tell it: the modes whose target the drive has
+# 0x6502 where the file lacks it: the modes whose target the drive has
 _TARGETS = {1: (0x607A,), 3: (0x60FF,), 4: (0x6071,), 6: (0x6098,), 7: (0x60C1,), 10: (0x6071, 0x60C2)}
 
 
@@ -30,14 +30,14 @@ def _is_count(entry: Entry) -> bool:
 
 
 @dataclass(frozen=True)
-class WornDictionary:
+class ForeignDictionary:
     """Objects of a drive as its EDS, DCF or list of objects has them."""
 
     drive: str  # its name
     entries: tuple[Entry, ...]
 
     def problems(self) -> Iterator[tuple[Entry, str]]:
-        """Entries that no drive of CiA 402 has so: the node could not work with them."""
+        """Entries that contradict CiA 301 or 402, with which the node could not work."""
         for entry in self.entries:
             if entry.index in COUNTED and not _is_count(entry):
                 yield entry, f"is {entry.data_type.name}; CiA 301 has an unsigned number of at most 32 bits"
@@ -51,31 +51,31 @@ class WornDictionary:
                 yield entry, f"is {entry.data_type.name}; CiA 301 and 402 have {own.data_type.name}"
 
 
-class Wearer(Protocol):
-    """What a configuration says of the dictionary."""
+class DictionaryConfig(Protocol):
+    """The part of a configuration that concerns the dictionary."""
 
     @property
-    def dictionary(self) -> WornDictionary | None:
-        """None: its own."""
+    def dictionary(self) -> ForeignDictionary | None:
+        """None: the node's own."""
         ...
 
     @property
     def personality(self) -> Personality:
-        """With the objects that have other values."""
+        """Deviations, with the objects that have other values."""
         ...
 
 
-def entries_of(config: Wearer) -> tuple[Entry, ...]:
-    """The objects of the drive: its own or those that it wears, as its personality has them."""
-    return tuple(_characterised(_told(config), config.personality))
+def entries_of(config: DictionaryConfig) -> tuple[Entry, ...]:
+    """The objects of the drive, its own or those of another one, with the deviations of its personality."""
+    return tuple(_characterised(_declared(config), config.personality))
 
 
-def _told(config: Wearer) -> tuple[Entry, ...]:
+def _declared(config: DictionaryConfig) -> tuple[Entry, ...]:
     return ENTRIES if config.dictionary is None else config.dictionary.entries
 
 
-def dictionary_of(config: Wearer, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
-    """The object dictionary of the drive. `defaults`: of objects that tell none."""
+def dictionary_of(config: DictionaryConfig, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
+    """The object dictionary of the drive. `defaults`: of objects without one."""
     entries = entries_of(config)
     if config.dictionary is None:
         return ObjectDictionary(entries, node_id, defaults)
@@ -86,20 +86,20 @@ def dictionary_of(config: Wearer, node_id: int, defaults: Mapping[int, Value]) -
     return ObjectDictionary(entries, node_id, defaults, absent, OWN_OBJECTS, codes)
 
 
-def told_modes(entries: Iterable[Entry], personality: Personality) -> int:
-    """0x6502 of a drive whose file does not tell it."""
+def derived_modes(entries: Iterable[Entry], personality: Personality) -> int:
+    """0x6502 of a drive whose file lacks it."""
     indices = {entry.index for entry in entries}
     modes = [mode for mode, needed in _TARGETS.items() if indices.issuperset(needed)]
     bits = sum(1 << mode - 1 for mode in modes)
     return bits | 1 << 15 - personality.vendor_mode if -16 <= personality.vendor_mode < 0 else bits
 
 
-def personality_problems(config: Wearer) -> Iterator[tuple[str, str]]:
-    """Objects that the personality names and that cannot be so: pairs of key and text."""
+def personality_problems(config: DictionaryConfig) -> Iterator[tuple[str, str]]:
+    """Errors in the objects that the personality names: pairs of key and text."""
     personality = config.personality
     target = personality.vendor_target
     with_target = Personality(vendor_target=target, vendor_target_bits=personality.vendor_target_bits)
-    entries = {entry.multiplexer: entry for entry in _characterised(_told(config), with_target)}
+    entries = {entry.multiplexer: entry for entry in _characterised(_declared(config), with_target)}
     for name in ("values", "lowest", "highest"):
         numbers: Mapping[str, int] = getattr(personality, name)
         for text, value in numbers.items():

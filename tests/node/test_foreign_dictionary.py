@@ -1,4 +1,4 @@
-"""The node in the dictionary of another drive: what is in its file is there as it is told, and nothing else is."""
+"""The node with the dictionary of another drive: the objects of its file, as the file has them, and no others."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.dictionary import STRUCT_CODES, DataType, Entry
 from fffo_drive.drive.simulated.node.eds import eds_text
+from fffo_drive.drive.simulated.node.foreign_dictionary import ForeignDictionary
 from fffo_drive.drive.simulated.node.objects import ENTRIES
 from fffo_drive.drive.simulated.node.personality import Personality
 from fffo_drive.drive.simulated.node.read_dictionary import read_dictionary
-from fffo_drive.drive.simulated.node.worn import WornDictionary
 from fffo_drive.drive.simulated.parameters import PlantConfigError
 
 DRIVES = ("e35", "elmo_gold", "epos2", "epos4", "foc_mc", "ipos", "nanotec_cl4e", "prbt", "roboteq", "schunk")
@@ -35,12 +35,12 @@ SUPPORTED_MODES = 0x6502
 
 
 @functools.cache
-def worn(name: str) -> WornDictionary:
+def foreign(name: str) -> ForeignDictionary:
     return read_dictionary(shared_files(f"drives/{name}.yaml")[0])
 
 
 def rig_of(name: str, node_id: int = 1, **personality: object) -> Rig:
-    config = NodeConfig(node_id=node_id, dictionary=worn(name), personality=Personality(**personality))  # type: ignore[arg-type]
+    config = NodeConfig(node_id=node_id, dictionary=foreign(name), personality=Personality(**personality))  # type: ignore[arg-type]
     return Rig(config.validate())
 
 
@@ -90,7 +90,7 @@ def test_every_other_object_is_absent(name: str) -> None:
 @pytest.mark.parametrize("name", DRIVES)
 def test_access_and_limits(name: str) -> None:
     rig = rig_of(name)
-    for entry in worn(name).entries:
+    for entry in foreign(name).entries:
         if entry.access in ("ro", "const"):
             assert rig.write(entry.index, entry.sub, 0, entry.size) == READ_ONLY, entry
             continue
@@ -105,22 +105,22 @@ def type_limits(entry: Entry) -> tuple[int, int]:
     return (-(1 << bits - 1), (1 << bits - 1) - 1) if STRUCT_CODES[entry.data_type].islower() else (0, (1 << bits) - 1)
 
 
-@pytest.mark.conformance("CiA 402", "the EDS of what is worn reads back as the same")
+@pytest.mark.conformance("CiA 402", "the EDS of another drive reads back as the same")
 @pytest.mark.parametrize("name", DRIVES)
 def test_the_eds_reads_back_as_the_same(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "worn.eds"
-    path.write_text(eds_text(NodeConfig(dictionary=worn(name))), encoding="ascii")
-    assert read_dictionary(path).entries == worn(name).entries
+    path = tmp_path / "foreign.eds"
+    path.write_text(eds_text(NodeConfig(dictionary=foreign(name))), encoding="ascii")
+    assert read_dictionary(path).entries == foreign(name).entries
 
 
 def test_a_file_that_calls_nothing_mappable_does_not_tell_it() -> None:
-    silent = WornDictionary("silent", tuple(e for e in ENTRIES if e.index < 0x2000) + (
+    silent = ForeignDictionary("silent", tuple(e for e in ENTRIES if e.index < 0x2000) + (
         Entry(0x6041, 0, "Statusword", DataType.UNSIGNED16, "ro"),
         Entry(0x6040, 0, "Controlword", DataType.UNSIGNED16, "rww"),
     ))  # fmt: skip
     plain = tuple(Entry(*(getattr(e, f) for f in ("index", "sub", "name", "data_type", "access", "default"))) for e in
                   silent.entries)  # fmt: skip
-    rig = Rig(NodeConfig(dictionary=WornDictionary("silent", plain)))
+    rig = Rig(NodeConfig(dictionary=ForeignDictionary("silent", plain)))
     for communication, cob_id in ((0x1400, 0x80000201), (0x1800, 0x80000181)):
         assert rig.write(communication, 1, cob_id, 4) == 0
         assert rig.write(communication + 0x200, 0, 0, 1) == 0
@@ -236,7 +236,7 @@ def test_self_starting_as_the_file_has_it() -> None:
 
 
 def test_the_command_wears_a_drive_and_writes_its_eds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drive, eds = tmp_path / "drive.yaml", tmp_path / "worn.eds"
+    drive, eds = tmp_path / "drive.yaml", tmp_path / "foreign.eds"
     drive.write_text("format: fffo_drive/simulated/1\n")
     other = shared_files("drives/epos4.yaml")[0]
     assert main(["sim", str(drive), "--dictionary", str(other), "--eds", str(eds)]) == 0
@@ -261,7 +261,7 @@ def test_the_command_refuses_a_file_that_is_none(tmp_path: Path, capsys: pytest.
 def test_a_configuration_with_entries_that_no_node_can_serve_is_refused() -> None:
     entries = (Entry(0x1000, 0, "", DataType.UNSIGNED32, "ro"), Entry(0x6041, 0, "", DataType.UNSIGNED32, "ro"))
     with pytest.raises(PlantConfigError, match=r"node\.dictionary: 0x6041:00 is UNSIGNED32"):
-        NodeConfig(dictionary=WornDictionary("wide", entries)).validate()
+        NodeConfig(dictionary=ForeignDictionary("wide", entries)).validate()
 
 
 # --- files that are no dictionary
@@ -354,7 +354,7 @@ SPOILT = st.sampled_from(
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(st.integers(0, len(OWN_EDS) - 1), SPOILT), min_size=1, max_size=30))
-def test_a_spoilt_eds_is_refused_or_worn(changes: list[tuple[int, str]], tmp_path: Path) -> None:
+def test_a_spoilt_eds_is_refused_or_used(changes: list[tuple[int, str]], tmp_path: Path) -> None:
     lines = list(OWN_EDS)
     for place, text in changes:
         lines[place] = text
@@ -441,7 +441,7 @@ WRITES = st.lists(
 def test_no_dictionary_crashes_it_or_gives_torque_that_was_not_enabled(
     entries: tuple[Entry, ...], personality: Personality, writes: list[tuple[tuple[int, int], int]], mode: int
 ) -> None:
-    config = NodeConfig(dictionary=WornDictionary("some", entries), personality=personality).validate()
+    config = NodeConfig(dictionary=ForeignDictionary("some", entries), personality=personality).validate()
     sizes = {(e.index, e.sub): e.size for e in entries}
     rig = Rig(config)
     drive = rig.node.drive
