@@ -233,9 +233,13 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
         return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
     law, share = law_of(finding.name), finding.explained_fraction
     # a wave is identified by its order, a voltage limit by the measured current, whatever else remains
-    told_apart = law.wave or law.needs_current
-    if rest is not None and not told_apart and share < LEAST_BESIDE * rest.share * (1.0 - share):
+    if rest is None or law.wave or law.needs_current:
+        return ""
+    if share < LEAST_BESIDE * rest.share * (1.0 - share):
         return "it explains little compared with the unexplained rest, and may be part of that"
+    # a free curve claims only its axis, and a level has none
+    if finding.axis in rest.axes and not finding.name.startswith(UNKNOWN) and law.rung > WAVE_RUNG:
+        return f"the unexplained rest depends on the {finding.axis.replace('_', ' ')} as well: the law is another one"
     return ""
 
 

@@ -23,16 +23,16 @@ Draw = np.random.Generator
 
 # changes of parameters that any base model has: a refit takes them in, and nothing is left to be found
 IN_THE_BASE = ("stribeck_shape", "presliding_shape", "frictional_lag", "delay")
-# the axes on which an effect of no library is rightly found; the first says it best
+# the axes on which an effect of no library is rightly found; the first says it best. Torque is current times Kt.
 ODD_AXES = {
     "odd_speed_band": ("velocity",),
     "odd_direction_angle": ("output_angle", "direction"),
     "odd_fatigue": ("memory", "time"),
     "odd_stick_patch": ("motor_angle",),
-    "odd_current_heating": ("memory", "current"),
+    "odd_current_heating": ("memory", "current", "torque"),
     "odd_two_levels": ("velocity", "memory"),
     "odd_alternate_turns": ("motor_angle", "output_angle"),
-    "odd_eddy_brake": ("current", "velocity"),
+    "odd_eddy_brake": ("current", "torque", "velocity"),
     "odd_late_kick": ("travel_since_reversal",),
     "odd_cable": ("memory", "travel_since_reversal"),
 }

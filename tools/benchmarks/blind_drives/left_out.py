@@ -27,7 +27,7 @@ SERVED_BY: dict[str, frozenset[str]] = {
     "odd_current_heating": frozenset({"unknown:memory"}),
     "odd_two_levels": frozenset({"unknown:memory", "velocity x memory", "memory x speed"}),
     "odd_alternate_turns": frozenset({"unknown:motor_angle"}),
-    "odd_eddy_brake": frozenset({"unknown:current", "velocity x current"}),
+    "odd_eddy_brake": frozenset({"unknown:current", "unknown:torque", "velocity x current"}),
     "odd_late_kick": frozenset({"unknown:travel_since_reversal", "travel_since_reversal x speed"}),
     "odd_cable": frozenset({"unknown:memory"}),
 }  # fmt: skip
