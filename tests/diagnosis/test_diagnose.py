@@ -250,6 +250,22 @@ def test_what_takes_little_beside_what_nothing_explains_is_in_doubt_unless_it_is
     assert doubt(selection, numbers[1], replace(wave, explained_fraction=0.05), half) == ""
 
 
+def test_a_law_that_leaves_a_residual_on_its_own_axis_is_in_doubt_and_a_level_a_wave_or_a_curve_is_not():
+    rules = DiagnosisSettings(without=only("torque_offset"), ablate=frozenset({"curves"}))
+    selection = Selector(FACTS, rules, lambda share, text: None).run(started(runs(planted_load, planted_load)))
+    (offset,) = accepted("torque_offset")
+
+    def said(name, axis, left):
+        return doubt(selection, 0, replace(offset, name=name, axis=axis, explained_fraction=0.9), left)
+
+    assert "depends on the velocity as well" in said("quadratic_drag", "velocity", REST)
+    assert said("quadratic_drag", "velocity", None) == ""
+    assert said("quadratic_drag", "velocity", REST._replace(axes=("time",))) == ""
+    assert said("unknown:velocity", "velocity", REST) == ""
+    assert said("cogging", "motor_angle", REST._replace(axes=("motor_angle",))) == ""
+    assert said("torque_offset", "torque", REST._replace(axes=("torque",))) == ""
+
+
 def test_runs_of_another_inertia_are_told_in_headline_and_cautions():
     records = [planted(seed=1, name="a"), planted(seed=2, name="b", begin_s=14.0, inertia=1.34 * INERTIA)]
     page = diagnose(records, [], FACTS, settings=QUICK)
