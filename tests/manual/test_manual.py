@@ -130,8 +130,6 @@ def run_page(page: Path, directory: Path, with_long: bool) -> list[str]:
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
     environment = dict(os.environ, PATH=f"{program.parent}:{os.environ['PATH']}", PYTHONPATH=str(ROOT), COLUMNS="80")
-    # the cache of the tests names types of the tests, which the program cannot load
-    environment["NUMBA_CACHE_DIR"] = str(Path(sys.prefix) / "numba-manual")
     wrong = []
     for block in blocks_of(page):
         if "run" not in block.marks or ("long" in block.marks and not with_long):
