@@ -27,3 +27,4 @@ from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on t
     pytest_terminal_summary,
     pytest_testnodedown,
 )
+from wheel_fixtures import site, wheel  # noqa: E402, F401
