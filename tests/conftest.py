@@ -1,8 +1,4 @@
-"""Shared by all tests: helper modules beside the tests are importable, and compiled code has a cache of its own.
-
-The index of a kernel's cache names every type that it was compiled for. Test doubles are such types: in the user's
-cache they would make it unreadable for a process that has no tests on its path.
-"""
+"""Shared by all tests: helper modules beside the tests are importable, and all processes share one cache of kernels."""
 
 from __future__ import annotations
 
@@ -14,7 +10,8 @@ TESTS = Path(__file__).resolve().parent
 if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
 
-os.environ["NUMBA_CACHE_DIR"] = os.environ.get("FFFO_TEST_CACHE") or str(Path(sys.prefix) / "numba-tests")
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba"))  # kept with the environment
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command has it: small matrices, and workers share the cores
 
 from hypothesis import settings  # noqa: E402
 
@@ -30,3 +27,4 @@ from needs import (  # noqa: E402, F401  # hooks of pytest: what cannot run on t
     pytest_terminal_summary,
     pytest_testnodedown,
 )
+from wheel_fixtures import site, wheel  # noqa: E402, F401

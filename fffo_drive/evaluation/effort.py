@@ -6,7 +6,6 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import butter, sosfilt
 
 from .metrics import Floats
 
@@ -36,11 +35,15 @@ def _rms_above(command_a: Floats, period_s: float, from_hz: float) -> float:
     edge = round(EDGE_S / period_s)
     if from_hz >= 0.45 / period_s or command_a.size <= 2 * edge:
         return float("nan")
+    from scipy.signal import sosfilt  # loads slowly
+
     return _rms(sosfilt(_high_pass(period_s, from_hz), command_a)[edge:-edge])
 
 
 @functools.cache
 def _high_pass(period_s: float, from_hz: float) -> Any:
+    from scipy.signal import butter
+
     return butter(FILTER_ORDER, from_hz, "highpass", fs=1.0 / period_s, output="sos")
 
 

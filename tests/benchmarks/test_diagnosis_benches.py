@@ -1,6 +1,6 @@
 """The benches of the diagnosis: measured machines as logs, yardsticks of known truth, and how answers are judged.
 
-None runs a whole diagnosis but the samples at the end; each runs as from a terminal, so that it has its own cache.
+None runs a whole diagnosis but the samples at the end; each runs as from a terminal.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
 
 
 def python(*arguments):
-    """In a process of its own: the benchmarks choose where compiled code is kept."""
+    """What it printed, in a process of its own, as from a terminal."""
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=BENCHMARKS, timeout=560)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

@@ -36,6 +36,7 @@ from fffo_drive.control.friction_observer import (
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_VELOCITY
 from fffo_drive.control.velocity_estimator import VelocityEstimatorTerms
+from fffo_drive.jit import njit
 from fffo_drive.model.friction import FrictionConfig, settled_friction
 from fffo_drive.runtime.adaptation_watch import BoundWatch
 from fffo_drive.runtime.tick import LawOutput, give_adapted, learn, terms_of_current
@@ -59,15 +60,25 @@ LAW = ControllerConfig(
 TRUTH = np.array([0.004, -0.006, 0.0005])  # offset, Coulomb (Nm), viscous (Nm/rps)
 
 
-def learned_over(contact, velocity_rps, truth=TRUTH, config=CONFIG):
-    """Parameters (n, 3) and whether they were learned (n,), where P and I give all that is missing in every tick."""
-    state, found, learns = adaptation_at_start(), [], []
-    for c, w in zip(contact, velocity_rps, strict=True):
-        missing = truth - np.array(state[:3])
-        now, state = adaptation_step(config, state, c, w, float(missing @ [1.0, c, w]))
-        found.append(state[:3])
-        learns.append(now)
-    return np.array(found), np.array(learns)
+@njit
+def _learn(config, state, contact, velocity_rps, truth, of_friction, found, learns):
+    for k in range(contact.shape[0]):
+        c, w = contact[k], velocity_rps[k]
+        friction_nm = (truth[k, 1] - state.coulomb_nm) * c + (truth[k, 2] - state.viscous_nm_per_rps) * w
+        missing_nm = truth[k, 0] - state.offset_nm + of_friction * friction_nm
+        learns[k], state = adaptation_step(config, state, c, w, missing_nm)
+        found[k, 0], found[k, 1], found[k, 2] = state.offset_nm, state.coulomb_nm, state.viscous_nm_per_rps
+
+
+def learned_over(contact, velocity_rps, truth=TRUTH, config=CONFIG, of_friction=1.0):
+    """Parameters (n, 3) and whether they were learned (n,), where P and I give all that is missing in every tick.
+
+    `truth`: (3,), or (n, 3) where it changes. `of_friction`: the share of the missing friction that they give.
+    """
+    found, learns = np.empty((contact.size, 3)), np.empty(contact.size, bool)
+    every = np.ascontiguousarray(np.broadcast_to(truth, found.shape))
+    _learn(config, adaptation_at_start(), contact, velocity_rps, every, of_friction, found, learns)
+    return found, learns
 
 
 def to_and_fro(duration_s, hz=1.3):
@@ -88,14 +99,12 @@ def test_the_step_response_is_that_of_two_lags_of_t_and_two_t():
     assert np.abs(settled).max() == 0.0
     contact, velocity_rps = to_and_fro(20 * TIME_S)
     n = contact.size // 2
-    state, found = adaptation_at_start(), []
-    for k in range(contact.size):
-        missing = (0.004 if k >= n else 0.0) - state.offset_nm
-        _, state = adaptation_step(CONFIG, state, contact[k], velocity_rps[k], missing)
-        found.append(state.offset_nm)
+    truth = np.zeros((2 * n, 3))
+    truth[n:, 0] = 0.004
+    found, _ = learned_over(contact, velocity_rps, truth, of_friction=0.0)
     time = np.arange(n) * PERIOD_S / TIME_S
     expected = 1.0 - np.exp(-0.5 * time) * (np.cos(0.5 * time) + np.sin(0.5 * time))
-    np.testing.assert_allclose(np.array(found[n:]) / 0.004, expected, atol=0.02)
+    np.testing.assert_allclose(found[n:, 0] / 0.004, expected, atol=0.02)
 
 
 def test_an_axis_that_turns_one_way_is_not_adapted():

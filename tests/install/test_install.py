@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,6 @@ from fffo_drive.system import service_files as sf
 from fffo_drive.system.system_commands import after_install, after_removal
 from fffo_drive.workflows.plan import make_plan
 
-SOURCE = Path(__file__).resolve().parents[2]
 PROGRAM = "/opt/axis/bin/fffo-drive"
 AXIS = "etc/fffo-drive/can0.yaml"
 UNIT = f"{sf.UNITS}/{sf.UNIT}"
@@ -158,24 +156,6 @@ def test_another_root_is_no_reason_to_talk_to_this_systemd(tmp_path, monkeypatch
     for command in after_install(tmp_path) + after_removal(tmp_path):
         assert str(tmp_path) in " ".join(command.words)
     assert [command.words[0] for command in after_install(Path("/"))] == ["systemd-sysusers", "systemctl"]
-
-
-def built_wheel(place: Path) -> Path:
-    """The wheel of this source tree, built into `place` as pip builds it."""
-    environment = dict(os.environ, PYTHONPATH="", NUMBA_CACHE_DIR=str(Path(sys.prefix) / "numba-manual"))
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)]
-    subprocess.run(command, cwd=SOURCE, env=environment, check=True, capture_output=True)
-    (wheel,) = place.glob("*.whl")
-    return wheel
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The wheel, unpacked to a place without the source tree."""
-    place = tmp_path_factory.mktemp("wheel")
-    with zipfile.ZipFile(built_wheel(place)) as archive:
-        archive.extractall(place / "site")
-    return place / "site"
 
 
 @pytest.mark.slow

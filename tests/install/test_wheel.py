@@ -23,7 +23,7 @@ import pytest
 from buses import PATIENCE_S
 from daemon.rig import PATIENT, PATIENT_DAEMON, PATIENT_DRIVE, PATIENT_LIMITS, edit
 from importing.axis_log import Dialect, as_text, truth
-from install.test_install import PROGRAM, built_wheel
+from install.test_install import PROGRAM
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import COMMANDS, parser_of
@@ -145,13 +145,13 @@ def test_every_command_and_subcommand_is_typed():
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory) -> dict[str, str]:
+def environment(wheel, tmp_path_factory) -> dict[str, str]:
     """Variables of a new user with the wheel installed: nothing of the tests but their libraries."""
     place = tmp_path_factory.mktemp("clean")
     venv, home = place / "venv", place / "home"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True)
     pip = [sys.executable, "-m", "pip", "--python", venv / "bin" / "python", "install", "--quiet", "--no-index"]
-    subprocess.run([*pip, "--no-deps", built_wheel(place)], check=True)
+    subprocess.run([*pip, "--no-deps", wheel], check=True)
     # the libraries come after the wheel; an editable installation there is a .pth file, which is not read from here
     site = venv / "lib" / PYTHON / "site-packages"
     (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")

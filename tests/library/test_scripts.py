@@ -20,9 +20,7 @@ UNDECLARED = ROOT / "configs" / "axis_undeclared.yaml"  # cogging that its model
 
 
 def said_by(script: str, *arguments: object) -> str:
-    # the cache of the tests names types of the tests, which a program cannot load
-    cache = Path(sys.prefix) / "numba-manual"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(cache)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, SCRIPTS / script, *map(str, arguments)], capture_output=True, text=True, env=environment
     )

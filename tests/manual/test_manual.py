@@ -53,17 +53,14 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    """In a process of its own: pytest makes the warnings of Sphinx' own modules errors."""
-    out = tmp_path_factory.mktemp("manual") / "pages"
-    command = [sys.executable, "-m", "fffo_drive", "manual", "--build", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ, PYTHONPATH=str(ROOT)))
-    assert done.returncode == 0, done.stderr
-    return out
+def built(site):
+    """The pages that the wheel brings."""
+    return site / "fffo_drive" / "manual" / "built"
 
 
 @pytest.fixture(scope="module")
 def pages(built):
+    assert (built / "index.html").is_file()
     return {path: Links(path.read_text(encoding="utf-8")) for path in sorted(built.rglob("*.html"))}
 
 
@@ -130,8 +127,6 @@ def run_page(page: Path, directory: Path, with_long: bool) -> list[str]:
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
     environment = dict(os.environ, PATH=f"{program.parent}:{os.environ['PATH']}", PYTHONPATH=str(ROOT), COLUMNS="80")
-    # the cache of the tests names types of the tests, which the program cannot load
-    environment["NUMBA_CACHE_DIR"] = str(Path(sys.prefix) / "numba-manual")
     wrong = []
     for block in blocks_of(page):
         if "run" not in block.marks or ("long" in block.marks and not with_long):

@@ -8,11 +8,9 @@ interval over the passes.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import time
@@ -24,30 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-
-def _use_own_cache() -> None:
-    """A cache of compiled code for these benchmarks alone, named after their sources; that of older ones is deleted.
-
-    The index of a kernel's cache names every type that it was compiled for. The ports of the benchmarks are such types:
-    in the user's cache they would make it unreadable for the program itself.
-    """
-    if "fffo_drive" in sys.modules:
-        raise ImportError("import common before anything of fffo_drive: it chooses where compiled code is kept")
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).resolve().parent.glob("*.py")):
-        source = path.read_bytes()
-        digest.update(source if b"njit" in source else b"")
-    caches = Path(sys.prefix) / "numba-benchmarks"
-    chosen = caches / digest.hexdigest()[:16]
-    for old in caches.glob("*"):
-        if old != chosen:
-            shutil.rmtree(old, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
-
-
-_use_own_cache()
-
-from fffo_drive.cli.progress import progress_bar  # noqa: E402  after the choice of the cache
+from fffo_drive.cli.progress import progress_bar
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).resolve().parent / "results"

@@ -83,9 +83,9 @@ def with_reference(scenario: Scenario, slope: float, duration_s: float | None) -
     return scenario._replace(file=scenario.file.model_copy(update={"reference": reference}))
 
 
-def ground_of(scenario: Scenario, kind: str) -> Ground:
+def ground_of(scenario: Scenario, kind: str, record_s: float | None) -> Ground:
     """The nominal plant of a kind, and all models fitted to a run on it that follows the reference."""
-    case = case_of(with_reference(scenario, 0.0, None), FIT_SEED)
+    case = case_of(with_reference(scenario, 0.0, record_s), FIT_SEED)
     plant = replace(case.plant, friction=replace(case.plant.friction, kind=kind))
     follower = next(one for one in case.candidates if one.name == PLUS)
     ran = run_law(plant, case.device, PeerLaw(PLUS, follower.controller, follower.toggle), case.profile)
@@ -256,7 +256,7 @@ def compare(sizes: Sizes, shown: bool) -> tuple[list[str], dict[str, object]]:
     case = case_of(scenario, FIT_SEED)
     plus = next(one.controller for one in case.candidates if one.name == PLUS)
     design = design_for(plus, case.plant)
-    grounds = {kind: ground_of(scenario, kind) for kind in KINDS}
+    grounds = {kind: ground_of(scenario, kind, sizes.record_s) for kind in KINDS}
     lines = ["## Gains", "", *design_table(design), "## Models", "", *fit_table(grounds)]
     facts: dict[str, object] = {
         "margins": {name: list(getattr(design, name).margins[:2]) for name in ("disturbance", "extended_state")},

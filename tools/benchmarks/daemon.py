@@ -84,7 +84,6 @@ class Daemon:
         with open_link(self._bus) as witness:
             begin_s = time.monotonic()
             environment = {**os.environ, "STATE_DIRECTORY": str(self._directory)}
-            environment.pop("NUMBA_CACHE_DIR", None)  # the program's own cache, as a user has it
             self._log = (self._directory / "log").open("a")
             self.process = subprocess.Popen(
                 ["nice", "-n", str(nice_of_unit()), *self._command], stderr=self._log, env=environment

@@ -13,7 +13,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-import common as common  # before anything of fffo_drive: it chooses where compiled code is kept
 import numpy as np
 
 from fffo_drive.identification.dataset import Record

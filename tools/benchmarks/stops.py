@@ -358,8 +358,7 @@ class Unconnected(Daemon):
         import subprocess
 
         self._log = (self._directory / "log").open("a")
-        inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-        environment = {**inherited, "STATE_DIRECTORY": str(self._directory), **self._more}
+        environment = {**os.environ, "STATE_DIRECTORY": str(self._directory), **self._more}
         command = ["nice", "-n", str(nice_of_unit()), *self._command]
         self.process = subprocess.Popen(command, stderr=self._log, env=environment)
         deadline_s = time.monotonic() + PATIENCE_S

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import html
 import io
-import os
 import subprocess
 import sys
 import tempfile
@@ -103,8 +102,7 @@ def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> No
 def bench_frames(browser: Browser, directory: str) -> list[tuple[Image.Image, float]]:
     """The bench as a terminal shows it, line by line: pictures and the seconds that each stands."""
     command = [*BENCH, "--out", directory]
-    own = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}  # that is the benchmarks'
-    done = subprocess.run(command, cwd=ROOT, env=own, check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
     page = browser.new_page(viewport=dict(zip(("width", "height"), RECORDING_SIZE, strict=True)))
     lines = [f"$ {' '.join(BENCH)}", *(done.stdout.replace(directory, "runs").rstrip().splitlines())]
     frames = []
