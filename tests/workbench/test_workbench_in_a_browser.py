@@ -23,6 +23,15 @@ COMPILING_S = 600.0  # the first start of a loop, or a diagnosis, on a busy mach
 SCREEN = {"width": 1280, "height": 800}
 NARROW = {"width": 420, "height": 900}
 SERIOUS = ("serious", "critical")
+POLL_S = 0.02
+# what a page shows when something has not come about: the axis, what the page says, the job
+TOLD = """(() => {
+  const text = (id) => document.getElementById(id).textContent;
+  const places = ["connection", "axis-said", "axis-link", "axis-fault", "axis-obstacles", "said", "ask-text"];
+  return JSON.stringify({ axis: fffoAxis.status, jogging: Boolean(fffoAxis.jogging),
+    says: Object.fromEntries(places.filter(text).map((id) => [id, text(id)])),
+    job: fffoWorkbench.state && fffoWorkbench.state.jobs[0] }, null, 1);
+})()"""
 
 
 class Shown:
@@ -43,8 +52,8 @@ class Shown:
         """Wait until it is so: the page's own policy forbids what playwright would do for this."""
         deadline_s = time.monotonic() + patience_s
         while not (value := self.page.evaluate(expression)):
-            assert time.monotonic() < deadline_s, f"never: {expression}; {self.job}"
-            time.sleep(0.1)
+            assert time.monotonic() < deadline_s, f"never: {expression}; {self.page.evaluate(TOLD)}"
+            time.sleep(POLL_S)
         return value
 
     def is_found_by_a_screen_reader_and_fits_a_narrow_screen(self):
