@@ -23,6 +23,11 @@ INKED = """([title, colour]) => {
 }"""
 
 
+# what the page shows when something has not come about
+TOLD = """["state", "fault", "said", "connection", "rights", "facts"].map((id) =>
+  `${id}: ${document.getElementById(id).textContent}`).join("; ")"""
+
+
 class Page:
     """A page that is looked at, and everything that it complained of or asked for."""
 
@@ -52,9 +57,14 @@ class Page:
         """Wait until it is so. The page's own policy forbids what playwright would do for this."""
         deadline_s = time.monotonic() + PATIENCE_S
         while not (value := self.js(expression)):
-            assert time.monotonic() < deadline_s, f"never: {expression}; it says: {self.said}; {self.troubles}"
-            time.sleep(0.05)
+            assert time.monotonic() < deadline_s, f"never: {expression}; {self.js(TOLD)}; {self.troubles}"
+            time.sleep(0.02)
         return value
+
+    def settled(self, element):
+        """Where an element is, once it stands still and nothing covers it: for the mouse."""
+        element.hover(trial=True)
+        return element.bounding_box()
 
     def until_state(self, state):
         self.until(f"document.body.dataset.state === '{state}'")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
+import yaml
 from fleet.fleet_rig import facts_file, write_run  # noqa: F401
 from fleet.test_fleet_command import DRIVES, OUTSIDE, RUNS, fleet  # noqa: F401
-from workbench.test_workbench_in_a_browser import Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import CONFIGS, Shown, cache_of_a_user  # noqa: F401
 
 from fffo_drive.workbench.bench import Workbench
 
@@ -99,8 +101,45 @@ def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, 
 def test_a_place_without_a_store_is_told_and_adding_makes_one(facts_file, chromium, tmp_path):  # noqa: F811
     shown = FleetPage(chromium, tmp_path, tmp_path / "new store", facts_file)
     shown.until("document.querySelector('#fleet-error').textContent.includes('no store here')")
+    assert shown.page.text_content("#next") == "Next: tick runs on the first tab, and add them"
     assert shown.page.is_disabled("#fleet-work")
     assert shown.page.is_disabled("#fleet-report")
     shown.do("#fleet-add")
     shown.until("fffoFleet.state.runs === 1 && !document.querySelector('#fleet-work').disabled")
+    assert shown.page.text_content("#next") == "Next: make the records"
     shown.close()
+
+
+@pytest.mark.parametrize(
+    ("store", "told"),
+    [
+        (None, "Next: name a store, with --fleet STORE or as daemon.fleet in the axis file"),
+        ("new store", "Next: add runs, from the first tab or a folder: fffo-drive fleet add STORE --from FOLDER"),
+    ],
+)
+def test_without_store_or_runs_the_tab_says_what_helps_there(store, told, chromium, tmp_path):
+    place = None if store is None else str(tmp_path / store)
+    shown = Shown(chromium, Workbench(tmp_path / "out", None, None, (), None, place))
+    assert shown.page.text_content("#next") == "Next: record a run, or add a file"
+    shown.page.click("#tab-fleet")
+    shown.until("fffoFleet.state")
+    assert shown.page.text_content("#next") == told
+    shown.page.click("#tab-work")
+    assert shown.page.text_content("#next") == "Next: record a run, or add a file"
+    shown.close()
+
+
+def test_the_store_of_the_served_axis_is_chosen_unless_another_is_given(fleet, chromium, tmp_path):  # noqa: F811
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    axis = tmp_path / "configs" / "axis_canopen.yaml"
+    content = yaml.safe_load(axis.read_text())
+    content["daemon"]["fleet"] = str(fleet)
+    axis.write_text(yaml.safe_dump(content))
+    for given, store in ((None, fleet), (str(tmp_path / "other"), tmp_path / "other")):
+        shown = Shown(chromium, Workbench(tmp_path / "out", axis, None, (), None, given))
+        shown.page.click("#tab-fleet")
+        shown.until("fffoFleet.state")
+        assert shown.page.text_content("#fleet-store") == str(store)
+        assert not shown.page.is_visible("#no-fleet")
+        assert shown.page.locator("#fleet-drives tbody tr").count() == (DRIVES if store == fleet else 0)
+        shown.close()

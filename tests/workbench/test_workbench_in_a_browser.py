@@ -112,9 +112,19 @@ class Shown:
             self.page.keyboard.press("Space")
             assert box.is_checked() == on
 
-    def close(self):
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_):
         self.context.close()
-        self.server.close()
+        self.server.close()  # ends what was started
+        if kind is None:
+            self._asked_nobody_else()
+
+    def close(self):
+        self.__exit__(None)
+
+    def _asked_nobody_else(self):
         assert self.troubles == []
         own = self.server.url("look").rsplit("/", 2)[0]
         assert all(url.startswith((own, "data:")) for url in self.asked), self.asked
