@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-
+from browser import waited_for
 from daemon.rig import PATIENCE_S
 
 LAPTOP = (1366, 768)
@@ -54,11 +53,9 @@ class Page:
         return self.tab.evaluate(expression)
 
     def until(self, expression):
-        """Wait until it is so. The page's own policy forbids what playwright would do for this."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not (value := self.js(expression)):
-            assert time.monotonic() < deadline_s, f"never: {expression}; {self.js(TOLD)}; {self.troubles}"
-            time.sleep(0.02)
+        """Wait until it is so."""
+        value = waited_for(self.tab, expression, PATIENCE_S)
+        assert value, f"never: {expression}; {self.js(TOLD)}; {self.troubles}"
         return value
 
     def settled(self, element):

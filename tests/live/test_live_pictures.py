@@ -281,7 +281,7 @@ def test_a_spectrum_over_frequency_has_the_amplitude_of_the_sine(served, page):
 
 def test_a_spectrum_over_order_and_its_peaks_with_keys_alone(served, page):
     run(served, TURNING)
-    page.see(8.0)
+    page.see(3.0)
     page.js("document.activeElement.blur()")
     page.tab.keyboard.press("s")
     page.reach("error_rps")  # of
@@ -366,7 +366,7 @@ def test_the_phase_of_the_feedback_after_the_reference(served, page):
 
 def test_the_phase_with_keys_alone(served, page):
     served.run()
-    page.see(9.0)
+    page.see(4.0)
     page.tab.keyboard.press("p")
     page.until("fffoScope.analyses.phase && fffoScope.analyses.phase.found")
     page.tab.keyboard.press("Space")

@@ -58,14 +58,14 @@ def test_a_run_is_drawn_and_nobody_else_is_asked(served, page):
 
 
 def test_the_toggle_changes_the_error_visibly(served, page):
-    page.tab.select_option("#seconds", "5")
+    page.tab.select_option("#seconds", "2")  # one period
     served.run()
     page.until_state("running")
-    page.see(7.0)
+    page.see(4.0)
     with_friction_rps = float(page.tab.text_content("#rms"))
     page.tab.click("label:has(input[value=off])")
     page.until("document.querySelector('#facts').textContent.includes('friction off')")
-    page.see(7.0)
+    page.see(3.0)
     without_rps = float(page.tab.text_content("#rms"))
     assert without_rps > 1.3 * with_friction_rps
 

@@ -42,7 +42,7 @@ def shown(fleet, facts_file, chromium, tmp_path):  # noqa: F811
     shown.close()
 
 
-def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone(shown):
+def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_by_a_screen_reader(shown):
     told = shown.page.evaluate("fffoFleet.state")
     assert (told["runs"], told["waiting"], told["drives"]) == (DRIVES * RUNS, 0, DRIVES)
     assert shown.page.locator("#fleet-drives tbody tr").count() == DRIVES
@@ -67,6 +67,7 @@ def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone(show
     histories = {figure["title"].split(":")[0] for figure in report["figures"] if figure["name"].startswith("history")}
     assert histories == {f"SN{OUTSIDE}"}
     assert report["results"]["moved"]  # the watch went over each model
+    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
     shown.page.click("#tab-work")  # a fleet's report is no step of this axis
     assert shown.page.locator("#pages tbody tr").count() == 0
     assert shown.page.is_visible("#job-title")
@@ -82,12 +83,6 @@ def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_
     shown.page.fill("#fleet-rate", "0")
     shown.page.click("#fleet-report")
     shown.until("document.querySelector('#said').textContent.includes('above 0')")
-
-
-def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
-    shown.do("#fleet-report")
-    shown.page.frame_locator("#fleet-viewer").locator("figure canvas").first.wait_for()
-    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
 
 
 def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, chromium, tmp_path):  # noqa: F811

@@ -2,7 +2,7 @@
 // Commissioning as it goes: each check with its verdict, its number in the range that is ok, and the motion before it.
 (() => {
   const bench = window.fffoWorkbench, $ = bench.$;
-  const shown = { job: 0, list: [], asked: 0, seen: false, question: "" };
+  const shown = { job: 0, list: [], asked: 0, seen: false, question: "", waits: false };
   const COLUMNS = [["velocity_rps", "velocity, rps", "blue"], ["command_a", "current, A", "orange"]];
   window.fffoChecks = shown; // for tests
 
@@ -38,10 +38,12 @@
   async function ask(job, state) {
     const q = job.question, key = q ? `${job.number} ${q.number}` : "";
     if (key === shown.question || !state.may.includes("commission")) return;
-    if (shown.question) bench.unask();
+    if (shown.waits) bench.unask();
     shown.question = key;
     if (!q) return;
+    shown.waits = true;
     const answer = await bench.question(`The axis ${state.axis.name} will move for ${names(q.checks)}: ${q.text}. Is everybody out of its reach, and the emergency stop at hand?`, "Move it", "Do not", "Move it, and the rest without asking");
+    if (shown.question === key) shown.waits = false;
     if (answer !== null) bench.tell(() => bench.ask("answer", { question: q.number, answer: answer === "all" ? "all" : answer ? "yes" : "no" }));
   }
 

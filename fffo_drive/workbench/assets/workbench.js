@@ -247,6 +247,7 @@
       panel.hidden = !on;
       if (on && place) place.prepend($("job")); // one job runs at a time, seen where it is asked for
     }
+    if (state) advise(); // of what the tab knows already
     look();
   }
   for (const tab of tabs) {
