@@ -26,7 +26,8 @@
     $("unserve").hidden = !served;
     $("unserve").disabled = !state.may_cancel;
     const simulates = drive && drive.state === "running";
-    $("simulated").hidden = !state.axis || !state.axis.simulated;
+    const answers = axis.status && axis.status.state !== "offline"; // one that was started elsewhere
+    $("simulated").hidden = !state.axis || !state.axis.simulated || (!simulates && Boolean(daemon && answers));
     $("simulate").hidden = simulates;
     $("simulate").disabled = !state.may.includes("simulate");
     $("unsimulate").hidden = !simulates;
