@@ -135,7 +135,7 @@ def commission(
     """
     rig = Rig(drive, session, bounds.time_s, tell)
     procedure = _Procedure(rig, beliefs_of(model), facts, bounds, tell, seen, may_move)
-    reason = ""
+    reason, declined = "", None
     try:
         procedure.listen(session.envelope)
         envelope = bounded_envelope(session.envelope, bounds, procedure.rest_rev)
@@ -145,6 +145,8 @@ def commission(
         reason = str(surprise)
     except TimeBoundError:
         reason = f"the axis has moved for {bounds.time_s:g} s, which is the limit"
+    except NotAgreedError as error:
+        reason, declined = "its motion was not agreed to", error
     identity = procedure.rig.identity
     if identity is None:
         raise DriveError("the drive was not connected")
@@ -153,6 +155,8 @@ def commission(
     for check in checks:
         if check.name not in found:
             seen(check, None)
+    if declined is not None:
+        raise declined
     return CommissioningOutcome(identity, checks)
 
 

@@ -207,14 +207,14 @@ def test_each_motion_is_asked_for_with_how_far_and_how_fast(tmp_path):
 @pytest.mark.parametrize("refused", MOTIONS)
 def test_what_nobody_agrees_to_is_not_made_and_no_record_is_written(tmp_path, refused):
     plan = commissioning_plan(CONFIGS / "axis_simulated.yaml")
-    seen: list[str] = []
+    seen: dict[str, str] = {}
     out = tmp_path / "record.yaml"
     with pytest.raises(NotAgreedError, match=f"not agreed to: .*{refused}.*no record was written") as error:
         commission_axis(
-            plan, bounds_of(plan), out, seen=lambda check, _: seen.append(check.name),
+            plan, bounds_of(plan), out, seen=lambda check, _: seen.update({check.name: check.verdict}),
             may_move=lambda motion: refused not in motion.checks,
         )  # fmt: skip
     assert ("nothing was moved" in str(error.value)) == (refused == "motion")
-    assert refused not in seen
-    assert seen[0] == "standstill"
+    assert set(seen) == set(CHECKS)
+    assert (seen["standstill"], seen[refused], seen["quick_stop"]) == ("ok", "not_done", "not_done")
     assert not out.exists()
