@@ -303,7 +303,7 @@ def test_a_mistake_on_the_command_line_is_named(words, text, tmp_path, monkeypat
 def test_what_was_started_ends_with_the_workbench(number, tmp_path, monkeypatch):
     before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     closed = []
-    monkeypatch.setattr(Workbench, "close", closed.append)
+    monkeypatch.setattr(Workbench, "close", lambda self: closed.append(self))
     monkeypatch.setattr(WorkbenchServer, "wait", lambda _: signal.raise_signal(number))
     try:
         assert main(["workbench", "--no-browser", "--out", str(tmp_path)]) == 0
