@@ -1,9 +1,9 @@
 """Check signs, scales, delay and limits of an axis before any loop is closed, and write a record of it.
 
-The axis moves: small current pulses of both signs grow until it turns a little. The program asks first, unless you give
---yes. Current, speed, travel and time are limited, and it stops at the first unexpected result. `fffo-drive run`
-enables a drive on a bus only with a record that has passed, for this drive and these declared facts, and that the axis
-file names under `commissioning:`. The program asks before it writes that line;
+The axis moves: small current pulses of both signs grow until it turns a little. The program asks before each motion;
+answer `all` to be asked no more, or give --yes. Current, speed, travel and time are limited, and it stops at the first
+unexpected result. `fffo-drive run` enables a drive on a bus only with a record that has passed, for this drive and
+these declared facts, and that the axis file names under `commissioning:`. The program asks before it writes that line;
 --accept writes it later, without motion.
 """
 
@@ -21,13 +21,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..commissioning.motion import PulseMotion
+from ..commissioning.procedure import NextMotion, NotAgreedError
 from ..commissioning.record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, CommissioningRecord
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
 from ..workflows.commission import accept_record, bounds_of, commission_axis, commissioning_plan, record_path
 from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan
-from ..workflows.progress import CHECK_MARK, LINES_ENVIRONMENT
+from ..workflows.progress import CHECK_MARK, LINES_ENVIRONMENT, QUESTION_MARK
 from .exits import UnconfirmedError
 
 PICTURE_POINTS = 300  # of a motion, for a page
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="record to write (default: the file's commissioning, else NAME.commissioning.yaml)",
     )
-    parser.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
+    parser.add_argument("--yes", action="store_true", help="do not ask before each motion")
     parser.add_argument("--accept", action="store_true", help="name the record that has passed in AXIS, move nothing")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
     bounds = parser.add_argument_group(
@@ -72,12 +73,15 @@ def execute(options: argparse.Namespace) -> int:
         "here; Ctrl-C stops it",
         soft_wrap=True, highlight=False,
     )  # fmt: skip
-    if not _may_move(plan, options):
-        console.print("nothing was moved")
-        return 0
-    record = commission_axis(
-        plan, bounds, out, options.bus, lambda text: console.print(f"  {text}", soft_wrap=True, highlight=False), _seen
-    )
+    may_move = Asking(plan, options)
+
+    def tell(text: str) -> None:
+        console.print(f"  {text}", soft_wrap=True, highlight=False)
+
+    try:
+        record = commission_axis(plan, bounds, out, options.bus, tell, _seen, may_move)
+    except NotAgreedError as error:
+        raise UnconfirmedError(str(error)) from None
     if options.json:
         print(json.dumps(record.model_dump(mode="json"), indent=2))
     else:
@@ -114,15 +118,31 @@ def _seen(check: CheckRecord, motion: PulseMotion | None) -> None:
     print(CHECK_MARK + json.dumps(content), file=sys.stderr, flush=True)
 
 
-def _may_move(plan: Plan, options: argparse.Namespace) -> bool:
-    """Whether somebody says so. A drive in process moves nothing. Raises UnconfirmedError where nobody can be asked."""
-    if options.yes or not isinstance(plan.axis.drive, CanopenDriveSection):
-        return True
-    if options.json or not sys.stdin.isatty():
-        raise UnconfirmedError(
-            "commission moves the axis and there is no terminal to ask at: make sure that it may move, and give --yes"
-        )
-    return _agreed("may it move?")
+class Asking:
+    """Whether the next motion may be made: asked at the terminal, or of the program that started this one."""
+
+    def __init__(self, plan: Plan, options: argparse.Namespace) -> None:
+        """A drive in process moves nothing. Raises UnconfirmedError where nobody can be asked."""
+        self._all = options.yes or not isinstance(plan.axis.drive, CanopenDriveSection)
+        self._program = bool(os.environ.get(LINES_ENVIRONMENT))
+        if not self._all and not self._program and (options.json or not sys.stdin.isatty()):
+            raise UnconfirmedError(
+                "commission moves the axis and there is no terminal to ask at: make sure that it may move, and give "
+                "--yes"
+            )
+
+    def __call__(self, motion: NextMotion) -> bool:
+        """Ask, unless the rest may be made without."""
+        if self._all:
+            return True
+        if self._program:
+            print(QUESTION_MARK + json.dumps(motion._asdict()), file=sys.stderr, flush=True)
+            answer = sys.stdin.readline()
+        else:
+            answer = input(f"{', '.join(motion.checks)}: {motion.text}. May it move? [y/N/all] ")
+        answer = answer.strip().lower()
+        self._all = answer in ("a", "all")
+        return self._all or answer in ("y", "yes")
 
 
 def verdict_line(record: CommissioningRecord) -> str:

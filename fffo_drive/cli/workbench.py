@@ -10,12 +10,14 @@ You can give others an address with fewer rights: `look` shows everything, `stop
 records, adds files, identifies, diagnoses and compares, `tune` also changes gains and models. workbench.log records who
 did what.
 
-Ctrl-C ends it; a run in progress brakes to standstill first. Not a safety function: keep the emergency stop at hand.
+Ctrl-C ends it, with what it has started; a run in progress brakes to standstill first. Not a safety function: keep the
+emergency stop at hand.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import webbrowser
 from pathlib import Path
 
@@ -69,6 +71,8 @@ def execute(options: argparse.Namespace) -> int:
         server = WorkbenchServer(bench, options.port)
     except (OSError, OverflowError) as error:
         raise DocumentError(f"--port {options.port}: {error}; give another one, or leave it out") from None
+    for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what was started here does not outlive it
+        signal.signal(number, signal.default_int_handler)
     server.start()
     try:
         for role in reversed(ROLES):

@@ -1,7 +1,8 @@
 """The procedure of commissioning: listen, probe until the axis moves a little, measure, then provoke each limit.
 
 Pulses do not grow after the first unexpected result: a trip, a wrong sign, a velocity that is not the derivative of the
-position. The remaining checks are marked as not done, and the axis has not passed.
+position. The remaining checks are marked as not done, and the axis has not passed. Before each motion somebody may be
+asked whether it may be made (`NextMotion`).
 """
 
 from __future__ import annotations
@@ -69,6 +70,25 @@ SILENCE = (TRIP_FEEDBACK_MISSING, TRIP_STATUS_MISSING, TRIP_HEARTBEAT)
 Seen = Callable[[CheckRecord, PulseMotion | None], None]  # a check, and the last motion before it
 
 
+class NextMotion(NamedTuple):
+    """A motion that is about to be made, for the question whether it may be."""
+
+    checks: tuple[str, ...]  # names of the checks that it serves
+    text: str  # what is done, how fast and how far the axis moves by it
+
+
+MayMove = Callable[[NextMotion], bool]
+
+
+class NotAgreedError(Exception):
+    """Somebody was asked whether the axis may make a motion, and did not agree."""
+
+    def __init__(self, motion: NextMotion, has_moved: bool) -> None:
+        """`has_moved`: motions before it were made."""
+        before = "it is at rest, without torque" if has_moved else "nothing was moved"
+        super().__init__(f"not agreed to: {', '.join(motion.checks)}; {before}, and no record was written")
+
+
 class CommissioningOutcome(NamedTuple):
     """Result of commissioning, with the drive."""
 
@@ -91,6 +111,13 @@ class _Probe(NamedTuple):
     moves: list[PulseResponse]
 
 
+def _like(probe: _Probe) -> str:
+    """The pulse that has moved the axis, with how fast and how far it did."""
+    speed_rps = max(abs(move.speed_rps) for move in probe.moves)
+    travel_rev = max(abs(move.travel_rev) for move in probe.moves)
+    return f"of {probe.amplitude_a:.3g} A, about {speed_rps:.2g} rps and {travel_rev:.2g} rev"
+
+
 def _unexplained_text(share: float) -> str:
     return f"a single rigid inertia leaves {100.0 * share:.0f} % of the velocity variance unexplained"
 
@@ -98,14 +125,17 @@ def _unexplained_text(share: float) -> str:
 def commission(
     drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
     tell: Callable[[str], None] = lambda text: None, seen: Seen = lambda check, motion: None,
+    may_move: MayMove = lambda motion: True,
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
-    `tell` gets a line for each step, `seen` each check as it comes. Raises DriveError if the drive cannot be brought
-    up, BoundsError if there is no room, RealtimeRefusedError.
+    `tell` gets a line for each step, `seen` each check as it comes, `may_move` each motion before it is made, with the
+    axis without torque. Raises DriveError if the drive cannot be brought up, BoundsError if there is no room,
+    NotAgreedError, RealtimeRefusedError.
     """
-    procedure = _Procedure(Rig(drive, session, bounds.time_s, tell), beliefs_of(model), facts, bounds, tell, seen)
-    reason = ""
+    rig = Rig(drive, session, bounds.time_s, tell)
+    procedure = _Procedure(rig, beliefs_of(model), facts, bounds, tell, seen, may_move)
+    reason, declined = "", None
     try:
         procedure.listen(session.envelope)
         envelope = bounded_envelope(session.envelope, bounds, procedure.rest_rev)
@@ -115,6 +145,8 @@ def commission(
         reason = str(surprise)
     except TimeBoundError:
         reason = f"the axis has moved for {bounds.time_s:g} s, which is the limit"
+    except NotAgreedError as error:
+        reason, declined = "its motion was not agreed to", error
     identity = procedure.rig.identity
     if identity is None:
         raise DriveError("the drive was not connected")
@@ -123,6 +155,8 @@ def commission(
     for check in checks:
         if check.name not in found:
             seen(check, None)
+    if declined is not None:
+        raise declined
     return CommissioningOutcome(identity, checks)
 
 
@@ -130,9 +164,12 @@ class _Procedure:
     """State of one commissioning."""
 
     def __init__(
-        self, rig: Rig, beliefs: Beliefs, facts: DeclaredFacts, bounds: Bounds, tell: Callable[[str], None], seen: Seen
-    ) -> None:
+        self, rig: Rig, beliefs: Beliefs, facts: DeclaredFacts, bounds: Bounds, tell: Callable[[str], None], seen: Seen,
+        may_move: MayMove,
+    ) -> None:  # fmt: skip
         self.rig, self.beliefs, self.facts, self.bounds, self.tell = rig, beliefs, facts, bounds, tell
+        self._may_move = may_move
+        self._has_moved = False
         self.found: dict[str, CheckRecord] = {}
         self.seen = seen
         self.plate = NamePlate()
@@ -153,6 +190,13 @@ class _Procedure:
             if check is not None and check.verdict == FAILED:
                 raise _SurpriseError(f"{name} failed")
 
+    def ask(self, text: str, *checks: str) -> None:
+        """Raises NotAgreedError where nobody agrees to the motion of these checks."""
+        motion = NextMotion(checks, text)
+        if not self._may_move(motion):
+            raise NotAgreedError(motion, self._has_moved)
+        self._has_moved = True
+
     # -- without torque --------------------------------------------------------------------------------------------
 
     def listen(self, envelope: EnvelopeConfig) -> None:
@@ -170,8 +214,20 @@ class _Procedure:
 
     def move(self, envelope: EnvelopeConfig) -> _Probe:
         """Grow pulses until the axis moves well, then measure with them."""
+        bounds = self.bounds
+        self.ask(
+            f"pulses both ways that grow until the axis turns, at most {bounds.current_a:.3g} A, "
+            f"{bounds.speed_rps:.3g} rps and {bounds.travel_rev:.3g} rev from here",
+            "motion", "torque_sign", "velocity_sign", "position_sign",
+        )  # fmt: skip
         with self.rig.under(envelope) as runner:
             probe = self._grow(runner)
+            self.ask(
+                f"up to {2 * MEASURING_PAIRS} pulses {_like(probe)}, then {HOLD_SHARE * probe.stood_a:.3g} A, under "
+                "which it stays where it is",
+                "counts_per_rev", "velocity_scale", "velocity_update", "velocity_age", "current_scale",
+                "torque_per_inertia", "delay", "static_friction",
+            )  # fmt: skip
             self.tell(f"measuring with {probe.amplitude_a:.3g} A")
             rest_s = max(pulses.SHORTEST_REST_S, REST_FACTOR * max(coasting_s(motion) for motion in probe.motions))
             pairs = int(LONGEST_MEASURING_S / (2.0 * (probe.length_s + rest_s)))
@@ -373,6 +429,11 @@ class _Procedure:
         """Provoke each limit with a session of its own, then judge how the drive braked."""
         period_s = self.rig.period_s
         limit_a, asked_a = CLAMP_SHARE * probe.breakaway_a, CLAMP_ASK * probe.breakaway_a
+        self.ask(
+            f"a pulse of {asked_a:.3g} A, cut to {limit_a:.3g} A, under which the axis stays where it is; if the cut "
+            f"fails, at most {self.bounds.speed_rps:.3g} rps and {self.bounds.travel_rev:.3g} rev",
+            "current_limit",
+        )
         self.tell(f"current limit of {limit_a:.3g} A")
         clamped = envelope._replace(
             current_limit_a=limit_a, continuous_current_a=min(envelope.continuous_current_a, limit_a)
@@ -383,6 +444,7 @@ class _Procedure:
         self.stop_if_failed("current_limit")
 
         speed_rps = TRIP_SHARE * min(move.speed_rps for move in probe.moves)
+        self.ask(f"a pulse {_like(probe)}, braked beyond {speed_rps:.3g} rps", "speed_limit")
         self.tell(f"speed limit of {speed_rps:.3g} rps")
         pulse = pulses.single_pulse(probe.amplitude_a, probe.length_s, period_s)
         with self.rig.under(envelope._replace(speed_limit_rps=speed_rps)) as runner:
@@ -393,6 +455,7 @@ class _Procedure:
         self.stop_if_failed("speed_limit")
 
         room_rev = TRIP_SHARE * TRIP_SHARE * min(move.travel_rev for move in probe.moves)
+        self.ask(f"a pulse {_like(probe)}, braked beyond {room_rev:.3g} rev from here", "position_window", "quick_stop")
         self.tell(f"position window of +-{room_rev:.3g} rev")
         rest_rev = self.rest_rev
         window = envelope._replace(position_low_rev=rest_rev - room_rev, position_high_rev=rest_rev + room_rev)

@@ -17,6 +17,7 @@ from ..roles import Role
 from ..workflows.circle import identification_profile, recipe_profile
 from ..workflows.plan import make_plan
 from . import shelf
+from .simulated_axis import simulator_words
 
 MOTIONS = ("profile", "identify", "recipe")
 
@@ -75,10 +76,11 @@ class PageAction(NamedTuple):
 
     role: Role
     make: Make
-    moves: bool = False  # the page asks before it, and it opens the bus itself
+    moves: bool = False  # the page asks before it, unless it asks itself, and it opens the bus itself
+    asks: bool = False  # it asks before each motion
     by_daemon: bool = False  # where a daemon has the axis, it is asked instead
     computes: bool = False  # only: it gives way to a loop on this machine
-    beside: bool = False  # runs beside the other jobs, until it is cancelled
+    beside: bool = False  # a service: runs beside the other jobs, until it is cancelled
 
 
 def _record(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -110,11 +112,15 @@ def _serve(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     return CommandLine("serve", ("serve", str(axis), *live))
 
 
+def _simulate(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return CommandLine("simulated drive", simulator_words(bench.required_axis(), bench.directory))
+
+
 def _commission(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
     axis = bench.required_axis()
     if not isinstance(read_axis(axis).drive, CanopenDriveSection):
         raise DocumentError(f"{axis}: a simulated drive in process needs no commissioning record: record a run")
-    return CommandLine("commission", ("commission", str(axis), "--yes"))
+    return CommandLine("commission", ("commission", str(axis)))
 
 
 def _accept(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
@@ -196,10 +202,11 @@ def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
 
 
 ACTIONS: dict[str, PageAction] = {
-    "commission": PageAction("move", _commission, moves=True),
+    "commission": PageAction("move", _commission, moves=True, asks=True),
     "accept": PageAction("move", _accept),
     "record": PageAction("move", _record, moves=True, by_daemon=True),
     "serve": PageAction("move", _serve, beside=True),
+    "simulate": PageAction("move", _simulate, beside=True),
     "circle": PageAction("tune", _circle, moves=True),
     "identify": PageAction("move", _identify, computes=True),
     "diagnose": PageAction("move", _diagnose, computes=True),

@@ -24,6 +24,7 @@ from .actions import ACTIONS, Bench, known_axis
 from .fleet_tab import fleet_state, store_of
 from .jobs import Job, Jobs
 from .served_axis import CALLS, ServedAxis, scope_address
+from .simulated_axis import simulated_on
 
 AUDIT_NAME = "workbench.log"
 REFUSED = "your key does not allow it: {needed} is needed, this page has {role}"
@@ -46,7 +47,8 @@ class Workbench:
         """
         self.directory, self._sockets, self._fleet = directory, sockets, fleet
         self.served = ServedAxis()
-        self.services = Jobs()  # a daemon that was started here
+        # started here, beside the jobs; ended in this order: the daemon stops the axis first
+        self.services = {name: Jobs() for name, action in ACTIONS.items() if action.beside}
         self._first = axis
         self._axis = axis
         self._facts, self._given = facts, given
@@ -69,13 +71,13 @@ class Workbench:
                 "sockets": as_typed(str(daemon[0])),
                 "scope": scope_address(daemon[0], asker),
             },
-            "services": [job.as_object() for job in self.services.all()[:1]],
+            "services": {name: job.as_object() for name, jobs in self.services.items() for job in jobs.all()[:1]},
             "asks": self.served.methods_of(role),
             "may_try": may(role, "tune"),
             "may_serve": may(role, "move"),
             "trials": [trial.as_object(curves=False) for trial in self.served.trials],
             "may": [name for name, action in ACTIONS.items() if may(role, action.role)],
-            "moves": [name for name, action in ACTIONS.items() if action.moves],
+            "moves": [name for name, action in ACTIONS.items() if action.moves and not action.asks],
             "may_cancel": may(role, "stop"),
             "directory": as_typed(str(self.directory)),
             "axis": self._axis_facts(),
@@ -115,6 +117,7 @@ class Workbench:
             controller = axis.controller
             return {
                 "path": str(path), "shown": as_typed(str(path)), "name": axis.name, "on_bus": on_bus,
+                "simulated": simulated_on(axis) is not None,
                 "drive": f"CANopen, node {axis.drive.node_id}" if isinstance(axis.drive, CanopenDriveSection)
                          else "simulated, in process",
                 "rate_hz": round(1.0 / axis.loop.period_s), "profile": axis.profile.kind,
@@ -176,21 +179,30 @@ class Workbench:
         daemon = self.daemon()
         if daemon is not None and action.moves and not action.by_daemon:
             raise DocumentError(f"{name} opens the bus itself, and the daemon has the drive: stop the daemon first")
-        if daemon is not None and action.beside:
+        if daemon is not None and name == "serve":
             raise DocumentError(f"a daemon has this axis already ({daemon[0]})")
         served = None if daemon is None else daemon[0]
         fleet = store_of(self._axis, self._fleet)
         bench = Bench(self.directory, self._axis, self._facts, self._given, served, asker.text, fleet)
         order = action.make(bench, wish)
-        jobs = self.services if action.beside else self.jobs
+        jobs = self.services.get(name, self.jobs)
         job = jobs.start(name, order.title, order.words, order.out, self._ended, action.computes)
         self._told(asker, name, {"line": job.as_object()["line"]})
         return job.as_object()
 
-    def cancel(self, asker: Asker, service: bool = False) -> None:
-        """Interrupt what runs, or the daemon that was started here: it stops the axis first. Raises ForbiddenError."""
+    def answer(self, asker: Asker, wish: Mapping[str, Any]) -> None:
+        """Answer what the job that runs has asked before a motion. Raises ForbiddenError, DocumentError."""
+        job = self.jobs.running
+        if job is None:
+            raise DocumentError("this question is not open any more: nothing was answered")
+        self._require(asker, ACTIONS[job.action].role)
+        question = job.answer(wish.get("question"), wish.get("answer"))
+        self._told(asker, "answer", {"job": job.title, "checks": question["checks"], "answer": wish["answer"]})
+
+    def cancel(self, asker: Asker, service: Any = None) -> None:
+        """Interrupt the job that runs, or a service of this name. Raises ForbiddenError."""
         self._require(asker, "stop")
-        job = (self.services if service else self.jobs).running
+        job = (self.services[service] if service in list(self.services) else self.jobs).running
         if job is not None:
             job.cancel()
             self._told(asker, "cancel", {"job": job.title})
@@ -198,7 +210,8 @@ class Workbench:
     def close(self) -> None:
         """Cancel what runs, and wait for it."""
         self.jobs.close()
-        self.services.close()
+        for service in self.services.values():
+            service.close()
 
     def use_axis(self, asker: Asker, path: Any) -> None:
         """Work on another axis file of this bench. Raises ForbiddenError, DocumentError."""

@@ -22,7 +22,7 @@ from typing import IO, Any, Literal
 
 from ..directories import as_typed
 from ..documents import DocumentError
-from ..workflows.progress import CHECK_MARK, LINE_MARK, LINES_ENVIRONMENT
+from ..workflows.progress import ANSWERS, CHECK_MARK, LINE_MARK, LINES_ENVIRONMENT, QUESTION_MARK
 
 State = Literal["running", "done", "failed", "cancelled"]
 KEPT_LINES = 200
@@ -52,12 +52,15 @@ class Job:
         self.step = ""
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.checks: list[dict[str, Any]] = []  # of a commissioning, as they come, each with its picture's columns
+        self.question: dict[str, Any] | None = None  # before a motion: {number, checks, text}, until it is answered
+        self._questions = 0
         self.began_s = time.time()
         self.ended_s: float | None = None
         self.exit_code: int | None = None
         self._cancelled = False
+        self._answering = threading.Lock()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "fffo_drive", *self.words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            [sys.executable, "-m", "fffo_drive", *self.words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
             env=os.environ | {LINES_ENVIRONMENT: "1", "COLUMNS": str(COLUMNS)},
         )  # fmt: skip
@@ -68,6 +71,7 @@ class Job:
         """Read until the process ends; on a thread of its own."""
         assert self.process.stdout is not None
         assert self.process.stderr is not None
+        assert self.process.stdin is not None
         streams = (self.process.stdout, self.process.stderr)
         readers = [threading.Thread(target=self._read, args=(stream,), daemon=True) for stream in streams]
         for reader in readers:
@@ -75,6 +79,9 @@ class Job:
         for reader in readers:
             reader.join()
         self.exit_code = self.process.wait()
+        self.question = None
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
         self.ended_s = time.time()
         self.state = "cancelled" if self._cancelled else "done" if self.exit_code == 0 else "failed"
         ended(self)
@@ -84,11 +91,29 @@ class Job:
             for line in stream:
                 if line.startswith(CHECK_MARK):
                     self.checks.append(json.loads(line[len(CHECK_MARK) :]))
+                elif line.startswith(QUESTION_MARK):
+                    self._questions += 1
+                    self.question = {"number": self._questions, **json.loads(line[len(QUESTION_MARK) :])}
                 elif line.startswith(LINE_MARK):
                     told = json.loads(line[len(LINE_MARK) :])
                     self.share, self.step = told["share"], told["text"]
                 else:
                     self.lines.append(line.rstrip("\n"))
+
+    def answer(self, number: Any, answer: Any) -> dict[str, Any]:
+        """Answer the question of this number, which is returned. Raises DocumentError for one that is not open."""
+        with self._answering:
+            question = self.question
+            if question is None or question["number"] != number:
+                raise DocumentError("this question is not open any more: nothing was answered")
+            if answer not in ANSWERS:
+                raise DocumentError(f"an answer is one of {', '.join(ANSWERS)}")
+            assert self.process.stdin is not None
+            self.question = None
+            with contextlib.suppress(OSError):  # it has just ended
+                self.process.stdin.write(f"{answer}\n")
+                self.process.stdin.flush()
+        return question
 
     def cancel(self) -> None:
         """Interrupt it as Ctrl-C does: a run brakes to standstill first. What does not end in GRACE_S is terminated."""
@@ -110,7 +135,7 @@ class Job:
             "number": self.number, "action": self.action, "title": self.title, "state": self.state,
             "line": shlex.join(["fffo-drive", *map(as_typed, self.words)]), "share": self.share, "step": self.step,
             "output": list(self.lines), "seconds": round((self.ended_s or time.time()) - self.began_s, 1),
-            "exit_code": self.exit_code, "checks": len(self.checks),
+            "exit_code": self.exit_code, "checks": len(self.checks), "question": self.question,
         }  # fmt: skip
 
 

@@ -148,7 +148,10 @@ class _Handler(BaseHTTPRequestHandler):
         if not isinstance(wish, dict):
             raise DocumentError("not understood: a JSON object is needed")
         if what == "cancel":
-            self.workbench.cancel(asker, service=wish.get("service") is True)
+            self.workbench.cancel(asker, wish.get("service"))
+            return {}
+        if what == "answer":
+            self.workbench.answer(asker, wish)
             return {}
         if what == "use_axis":
             self.workbench.use_axis(asker, wish.get("path"))

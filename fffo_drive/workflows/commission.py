@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..commissioning.bounds import Bounds, BoundsError, make_bounds
-from ..commissioning.procedure import Seen, commission
+from ..commissioning.procedure import MayMove, Seen, commission
 from ..commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, read_record, write_record
 from ..config.axis import beside, build_profile, model_of, read_axis
 from ..config.axis_text import replace_file, with_line
@@ -47,12 +47,12 @@ def bounds_of(
 
 def commission_axis(
     plan: Plan, bounds: Bounds, out: Path, bus: str | None = None, tell: Callable[[str], None] = lambda text: None,
-    seen: Seen = lambda check, motion: None,
+    seen: Seen = lambda check, motion: None, may_move: MayMove = lambda motion: True,
 ) -> CommissioningRecord:  # fmt: skip
     """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
 
-    `bus`: replaces the file's; `tell` gets a line for each step, `seen` each check as it is done. Raises
-    DocumentError, DriveError, OSError.
+    `bus`: replaces the file's; `tell` gets a line for each step, `seen` each check as it is done, and `may_move` says
+    whether the next motion may be made. Raises DocumentError, DriveError, NotAgreedError, OSError.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(out.parent, os.W_OK):  # before anything moves
@@ -60,7 +60,7 @@ def commission_axis(
     facts = declared_facts(plan.axis, plan.model)
     drive = open_drive(plan, bus)
     try:
-        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell, seen)
+        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell, seen, may_move)
     except BoundsError as error:
         require(plan.path, [f"envelope.position_window_rev: {error}"])
         raise

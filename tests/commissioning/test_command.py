@@ -2,34 +2,44 @@
 
 from __future__ import annotations
 
+import io
+import json
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from commissioning.test_record import CONFIGS, axis_file, record_for
 
 from fffo_drive.cli import commission, main
-from fffo_drive.cli.commission import found_text, next_line, verdict_line
+from fffo_drive.cli.commission import Asking, found_text, next_line, verdict_line
 from fffo_drive.commissioning.estimate import HeldCurrent
 from fffo_drive.commissioning.judge import CHECKS, graded, judged, not_done, within
 from fffo_drive.commissioning.motion_checks import Beliefs, current_scale
 from fffo_drive.commissioning.objects import NamePlate
+from fffo_drive.commissioning.procedure import NextMotion, NotAgreedError
 from fffo_drive.commissioning.record import read_record
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.port import DriveIdentity
 from fffo_drive.workflows.commission import bounds_of, commission_axis, commissioning_plan
 from fffo_drive.workflows.plan import make_plan
+from fffo_drive.workflows.progress import LINES_ENVIRONMENT, QUESTION_MARK
 
 IDENTITY = DriveIdentity(1, 2, 3, 4, "a servo drive", "1.0")
 NO_BUS = ["--bus", "socketcan:nosuch0"]
 BELIEFS = Beliefs(157.0, 0.00275, 0.0007, 0.067, 0.148)
 
 
+MOTION = NextMotion(("motion", "torque_sign"), "pulses, at most 2 rps and 1 rev")
+
+
 @pytest.fixture
 def terminal(monkeypatch):
-    """Somebody at a terminal who answers with what is put into the list."""
+    """Somebody at a terminal who answers with what is put into the list, and what was asked."""
     answers: list[str] = []
+    asked: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda prompt: answers.pop(0))
-    return answers
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or answers.pop(0))
+    return SimpleNamespace(answers=answers, asked=asked)
 
 
 def test_where_nobody_can_be_asked_nothing_moves_without_yes(tmp_path, capsys, monkeypatch):
@@ -40,15 +50,38 @@ def test_where_nobody_can_be_asked_nothing_moves_without_yes(tmp_path, capsys, m
     assert main([*words, "--yes"]) == 69  # it goes on to the bus, which is not there
 
 
-@pytest.mark.parametrize(("answer", "code"), [("", 0), ("n", 0), ("no", 0), ("maybe", 0), ("y", 69), ("Yes", 69)])
-def test_at_a_terminal_it_asks_and_takes_only_a_yes(tmp_path, capsys, terminal, answer, code):
-    terminal.append(answer)
-    assert main(["commission", str(axis_file(tmp_path)), *NO_BUS, "--out", str(tmp_path / "record.yaml")]) == code
-    said = capsys.readouterr().err
-    assert terminal == []
-    assert "the axis will move: at most 4.15 A, 5 rps, 2 rev" in said
-    assert ("nothing was moved" in said) == (code == 0)
-    assert not (tmp_path / "record.yaml").exists()
+def asking(path, **options):
+    return Asking(make_plan(path), SimpleNamespace(**{"yes": False, "json": False} | options))
+
+
+@pytest.mark.parametrize(
+    ("answer", "agreed"), [("", False), ("n", False), ("no", False), ("maybe", False), ("y", True), ("Yes", True)]
+)
+def test_at_a_terminal_it_asks_before_each_motion_and_takes_only_a_yes(tmp_path, terminal, answer, agreed):
+    ask = asking(axis_file(tmp_path))
+    terminal.answers += [answer, "no", "y"]
+    assert [ask(MOTION) for _ in range(3)] == [agreed, False, True]
+    assert terminal.asked == ["motion, torque_sign: pulses, at most 2 rps and 1 rev. May it move? [y/N/all] "] * 3
+
+
+def test_all_is_this_motion_and_the_rest_without_asking(tmp_path, terminal):
+    ask = asking(axis_file(tmp_path))
+    terminal.answers += ["y", "all"]
+    assert all(ask(MOTION) for _ in range(5))
+    assert len(terminal.asked) == 2
+    assert asking(axis_file(tmp_path), yes=True)(MOTION)
+    assert len(terminal.asked) == 2
+
+
+def test_the_program_that_started_it_is_asked_in_lines_and_its_end_is_a_no(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv(LINES_ENVIRONMENT, "1")
+    monkeypatch.setattr("sys.stdin", io.StringIO("yes\nno\n"))
+    ask = asking(axis_file(tmp_path))
+    assert [ask(MOTION) for _ in range(3)] == [True, False, False]
+    told = capsys.readouterr().err.splitlines()
+    assert [json.loads(line.removeprefix(QUESTION_MARK)) for line in told] == [
+        {"checks": ["motion", "torque_sign"], "text": MOTION.text}
+    ] * 3
 
 
 def test_json_is_one_object_and_no_question(tmp_path, capsys, terminal):
@@ -57,14 +90,14 @@ def test_json_is_one_object_and_no_question(tmp_path, capsys, terminal):
 
 
 def test_a_drive_in_process_moves_nothing_and_is_not_asked_for():
-    options = type("Options", (), {"yes": False, "json": False})
-    assert commission._may_move(make_plan(CONFIGS / "axis_simulated.yaml"), options)
+    assert asking(CONFIGS / "axis_simulated.yaml")(MOTION)
 
 
-def test_one_count_is_told_before_anything_moves(tmp_path, capsys, terminal):
-    terminal.append("n")
+def test_one_count_and_the_bounds_are_told_before_anything_moves(tmp_path, capsys, terminal):
     main(["commission", str(axis_file(tmp_path)), *NO_BUS, "--out", str(tmp_path / "record.yaml")])
-    assert "one per mille of 0x6071 is 0.0083 A (0.00123 Nm)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "one per mille of 0x6071 is 0.0083 A (0.00123 Nm)" in said
+    assert "the axis will move: at most 4.15 A, 5 rps, 2 rev" in said
 
 
 def checks(**changed):
@@ -153,3 +186,35 @@ def test_commissioning_as_a_function_prints_nothing_and_returns_what_it_wrote(tm
     assert capsys.readouterr() == ("", "")
     with pytest.raises(DocumentError, match="--current 99 A"):
         bounds_of(plan, current_a=99.0)
+
+
+MOTIONS = ["motion", "counts_per_rev", "current_limit", "speed_limit", "position_window"]
+
+
+@pytest.mark.slow
+def test_each_motion_is_asked_for_with_how_far_and_how_fast(tmp_path):
+    plan = commissioning_plan(CONFIGS / "axis_simulated.yaml")
+    asked: list[NextMotion] = []
+    out = tmp_path / "record.yaml"
+    commission_axis(plan, bounds_of(plan), out, may_move=lambda motion: asked.append(motion) or True)
+    assert [motion.checks[0] for motion in asked] == MOTIONS
+    assert [name for motion in asked for name in motion.checks] == list(CHECKS)[1:]  # all but standstill
+    assert all("rps" in motion.text and "rev" in motion.text for motion in asked)
+    assert "at most 4.15 A, 5 rps and 2 rev from here" in asked[0].text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("refused", MOTIONS)
+def test_what_nobody_agrees_to_is_not_made_and_no_record_is_written(tmp_path, refused):
+    plan = commissioning_plan(CONFIGS / "axis_simulated.yaml")
+    seen: dict[str, str] = {}
+    out = tmp_path / "record.yaml"
+    with pytest.raises(NotAgreedError, match=f"not agreed to: .*{refused}.*no record was written") as error:
+        commission_axis(
+            plan, bounds_of(plan), out, seen=lambda check, _: seen.update({check.name: check.verdict}),
+            may_move=lambda motion: refused not in motion.checks,
+        )  # fmt: skip
+    assert ("nothing was moved" in str(error.value)) == (refused == "motion")
+    assert set(seen) == set(CHECKS)
+    assert (seen["standstill"], seen[refused], seen["quick_stop"]) == ("ok", "not_done", "not_done")
+    assert not out.exists()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-
+from browser import waited_for
 from daemon.rig import PATIENCE_S
 
 LAPTOP = (1366, 768)
@@ -21,6 +20,11 @@ INKED = """([title, colour]) => {
     if (all[i + 3] > 200 && [0, 1, 2].every((c) => Math.abs(all[i + c] - wanted[c]) < 40)) count++;
   return count;
 }"""
+
+
+# what the page shows when something has not come about
+TOLD = """["state", "fault", "said", "connection", "rights", "facts"].map((id) =>
+  `${id}: ${document.getElementById(id).textContent}`).join("; ")"""
 
 
 class Page:
@@ -49,12 +53,15 @@ class Page:
         return self.tab.evaluate(expression)
 
     def until(self, expression):
-        """Wait until it is so. The page's own policy forbids what playwright would do for this."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not (value := self.js(expression)):
-            assert time.monotonic() < deadline_s, f"never: {expression}; it says: {self.said}; {self.troubles}"
-            time.sleep(0.05)
+        """Wait until it is so."""
+        value = waited_for(self.tab, expression, PATIENCE_S)
+        assert value, f"never: {expression}; {self.js(TOLD)}; {self.troubles}"
         return value
+
+    def settled(self, element):
+        """Where an element is, once it stands still and nothing covers it: for the mouse."""
+        element.hover(trial=True)
+        return element.bounding_box()
 
     def until_state(self, state):
         self.until(f"document.body.dataset.state === '{state}'")

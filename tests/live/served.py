@@ -109,7 +109,7 @@ class Served:
 
     def rest(self) -> None:
         """No torque, no fault, friction from the reference."""
-        if self.state in ("enabled", "running", "stopping"):
+        if self.state not in ("ready", "connected", "fault"):
             self.client.call("quick_stop")
         if self.state == "fault":
             self.client.call("reset_fault")

@@ -63,8 +63,7 @@ def focus_plot(page, aria):
 def plot(page, key="Velocity"):
     """Where a plot's own area is."""
     figure = page.tab.locator(f"figure[data-analysis={key}], figure:has(b:text-matches('^{key}'))").first
-    figure.scroll_into_view_if_needed()
-    return figure.locator(".u-over").bounding_box()
+    return page.settled(figure.locator(".u-over"))
 
 
 Y = "(() => { const u = Chart.current.plot; return [u.scales.y.min, u.scales.y.max]; })()"
@@ -76,8 +75,8 @@ def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
     page.see(3.0)
     page.tab.click("#pause")
     page.until("!!fffoScope.taken")
-    box = plot(page)
     for share in (0.3, 0.7):
+        box = plot(page)  # the values of a cursor take room
         page.tab.mouse.click(box["x"] + share * box["width"], box["y"] + 40)
     begin_s, end_s = page.js("fffoScope.view")
     a_s, b_s = page.js("[Chart.current.cursors.at.a, Chart.current.cursors.at.b]")
@@ -90,6 +89,7 @@ def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
     assert f"Δ {high - low:.3g}"[:5] in told
     assert f"1/(B-A) {1.0 / (b_s - a_s):.4g}"[:12] in told
     assert page.js("[...document.querySelectorAll('.cursors')].filter((c) => !c.hidden).length") >= 5
+    box = plot(page)
     page.tab.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 40)
     assert page.js("fffoScope.view") is None
     assert page.js("document.querySelector('figure .cursors').hidden")
@@ -281,7 +281,7 @@ def test_a_spectrum_over_frequency_has_the_amplitude_of_the_sine(served, page):
 
 def test_a_spectrum_over_order_and_its_peaks_with_keys_alone(served, page):
     run(served, TURNING)
-    page.see(8.0)
+    page.see(3.0)
     page.js("document.activeElement.blur()")
     page.tab.keyboard.press("s")
     page.reach("error_rps")  # of
@@ -366,7 +366,7 @@ def test_the_phase_of_the_feedback_after_the_reference(served, page):
 
 def test_the_phase_with_keys_alone(served, page):
     served.run()
-    page.see(9.0)
+    page.see(4.0)
     page.tab.keyboard.press("p")
     page.until("fffoScope.analyses.phase && fffoScope.analyses.phase.found")
     page.tab.keyboard.press("Space")

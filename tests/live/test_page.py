@@ -58,14 +58,14 @@ def test_a_run_is_drawn_and_nobody_else_is_asked(served, page):
 
 
 def test_the_toggle_changes_the_error_visibly(served, page):
-    page.tab.select_option("#seconds", "5")
+    page.tab.select_option("#seconds", "2")  # one period
     served.run()
     page.until_state("running")
-    page.see(7.0)
+    page.see(4.0)
     with_friction_rps = float(page.tab.text_content("#rms"))
     page.tab.click("label:has(input[value=off])")
     page.until("document.querySelector('#facts').textContent.includes('friction off')")
-    page.see(7.0)
+    page.see(3.0)
     without_rps = float(page.tab.text_content("#rms"))
     assert without_rps > 1.3 * with_friction_rps
 
@@ -228,7 +228,7 @@ def test_the_crosshair_gives_the_values_of_its_time(served, page):
     page.see(2.0)
     page.tab.keyboard.press("Space")
     last = page.tab.locator("figure").first.locator(".value").first.text_content()
-    box = page.tab.locator("figure .u-over").first.bounding_box()
+    box = page.settled(page.tab.locator("figure .u-over").first)
     page.tab.mouse.move(box["x"] + 0.98 * box["width"], box["y"] + 30)
     seen = set()
     for k in range(1, 6):
@@ -269,7 +269,7 @@ def test_pause_and_zoom(served, page):
     assert middle[1] - middle[0] == pytest.approx(2.5)
     page.tab.keyboard.press("ArrowLeft")
     assert page.js("fffoScope.view")[0] < middle[0]
-    box = page.tab.locator("figure .u-over").first.bounding_box()
+    box = page.settled(page.tab.locator("figure .u-over").first)
     before_s = page.js("fffoScope.view")
     page.tab.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 30)
     page.tab.mouse.down()

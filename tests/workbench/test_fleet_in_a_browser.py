@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
+import yaml
 from fleet.fleet_rig import facts_file, write_run  # noqa: F401
 from fleet.test_fleet_command import DRIVES, OUTSIDE, RUNS, fleet  # noqa: F401
-from workbench.test_workbench_in_a_browser import Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import CONFIGS, Shown, cache_of_a_user  # noqa: F401
 
 from fffo_drive.workbench.bench import Workbench
 
@@ -40,7 +42,7 @@ def shown(fleet, facts_file, chromium, tmp_path):  # noqa: F811
     shown.close()
 
 
-def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone(shown):
+def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_by_a_screen_reader(shown):
     told = shown.page.evaluate("fffoFleet.state")
     assert (told["runs"], told["waiting"], told["drives"]) == (DRIVES * RUNS, 0, DRIVES)
     assert shown.page.locator("#fleet-drives tbody tr").count() == DRIVES
@@ -65,6 +67,7 @@ def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone(show
     histories = {figure["title"].split(":")[0] for figure in report["figures"] if figure["name"].startswith("history")}
     assert histories == {f"SN{OUTSIDE}"}
     assert report["results"]["moved"]  # the watch went over each model
+    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
     shown.page.click("#tab-work")  # a fleet's report is no step of this axis
     assert shown.page.locator("#pages tbody tr").count() == 0
     assert shown.page.is_visible("#job-title")
@@ -82,12 +85,6 @@ def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_
     shown.until("document.querySelector('#said').textContent.includes('above 0')")
 
 
-def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_sideways(shown):
-    shown.do("#fleet-report")
-    shown.page.frame_locator("#fleet-viewer").locator("figure canvas").first.wait_for()
-    shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
-
-
 def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, chromium, tmp_path):  # noqa: F811
     shown = FleetPage(chromium, tmp_path, fleet, facts_file, role="look")
     assert "100 % done" in shown.page.text_content("#fleet-status")
@@ -99,8 +96,46 @@ def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, 
 def test_a_place_without_a_store_is_told_and_adding_makes_one(facts_file, chromium, tmp_path):  # noqa: F811
     shown = FleetPage(chromium, tmp_path, tmp_path / "new store", facts_file)
     shown.until("document.querySelector('#fleet-error').textContent.includes('no store here')")
+    assert shown.page.text_content("#next") == "Next: tick runs on the first tab, and add them"
     assert shown.page.is_disabled("#fleet-work")
     assert shown.page.is_disabled("#fleet-report")
     shown.do("#fleet-add")
     shown.until("fffoFleet.state.runs === 1 && !document.querySelector('#fleet-work').disabled")
+    assert shown.page.text_content("#next") == "Next: make the records"
     shown.close()
+
+
+@pytest.mark.parametrize(
+    ("store", "told"),
+    [
+        (None, "Next: name a store, with --fleet STORE or as daemon.fleet in the axis file"),
+        ("new store", "Next: add runs, from the first tab or a folder: fffo-drive fleet add STORE --from FOLDER"),
+    ],
+)
+def test_without_store_or_runs_the_tab_says_what_helps_there(store, told, chromium, tmp_path):
+    place = None if store is None else str(tmp_path / store)
+    shown = Shown(chromium, Workbench(tmp_path / "out", None, None, (), None, place))
+    assert shown.page.text_content("#next") == "Next: record a run, or add a file"
+    shown.page.click("#tab-fleet")
+    shown.until("fffoFleet.state")
+    assert shown.page.text_content("#next") == told
+    shown.page.click("#tab-work")
+    assert shown.page.text_content("#next") == "Next: record a run, or add a file"
+    shown.close()
+
+
+def test_the_store_of_the_served_axis_is_chosen_unless_another_is_given(fleet, chromium, tmp_path):  # noqa: F811
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    axis = tmp_path / "configs" / "axis_canopen.yaml"
+    content = yaml.safe_load(axis.read_text())
+    content["daemon"]["fleet"] = str(fleet)
+    axis.write_text(yaml.safe_dump(content))
+    for given, store in ((None, fleet), (str(tmp_path / "other"), tmp_path / "other")):
+        shown = Shown(chromium, Workbench(tmp_path / "out", axis, None, (), None, given))
+        shown.page.click("#tab-fleet")
+        shown.until("fffoFleet.state")
+        assert shown.page.text_content("#fleet-store") == str(store)
+        assert not shown.page.is_visible("#no-fleet")
+        drives = shown.page.locator("#fleet-drives tbody tr").count()
+        assert drives >= DRIVES if store == fleet else drives == 0  # a test before this one may have added a drive
+        shown.close()

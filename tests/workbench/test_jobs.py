@@ -11,9 +11,10 @@ import threading
 import pytest
 
 from fffo_drive.cli.progress import progress_bar
+from fffo_drive.documents import DocumentError
 from fffo_drive.workbench.actions import ACTIONS
 from fffo_drive.workbench.jobs import NICE, BusyError, Jobs, give_way
-from fffo_drive.workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+from fffo_drive.workflows.progress import LINE_MARK, LINES_ENVIRONMENT, QUESTION_MARK
 
 PATIENCE_S = 120.0
 
@@ -45,6 +46,54 @@ def test_progress_is_told_in_lines_that_are_no_output(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert all(line.startswith(LINE_MARK) for line in lines)
     assert [json.loads(line[len(LINE_MARK) :])["share"] for line in lines] == [0.0, 0.25, 1.0]
+
+
+ASKS = f"""
+import sys
+print({QUESTION_MARK!r} + '{{"checks": ["motion"], "text": "pulses"}}', file=sys.stderr, flush=True)
+print("heard", sys.stdin.readline().strip(), flush=True)
+print("then", repr(sys.stdin.readline()), flush=True)
+"""
+
+
+@pytest.fixture
+def asking(monkeypatch):
+    """A job that asks once, and hears the end of what it is told."""
+    real = subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **how: real([sys.executable, "-c", ASKS], **how))
+    ended = threading.Event()
+    job = Jobs().start("commission", "a test", (), None, lambda _: ended.set())
+    while job.question is None:
+        assert job.state == "running"
+    yield job
+    job.process.stdin.close()
+    assert ended.wait(PATIENCE_S)
+    assert job.question is None
+    assert job.lines[-1] == "then ''"  # with who asked for the job, the answers end, too
+
+
+def test_the_question_before_a_motion_is_answered_once_and_by_its_number(asking):
+    assert asking.as_object()["question"] == {"number": 1, "checks": ["motion"], "text": "pulses"}
+    for number, answer, text in (
+        (2, "yes", "not open any more"),
+        (1, "maybe", "yes, all, no"),
+        (None, "no", "not open"),
+    ):
+        with pytest.raises(DocumentError, match=text):
+            asking.answer(number, answer)
+    assert asking.answer(1, "all")["checks"] == ["motion"]
+    with pytest.raises(DocumentError, match="not open any more"):
+        asking.answer(1, "yes")
+    while not asking.lines:
+        assert asking.state == "running"
+    assert asking.lines[0] == "heard all"
+
+
+def test_a_question_that_nobody_answers_has_no_answer(asking):
+    asking.process.stdin.close()
+    while len(asking.lines) < 2:
+        assert asking.exit_code in (None, 0)
+    assert asking.lines[0] == "heard "
 
 
 @pytest.mark.slow

@@ -5,13 +5,16 @@ from __future__ import annotations
 import http.client
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
+from fffo_drive.config.axis import read_axis
 from fffo_drive.documents import DocumentError
 from fffo_drive.live.keys import Asker
 from fffo_drive.roles import ROLES, may
@@ -47,6 +50,13 @@ def with_results(bench):
     return Bench(bench.directory, bench._axis, None, ())
 
 
+def on_a_free_bus(axis):
+    """The example of an axis on a bus, on one where nobody answers."""
+    file = axis.with_name("axis_canopen.yaml")
+    file.write_text(file.read_text().replace("loopback:29500", f"loopback:{free_loopback_port()}"))
+    return file
+
+
 def test_every_action_is_a_line_that_its_command_understands(workbench):
     from fffo_drive.cli import parser_of
 
@@ -59,13 +69,14 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         "fleet_add": {"fit": [run]}, "fleet_work": {},
         "fleet_report": {"alarms_per_drive_year": 0.01, "serial": "-odd"},
     }  # fmt: skip
-    assert set(wishes) == set(ACTIONS) - {"commission", "serve", "accept"}
+    assert set(wishes) == set(ACTIONS) - {"commission", "serve", "simulate", "accept"}
     for name, wish in wishes.items():
         order = ACTIONS[name].make(bench, wish)
         parser_of(order.words[0]).parse_args(order.words[1:])
-    on_bus = bench._replace(axis=bench.axis.with_name("axis_canopen.yaml"))
+    on_bus = bench._replace(axis=on_a_free_bus(bench.axis))
     served = on_bus._replace(served=bench.directory, who="anna (move)")
-    for name, where in (("commission", on_bus), ("serve", on_bus), ("accept", on_bus), ("record", served)):
+    for name, where in (("commission", on_bus), ("serve", on_bus), ("simulate", on_bus), ("accept", on_bus),
+                        ("record", served)):  # fmt: skip
         words = ACTIONS[name].make(where, {}).words
         parser_of(words[0]).parse_args(words[1:])
     assert "--served" in words
@@ -82,11 +93,31 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         ("fleet_work", {}, "give one with --fleet"),
         ("commission", {}, "needs no commissioning record"),
         ("serve", {}, "a simulated drive in process is not served"),
+        ("simulate", {}, "not on a loopback bus"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_with_a_reason(workbench, name, wish, text):
     with pytest.raises(DocumentError, match=text):
         ACTIONS[name].make(with_results(workbench), wish)
+
+
+def test_the_simulated_drive_has_the_file_beside_its_axis_else_the_example(workbench):
+    bench = with_results(workbench)
+    axis = on_a_free_bus(bench.axis)
+    beside = axis.with_name("simulated_drive.yaml")
+    drive = read_axis(axis).drive
+    words = ACTIONS["simulate"].make(bench._replace(axis=axis), {}).words
+    assert words == ("sim", str(beside), "--bus", drive.bus, "--node", str(drive.node_id))
+    example = beside.read_bytes()
+    beside.unlink()
+    words = ACTIONS["simulate"].make(bench._replace(axis=axis), {}).words
+    assert Path(words[1]).parent == bench.directory
+    assert Path(words[1]).read_bytes() == example
+
+
+def test_an_answer_needs_its_role_and_an_open_question(workbench):
+    with pytest.raises(DocumentError, match="not open any more"):
+        workbench.answer(Asker("tune"), {"question": 1, "answer": "yes"})
 
 
 def test_without_an_axis_nothing_moves(tmp_path):
@@ -266,6 +297,20 @@ def test_a_mistake_on_the_command_line_is_named(words, text, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     assert main(["workbench", "--no-browser", *words]) == 78
     assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_was_started_ends_with_the_workbench(number, tmp_path, monkeypatch):
+    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    closed = []
+    monkeypatch.setattr(Workbench, "close", lambda self: closed.append(self))
+    monkeypatch.setattr(WorkbenchServer, "wait", lambda _: signal.raise_signal(number))
+    try:
+        assert main(["workbench", "--no-browser", "--out", str(tmp_path)]) == 0
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+    assert len(closed) == 1
 
 
 def test_it_needs_nothing_but_what_every_installation_has():

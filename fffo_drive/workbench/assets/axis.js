@@ -17,7 +17,7 @@
   // what comes
 
   bench.onState((state) => {
-    const daemon = state.daemon, service = state.services[0];
+    const daemon = state.daemon, service = state.services.serve, drive = state.services.simulate;
     $("no-daemon").hidden = Boolean(daemon);
     $("with-daemon").hidden = !daemon;
     $("halt").hidden = !daemon;
@@ -25,6 +25,14 @@
     $("serve").hidden = Boolean(daemon) || served;
     $("unserve").hidden = !served;
     $("unserve").disabled = !state.may_cancel;
+    const simulates = drive && drive.state === "running";
+    const answers = axis.status && axis.status.state !== "offline"; // one that was started elsewhere
+    $("simulated").hidden = !state.axis || !state.axis.simulated || (!simulates && Boolean(daemon && answers));
+    $("simulate").hidden = simulates;
+    $("simulate").disabled = !state.may.includes("simulate");
+    $("unsimulate").hidden = !simulates;
+    $("unsimulate").disabled = !state.may_cancel;
+    $("simulated-state").textContent = drive ? `fffo-drive sim: ${drive.state}${drive.exit_code ? `, exit code ${drive.exit_code}` : ""}. ${drive.output.at(-1) || "It starts."}` : "";
     $("service-fold").hidden = !service;
     if (service) {
       $("service-state").textContent = `fffo-drive serve: ${service.state}${service.exit_code ? `, exit code ${service.exit_code}` : ""}`;
@@ -77,7 +85,7 @@
     document.body.dataset.axis = s.state;
     const running = s.profile ? `: ${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} %` : s.set_point ? `: ${s.set_point.kind} to ${s.set_point.to_rps.toPrecision(3)} rps` : "";
     $("axis-state").textContent = s.state.toUpperCase();
-    $("axis-doing").textContent = running;
+    $("axis-doing").textContent = s.state === "enabled" && !acts(s) ? ": no torque yet" : running;
     $("axis-fault").hidden = !s.fault;
     if (s.fault) $("axis-fault").textContent = `Fault: ${s.fault.text} (${s.fault.name}). Remove the cause, then reset it.`;
     $("axis-obstacles").textContent = s.obstacles.length ? `Not ready: ${s.obstacles.join("; ")}` : "";
@@ -86,7 +94,6 @@
       ["position", m ? `${m.position_rev.toFixed(4)} rev` : "–"], ["current", m ? `${m.current_a.toFixed(3)} A` : "–"], ["model", s.model.name], ["late ticks", s.loop ? `${s.loop.late} of ${s.loop.tick}` : "–"], ["recording", recording], ["held by", s.held_by || "nobody"]];
     bench.fill($("axis-live"), rows.flatMap(([name, text]) => [bench.element("dt", name), bench.element("dd", text)]));
     for (const radio of document.querySelectorAll("input[name=friction]")) radio.checked = radio.value === s.toggle;
-    if (!TORQUE.includes(s.state)) release();
     allow();
   }
 
@@ -107,18 +114,23 @@
     while ($("axis-events").children.length > SHOWN_EVENTS) $("axis-events").lastChild.remove();
   }
 
+  // the law acts: in state enabled the drive may still be switching on, or its brake be opening, and refuses motion
+  const acts = (s) => Boolean(s.motion) && s.motion.mode !== "idle";
+
   // what may be asked for in this state; a stop always
   function allow() {
     const s = fresh() ? axis.status.state : "";
-    const able = { enable: s === "ready", disable: s !== "" && !AT_REST.includes(s), start: s === "enabled", end: ["preparing", "running", "following"].includes(s), "jog-back": TORQUE.includes(s), "jog-ahead": TORQUE.includes(s), go: TORQUE.includes(s), step: TORQUE.includes(s), reset: s === "fault" };
+    const moves = TORQUE.includes(s) && acts(axis.status);
+    const able = { enable: s === "ready", disable: s !== "" && !AT_REST.includes(s), start: s === "enabled" && moves, end: ["preparing", "running", "following"].includes(s), "jog-back": moves, "jog-ahead": moves, go: moves, step: moves, reset: s === "fault" };
     const method = { end: "stop", "jog-back": "jog", "jog-ahead": "jog", go: "velocity", reset: "reset_fault" };
     for (const [id, on] of Object.entries(able)) $(id).disabled = !on || !may(method[id] || id);
+    if (!moves) release(s === "" ? ": no status of it comes" : ""); // a button that is greyed holds nothing
     $("serve").disabled = !bench.state || !bench.state.may_serve || !bench.state.axis || !bench.state.axis.on_bus;
     $("no-bus").hidden = !bench.state || !bench.state.axis || bench.state.axis.on_bus !== false;
     $("halt").disabled = !may("disable");
     $("quick").disabled = !may("quick_stop");
     for (const radio of document.querySelectorAll("input[name=friction]")) radio.disabled = s === "" || !may("toggle");
-    for (const button of document.querySelectorAll("#gains button")) button.disabled = s === "" || !may("set") || (button.dataset.trial && (!TORQUE.includes(s) || !bench.state.may_try));
+    for (const button of document.querySelectorAll("#gains button")) button.disabled = s === "" || !may("set") || (button.dataset.trial && (!moves || !bench.state.may_try));
     const silent = axis.source && axis.status && !fresh();
     $("axis-link").textContent = !axis.source ? "" : axis.status === null ? "no connection to the daemon: the data shown are old" : silent ? "no status for some seconds: the data shown are old" : "";
     document.body.classList.toggle("cut", Boolean(axis.source) && !fresh());
@@ -166,8 +178,11 @@
   $("start").onclick = () => asked(`run the profile ${$("start-profile").value}`, () => command(`Start ${$("start-profile").value}`, "start", { profile: $("start-profile").value, ...epoch() }));
   $("go").onclick = () => command(`Velocity ${number("velocity")} rps`, "velocity", { to_rps: number("velocity"), ...epoch() });
   $("step").onclick = () => command(`Step by ${number("step-by")} rps`, "step", { by_rps: number("step-by"), for_s: number("step-for"), ...epoch() });
-  $("serve").onclick = () => bench.tell(() => bench.ask("serve", {}));
-  $("unserve").onclick = () => bench.tell(() => bench.ask("cancel", { service: true }));
+  const service = (what, wish) => bench.ask(what, wish).then(() => say(""), (error) => say(error.message, true)).then(bench.look);
+  $("serve").onclick = () => service("serve", {});
+  $("unserve").onclick = () => service("cancel", { service: "serve" });
+  $("simulate").onclick = () => service("simulate", {});
+  $("unsimulate").onclick = () => service("cancel", { service: "simulate" });
   for (const radio of document.querySelectorAll("input[name=friction]")) radio.onchange = () => command(`Friction ${radio.value}`, "toggle", { to: radio.value });
   function number(id) { return Number($(id).value); }
 
@@ -180,22 +195,32 @@
   // jog: as long as a button or a key is held, renewed in time; let go, hidden or gone it ends at standstill, and without
   // a word of the page the daemon brakes by itself
 
-  function release() { if (axis.jogging) axis.jogging.held = false; }
+  function release(why) { if (axis.jogging && axis.jogging.held) axis.jogging.release(typeof why === "string" ? why : ""); }
 
   async function jog(direction) {
-    if (axis.jogging || !fresh()) return;
-    const own = axis.jogging = { held: true }, to_rps = direction * Math.abs(number("jog-rps"));
+    if (axis.jogging && axis.jogging.held) return; // one hand
+    const before = axis.jogging, own = axis.jogging = { held: true };
+    const released = new Promise((done) => { own.release = (why) => { Object.assign(own, { held: false, why }); done(); }; });
+    own.over = (before ? before.over : Promise.resolve()).then(() => turn(direction, own, released)); // pressed again while it brakes
+    await own.over;
+    if (axis.jogging === own) axis.jogging = null;
+  }
+
+  async function turn(direction, own, released) {
+    const to_rps = direction * Math.abs(number("jog-rps"));
     let last = null;
+    if (!own.held) return;
     say(`Jog ${to_rps} rps …`);
     try {
+      if (!fresh()) throw new Error("the state of the axis is not known: nothing was asked for");
       while (own.held) {
         last = (await send("jog", { to_rps, ...(last ? { renews: last.set_point, epoch: last.epoch } : epoch()) })).result;
-        await new Promise((done) => setTimeout(done, 1000 * RENEWED_SHARE * last.renew_within_s));
+        await Promise.race([released, new Promise((done) => setTimeout(done, 1000 * RENEWED_SHARE * last.renew_within_s))]);
       }
       await send("jog", { to_rps: 0, renews: last.set_point, epoch: last.epoch });
-      say("Jog ended at standstill");
+      say(`Jog ended at standstill${own.why}`, Boolean(own.why));
     } catch (error) { say(`Jog: ${error.message}`, true); }
-    axis.jogging = null;
+    own.release("");
   }
 
   for (const [id, direction] of [["jog-back", -1], ["jog-ahead", 1]]) {

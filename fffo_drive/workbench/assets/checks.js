@@ -2,13 +2,14 @@
 // Commissioning as it goes: each check with its verdict, its number in the range that is ok, and the motion before it.
 (() => {
   const bench = window.fffoWorkbench, $ = bench.$;
-  const shown = { job: 0, list: [], asked: 0, seen: false };
+  const shown = { job: 0, list: [], asked: 0, seen: false, question: "", waits: false };
   const COLUMNS = [["velocity_rps", "velocity, rps", "blue"], ["command_a", "current, A", "orange"]];
   window.fffoChecks = shown; // for tests
 
   bench.onState(async (state) => {
     const job = state.jobs.find((one) => one.action === "commission");
     if (!job) return;
+    ask(job, state);
     if (job.number !== shown.job) {
       Object.assign(shown, { job: job.number, list: [], seen: job.state !== "running" });
       $("checks-list").replaceChildren();
@@ -32,6 +33,21 @@
       if (yes) bench.tell(() => bench.ask("accept", {}));
     }
   });
+
+  // before each motion, on every page that may; what another page has answered is not asked any more
+  async function ask(job, state) {
+    const q = job.question, key = q ? `${job.number} ${q.number}` : "";
+    if (key === shown.question || !state.may.includes("commission")) return;
+    if (shown.waits) bench.unask();
+    shown.question = key;
+    if (!q) return;
+    shown.waits = true;
+    const answer = await bench.question(`The axis ${state.axis.name} will move for ${names(q.checks)}: ${q.text}. Is everybody out of its reach, and the emergency stop at hand?`, "Move it", "Do not", "Move it, and the rest without asking");
+    if (shown.question === key) shown.waits = false;
+    if (answer !== null) bench.tell(() => bench.ask("answer", { question: q.number, answer: answer === "all" ? "all" : answer ? "yes" : "no" }));
+  }
+
+  const names = (checks) => checks.join(", ").replaceAll("_", " ");
 
   function add(check) {
     shown.list.push(check);

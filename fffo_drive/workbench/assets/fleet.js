@@ -11,8 +11,18 @@
     const job = state.jobs[0], key = job ? `${job.number} ${job.state}` : ""; // at the end of a job it is looked at anew
     if ($("fleet").hidden || (key === fleet.job && performance.now() - fleet.askedMs < LOOK_MS)) return;
     Object.assign(fleet, { job: key, askedMs: performance.now() });
-    bench.ask("fleet").then((found) => { fleet.state = found; show(found); bench.enable(); }).catch(() => {}); // the page says when nobody answers
+    bench.ask("fleet").then((found) => { fleet.state = found; show(found); bench.enable(); bench.advise(); }).catch(() => {}); // the page says when nobody answers
   });
+
+  fleet.next = () => {
+    const s = fleet.state;
+    if (!s) return null;
+    if (!s.store) return { act: "", text: "Next: name a store, with --fleet STORE or as daemon.fleet in the axis file" };
+    if (!s.runs && !bench.state.runs.length) return { act: "", text: "Next: add runs, from the first tab or a folder: fffo-drive fleet add STORE --from FOLDER" };
+    if (!s.runs) return { act: "fleet_add", text: "Next: tick runs on the first tab, and add them" };
+    if (s.waiting) return { act: "fleet_work", text: "Next: make the records" };
+    return $("fleet-pages").options.length ? null : { act: "fleet_report", text: "Next: report" };
+  };
 
   function show(s) {
     const readable = s.store && !s.error;

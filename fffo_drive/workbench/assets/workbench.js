@@ -2,14 +2,14 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const BUSY_MS = 1000, IDLE_MS = 2000;
-  const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model" };
+  const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model", fleet_add: "h-store", fleet_work: "h-store", fleet_report: "h-fleet-report" };
   const FLEET = ["fleet_add", "fleet_work", "fleet_report"];
   const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
   const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
   const SAYS = ["adopt", "roll_back", "commission", "accept", "fleet_add", "fleet_work"]; // what they print is the result
   const listeners = [];
-  let state = null, timer = 0;
-  window.fffoWorkbench = { $, ask, confirmed, element, enable, fill, look, options, question, tell, get state() { return state; }, onState(listener) { listeners.push(listener); } };
+  let state = null, timer = 0, answered = null;
+  window.fffoWorkbench = { $, advise, ask, confirmed, element, enable, fill, look, options, question, tell, unask, get state() { return state; }, onState(listener) { listeners.push(listener); } };
 
   async function ask(what, body, raw) {
     const answer = await fetch(what, body === undefined ? {} : { method: "POST", body: raw ? body : JSON.stringify(body) });
@@ -39,6 +39,10 @@
     job();
     for (const listener of listeners) listener(state);
     enable();
+    advise();
+  }
+
+  function advise() {
     const step = next();
     $("next").textContent = step ? step.text : "";
     for (const section of document.querySelectorAll(".steps section")) section.classList.toggle("now", Boolean(step) && section.getAttribute("aria-labelledby") === STEP_OF[step.act]);
@@ -62,9 +66,10 @@
   // what somebody who is new here would do next
   function next() {
     if (running()) return null;
+    if (!$("fleet").hidden) return window.fffoFleet.next();
     const results = axisPages(), kinds = results.map((page) => page.kind);
     if (state.axis && state.axis.commissioning && state.daemon) return { act: "", text: "Next: stop the daemon, then commission the axis" };
-    if (state.axis && state.axis.commissioning) return { act: "commission", text: "Next: commission the axis" };
+    if (state.axis && state.axis.commissioning) return { act: "commission", text: `Next: commission the axis${state.axis.simulated ? ", once its simulated drive runs (tab Axis)" : ""}` };
     if (!state.runs.length) return { act: "record", text: "Next: record a run, or add a file" };
     if (kinds[0] === "diagnose") {
       const page = results[0];
@@ -174,18 +179,25 @@
     return question(`The axis ${state.axis.name} will ${what}. Is everybody out of its reach, and the emergency stop at hand?`, "Move it", "Do not");
   }
 
-  function question(text, yes, no) {
+  // resolves with true, false, "all" where that is offered, or null once the question is no more
+  function question(text, yes, no, all) {
+    unask();
     $("ask-text").textContent = text;
     $("ask-yes").textContent = yes;
     $("ask-no").textContent = no;
+    $("ask-all").textContent = all || "";
+    $("ask-all").hidden = !all;
     return new Promise((done) => {
-      $("ask-yes").onclick = () => { $("ask").close(); done(true); };
-      $("ask-no").onclick = () => { $("ask").close(); done(false); };
-      $("ask").oncancel = () => done(false);
+      answered = (answer) => { answered = null; $("ask").close(); done(answer); };
       $("ask").showModal();
       $("ask-no").focus();
     });
   }
+
+  function unask() { if (answered) answered(null); }
+
+  for (const [id, answer] of [["ask-yes", true], ["ask-all", "all"], ["ask-no", false]]) $(id).onclick = () => answered && answered(answer);
+  $("ask").oncancel = () => answered && answered(false);
 
   async function tell(work) {
     $("said").textContent = "";
@@ -235,6 +247,7 @@
       panel.hidden = !on;
       if (on && place) place.prepend($("job")); // one job runs at a time, seen where it is asked for
     }
+    if (state) advise(); // of what the tab knows already
     look();
   }
   for (const tab of tabs) {
