@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 import yaml
 from live.served import Served
-from workbench.test_workbench_in_a_browser import COMPILING_S, CONFIGS, Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import COMPILING_S, CONFIGS, Shown
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.commissioning.record import read_record

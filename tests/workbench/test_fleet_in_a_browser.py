@@ -9,7 +9,7 @@ import pytest
 import yaml
 from fleet.fleet_rig import facts_file, write_run  # noqa: F401
 from fleet.test_fleet_command import DRIVES, OUTSIDE, RUNS, fleet  # noqa: F401
-from workbench.test_workbench_in_a_browser import CONFIGS, Shown, cache_of_a_user  # noqa: F401
+from workbench.test_workbench_in_a_browser import CONFIGS, Shown
 
 from fffo_drive.workbench.bench import Workbench
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -125,12 +124,6 @@ class Shown:
         assert self.troubles == []
         own = self.server.url("look").rsplit("/", 2)[0]
         assert all(url.startswith((own, "data:")) for url in self.asked), self.asked
-
-
-@pytest.fixture(autouse=True)
-def cache_of_a_user(monkeypatch):
-    """Jobs have no tests on their path: they cannot read a cache in which tests left types of their own."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-manual"))
 
 
 @pytest.fixture
