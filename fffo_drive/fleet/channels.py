@@ -49,6 +49,8 @@ BACKLASH = "backlash"
 LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
 LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of temperature, before any drive is seen
+LINE_CHANCE = 4.0  # standard deviations of chance, for which that line counts
+LEAST_LASTING = 0.1  # of the variance of viscous friction: less is no temperature
 LARGEST_STEPS = 3.0  # along that line
 CORRELATION = -0.4  # typical, of viscous and Coulomb friction between runs: of the fits, less that of temperature
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
@@ -295,39 +297,40 @@ def learn(stack: Stack) -> FleetPrior:
 
 
 def _line(stack: Stack, covariance: Floats) -> Floats:
-    """What temperature moves, where none is logged: friction that neighbours in time have in common. (p,)
+    """What temperature moves, where none is logged: friction that goes with what is lasting in viscous friction. (p,)
 
-    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. Of
-    the size of temperature's standard deviation.
+    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. What
+    neighbours in time have in common tells how much goes with viscous friction, as far as it is beyond chance; the rest
+    is the usual coupling. Of the size of temperature's standard deviation; 0 where nothing lasts.
     """
-    friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
     line = np.zeros(len(stack.columns))
     if _VISCOUS not in stack.columns:
         return line
-    inverse = inverse_total(stack.information, covariance)
-    common = np.zeros((len(friction), len(friction)))
+    friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
+    place = stack.columns.index(_VISCOUS)
+    known = np.einsum("nii->n", stack.information) > 0.0
+    sd = np.sqrt(np.diag(covariance))
+    common, pairs = np.zeros(len(friction)), 0
     for number in range(len(stack.drives)):
         runs = stack.of(number)
-        known = np.einsum("nii->n", inverse[runs]) > 0.0
-        theta = stack.theta[runs][known]
+        theta = stack.theta[runs][known[runs]]
         if theta.shape[0] < LEAST_TEACHING:
             continue
-        away = theta - np.median(theta, axis=0)
-        limit = CLIP * np.sqrt(np.diag(covariance))
-        away = np.clip(away, -limit, limit)[:, friction]
-        product = away[1:].T @ away[:-1]
-        common += product + product.T
-    place = stack.columns.index(_VISCOUS)
-    typical = np.sqrt(np.diag(typical_covariance(stack.columns)))
-    if not common.any():
-        line[place], line[stack.columns.index(_COULOMB)] = typical[place], LINE_COULOMB * typical[place]
+        away = np.clip(theta - np.median(theta, axis=0), -CLIP * sd, CLIP * sd)
+        viscous, away = away[:, place], away[:, friction]
+        common += 0.5 * (away[1:].T @ viscous[:-1] + away[:-1].T @ viscous[1:])
+        pairs += theta.shape[0] - 1
+    usual = np.zeros(len(stack.columns))
+    usual[place] = 1.0
+    if _COULOMB in stack.columns:
+        usual[stack.columns.index(_COULOMB)] = LINE_COULOMB
+    chance = LINE_CHANCE * sd[place] ** 2 * math.sqrt(pairs) + 1e-12
+    own = friction.index(place)
+    common[own] = max(common[own], 0.0)
+    if common[own] + chance < LEAST_LASTING * sd[place] ** 2 * pairs:
         return line
-    scale = typical[friction]
-    _, directions = np.linalg.eigh(common / np.outer(scale, scale))
-    found = directions[:, -1] * scale
-    found = found * np.sign(found[friction.index(place)] or 1.0)
-    line[friction] = -found * (0.7 * math.sqrt(covariance[place, place]) / max(abs(found[friction.index(place)]), 1e-9))
-    return line
+    line[friction] = (common + chance * usual[friction]) / (common[own] + chance)
+    return -0.7 * sd[place] * line
 
 
 def _directions(stack: Stack) -> Floats:
@@ -392,9 +395,9 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
         usual = _usual_weights(stack, prior, every, covariance)
         for drives in np.array_split(every, -(-every.size // DRIVES_AT_ONCE)):
             runs = np.concatenate([np.arange(stack.bounds[d], stack.bounds[d + 1]) for d in drives])
-            y[runs], variance[runs], along_line = _projected(stack, prior, drives, runs, covariance, usual)
+            y[runs], variance[runs], along = _projected(stack, prior, drives, runs, covariance, usual)
             if not logged:
-                steps[runs] = np.clip(along_line, -LARGEST_STEPS, LARGEST_STEPS)
+                steps[runs] = along
         if not logged:
             unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
             y[np.ix_(np.flatnonzero(~by_run), unwatched)] = np.nan
@@ -411,13 +414,18 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
 
 
 def _weights(information: Floats, prior: FleetPrior, covariance: Floats) -> tuple[Floats, Floats, Floats]:
-    """What each law's estimate takes of each column (n, law, column), its variance (n, law), and P (n, p, p)."""
+    """What each law's estimate takes of each column (n, law, column), its variance (n, law), and P (n, p, p).
+
+    The last law is that of temperature: its line.
+    """
+    directions = np.vstack([prior.directions, prior.line])
     inverse = inverse_total(information, covariance)
-    along = prior.directions @ inverse
-    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
+    along = directions @ inverse
+    diagonal = np.einsum("nij,ij->ni", along, directions)
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
         variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
+    weights[:, -1] = np.nan_to_num(weights[:, -1])  # runs that say nothing of temperature are at the usual one
     return weights, variance, inverse
 
 
@@ -437,9 +445,9 @@ def _projected(
 ) -> tuple[Floats, Floats, Floats]:
     """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of temperature.
 
-    The population's slope is taken out. Of some drives and their runs.
+    The population's slope is taken out. Of some drives and their runs. The steps are counted from the drive's first
+    level: were it from the latest, all laws that go with them would jump where that is taken anew.
     """
-    size = len(stack.columns)
     theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
     weights, variance, inverse = _weights(stack.information[runs], prior, covariance)
     lengths = np.diff(stack.bounds)[drives]
@@ -450,10 +458,10 @@ def _projected(
     which = np.maximum(place // REFERENCE_EVERY - 1, 0)
     reference = level[which, own] + steps[:, None] * slope[which, own]
     constant = reference - steps[:, None] * prior.slope
-    y = np.einsum("nij,nj->ni", weights, theta - reference) + constant @ usual.T
-    of_line = inverse @ prior.line
-    squared = np.maximum(of_line @ prior.line, 1e-12)
-    return y.reshape(-1, size), variance, np.einsum("ni,ni->n", of_line, theta - reference) / squared
+    found = np.einsum("nij,nj->ni", weights, theta - reference)
+    line = np.clip(found[:, -1], -LARGEST_STEPS, LARGEST_STEPS)
+    line += (reference - level[0, own]) @ usual[-1]
+    return found[:, :-1] + constant @ usual[:-1].T, variance[:, :-1], line
 
 
 def _references(
