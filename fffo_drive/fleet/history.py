@@ -23,6 +23,9 @@ Floats = npt.NDArray[np.float64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
+ROWS_AT_ONCE = 50_000  # that are solved: what is in between takes some 100 MB
+IN_TIME = [("start", "ascending"), ("run", "ascending")]
+OF_ALL_RUNS = ("names", "orders")  # of a history, those that are not by run
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
@@ -77,21 +80,36 @@ def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None
     return _by_drive(store.records(("drive", *HISTORY_COLUMNS), where))
 
 
-def histories_by_model(store: FleetStore) -> dict[str, dict[str, RunHistory]]:
-    """Histories of all drives of each model."""
-    table = store.records(("model", "drive", *HISTORY_COLUMNS))
-    models = sorted(set(table.column("model").to_pylist()))
-    return {model: _by_drive(table.filter(pc.field("model") == model)) for model in models}
+def models_of(store: FleetStore) -> list[str]:
+    """Models that have records."""
+    return sorted(pc.unique(store.records(("model",)).column("model")).to_pylist())
 
 
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
+    """Solved many rows at once, and cut by drive."""
     if not table.num_rows:
         return {}
-    table = table.sort_by("drive")
+    table = table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
+    parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]
+    whole = parts[0] if len(parts) == 1 else _joined(parts)
     drive = table.column("drive").combine_chunks()
     edges = [0, *(np.flatnonzero(pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)) + 1), len(drive)]
-    parts = {str(drive[int(a)]): table.slice(int(a), int(b - a)) for a, b in itertools.pairwise(edges)}
-    return {name: history_of(part, name) for name, part in parts.items()}
+    return {str(drive[int(a)]): _cut(whole, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)}
+
+
+def _joined(parts: Sequence[RunHistory]) -> RunHistory:
+    """Parts that follow each other."""
+    return RunHistory(*(
+        values[0] if name in OF_ALL_RUNS else np.concatenate(values)
+        for name, *values in zip(RunHistory._fields, *parts, strict=True)
+    ))  # fmt: skip
+
+
+def _cut(history: RunHistory, runs: slice) -> RunHistory:
+    return RunHistory(*(
+        value if name in OF_ALL_RUNS else value[runs]
+        for name, value in zip(RunHistory._fields, history, strict=True)
+    ))  # fmt: skip
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
@@ -105,7 +123,11 @@ def history_of(table: pa.Table, drive: str) -> RunHistory:
     """As `history`, of records (`schema.RECORD_SCHEMA`, at least HISTORY_COLUMNS) of one drive."""
     if not table.num_rows:
         raise DocumentError(f"no record of drive {drive!r}: `fffo-drive fleet status STORE` lists the drives")
-    table = table.sort_by([("start", "ascending"), ("run", "ascending")])
+    return _history_of_rows(table.sort_by(IN_TIME))
+
+
+def _history_of_rows(table: pa.Table) -> RunHistory:
+    """Rows in the order in which they are."""
     solved = estimates_of(table)
     return RunHistory(
         time_s=table.column("start").cast(pa.int64()).to_numpy() / US_PER_S,
