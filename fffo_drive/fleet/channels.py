@@ -323,7 +323,7 @@ def _line(stack: Stack, covariance: Floats) -> Floats:
     if common[own] + chance < LEAST_LASTING * sd[place] ** 2 * pairs:
         return line
     line[friction] = (common + chance * usual[friction]) / (common[own] + chance)
-    return -0.7 * sd[place] * line
+    return np.asarray(-0.7 * sd[place] * line)
 
 
 def _directions(stack: Stack) -> Floats:

@@ -6,7 +6,7 @@ import functools
 import itertools
 import operator
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,6 @@ US_PER_S = 1e6
 FEW_DRIVES = 32
 ROWS_AT_ONCE = 50_000  # that are solved: what is in between takes some 100 MB
 IN_TIME = [("start", "ascending"), ("run", "ascending")]
-OF_ALL_RUNS = ("names", "orders")  # of a history, those that are not by run
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
@@ -48,6 +47,9 @@ class RunHistory(NamedTuple):
     run: npt.NDArray[np.str_]  # (n,) content hash of each run, hex
     gap_rev: Floats  # (n,) backlash at the motor shaft; nan where the run shows none
     gap_log_sd: Floats  # (n,) standard deviation of its logarithm
+
+
+BY_RUN = tuple(name for name in RunHistory._fields if name not in ("names", "orders"))
 
 
 def history(store: FleetStore, drive: str, model: str | None = None) -> RunHistory:
@@ -99,17 +101,13 @@ def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
 
 def _joined(parts: Sequence[RunHistory]) -> RunHistory:
     """Parts that follow each other."""
-    return RunHistory(*(
-        values[0] if name in OF_ALL_RUNS else np.concatenate(values)
-        for name, *values in zip(RunHistory._fields, *parts, strict=True)
-    ))  # fmt: skip
+    by_run: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in BY_RUN}
+    return parts[0]._replace(**by_run)
 
 
 def _cut(history: RunHistory, runs: slice) -> RunHistory:
-    return RunHistory(*(
-        value if name in OF_ALL_RUNS else value[runs]
-        for name, value in zip(RunHistory._fields, history, strict=True)
-    ))  # fmt: skip
+    by_run: dict[str, Any] = {name: getattr(history, name)[runs] for name in BY_RUN}
+    return history._replace(**by_run)
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
