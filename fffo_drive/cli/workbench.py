@@ -72,7 +72,8 @@ def execute(options: argparse.Namespace) -> int:
     except (OSError, OverflowError) as error:
         raise DocumentError(f"--port {options.port}: {error}; give another one, or leave it out") from None
     for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what was started here does not outlive it
-        signal.signal(number, signal.default_int_handler)
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(number, signal.default_int_handler)
     server.start()
     try:
         for role in reversed(ROLES):

@@ -223,9 +223,9 @@ def verdict_of(
 def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None) -> str:
     """Why a finding may not be what its name says; empty where nothing contradicts it, and for a form of friction.
 
-    On 20 drives whose kind was left out of the search (benchmark `blind_left_out`) this catches 6 of 12 wrong names: 3 by
-    LEAST_BESIDE, 1 by STEADY, 2 by the axis of the rest. The first two put none of the 21 right names of 30 other drives
-    in doubt, the last none of the four right laws beside a rest on ten drives with five surfaces.
+    On 20 drives whose kind was left out of the search (benchmark `blind_left_out`) this catches 6 of 12 wrong names: 3
+    by LEAST_BESIDE, 1 by STEADY, 2 by the axis of the rest. The first two put none of the 21 right names of 30 other
+    drives in doubt, the last none of the four right laws beside a rest on ten drives with five surfaces.
     """
     if finding.is_form:
         return ""

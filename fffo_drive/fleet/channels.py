@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .detector import BURN_IN, CLIP, NORMAL_MAD, SCALE_CLIP_SQUARED, SCALE_MEAN, ChannelPrior, detect
+from .detector import BURN_IN, CLIP, NORMAL_MAD
 from .history import RunHistory
 
 Floats = npt.NDArray[np.float64]
@@ -49,6 +49,8 @@ BACKLASH = "backlash"
 LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
 LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of temperature, before any drive is seen
+LINE_CHANCE = 4.0  # standard deviations of chance, for which that line counts
+LEAST_LASTING = 0.1  # of the variance of viscous friction: less is no temperature
 LARGEST_STEPS = 3.0  # along that line
 CORRELATION = -0.4  # typical, of viscous and Coulomb friction between runs: of the fits, less that of temperature
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
@@ -56,19 +58,12 @@ PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
 MEAN_DEGC, STEP_K = 25.0, 10.0  # temperatures are counted in steps from this mean
 TEMPERATURE_SHARE = 0.8  # of the runs with a temperature, for it to be the thermometer
 SLOPE_SDS = 1.5  # slope per step of temperature, before any drive is seen: in typical deviations between runs
-CHANNEL_SLOPE_SD = 0.02  # of a channel per e-fold of speed, over its scale
 GAP_SD = 0.05  # of the logarithm of the gap between runs, beside what each run says: in simulated lives
-EXTRA_SD, EXTRA_SLOPE_SD = 0.15, 0.2  # of logarithms of amplitudes: between runs, and per unit of a covariate
-LEVEL_RUNS = 100.0  # variances of a run that a level may be away at first
+EXTRA_SD = 0.15  # of logarithms of amplitudes, between runs
 REFERENCE_EVERY = 8  # runs after which a drive's own level is taken anew
 LEARNED_DRIVES, LEARNED_RUNS = 100, 60  # at most, to learn what a fleet is like
-LEARNING_RATE = 0.2  # alarms per drive and year, beyond which a drive's later runs teach nothing
 LEAST_TEACHING = BURN_IN + 6  # runs of a drive
 LEARNING_ROUNDS = 12
-LEAST_SHAPE, LARGEST_SHAPE = 2.0, 15.0
-LARGEST_MEMORY = 0.8
-SCALE_WASTE = 1.5  # variance of that scale, squared, over that of a mean square
-MEAN_FITTED = 1.0  # a fitted level makes neighbours look this much over the number of runs less alike
 MOST_ORDERS = 6
 LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
 ORDER_SHARE = 0.5  # of the runs that have to resolve an order
@@ -295,39 +290,40 @@ def learn(stack: Stack) -> FleetPrior:
 
 
 def _line(stack: Stack, covariance: Floats) -> Floats:
-    """What temperature moves, where none is logged: friction that neighbours in time have in common. (p,)
+    """What temperature moves, where none is logged: friction that goes with what is lasting in viscous friction. (p,)
 
-    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. Of
-    the size of temperature's standard deviation.
+    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. What
+    neighbours in time have in common tells how much goes with viscous friction, as far as it is beyond chance; the rest
+    is the usual coupling. Of the size of temperature's standard deviation; 0 where nothing lasts.
     """
-    friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
     line = np.zeros(len(stack.columns))
     if _VISCOUS not in stack.columns:
         return line
-    inverse = inverse_total(stack.information, covariance)
-    common = np.zeros((len(friction), len(friction)))
+    friction = [k for k, name in enumerate(stack.columns) if name in (_VISCOUS, _COULOMB, _STRIBECK)]
+    place = stack.columns.index(_VISCOUS)
+    known = np.einsum("nii->n", stack.information) > 0.0
+    sd = np.sqrt(np.diag(covariance))
+    common, pairs = np.zeros(len(friction)), 0
     for number in range(len(stack.drives)):
         runs = stack.of(number)
-        known = np.einsum("nii->n", inverse[runs]) > 0.0
-        theta = stack.theta[runs][known]
+        theta = stack.theta[runs][known[runs]]
         if theta.shape[0] < LEAST_TEACHING:
             continue
-        away = theta - np.median(theta, axis=0)
-        limit = CLIP * np.sqrt(np.diag(covariance))
-        away = np.clip(away, -limit, limit)[:, friction]
-        product = away[1:].T @ away[:-1]
-        common += product + product.T
-    place = stack.columns.index(_VISCOUS)
-    typical = np.sqrt(np.diag(typical_covariance(stack.columns)))
-    if not common.any():
-        line[place], line[stack.columns.index(_COULOMB)] = typical[place], LINE_COULOMB * typical[place]
+        away = np.clip(theta - np.median(theta, axis=0), -CLIP * sd, CLIP * sd)
+        viscous, away = away[:, place], away[:, friction]
+        common += 0.5 * (away[1:].T @ viscous[:-1] + away[:-1].T @ viscous[1:])
+        pairs += theta.shape[0] - 1
+    usual = np.zeros(len(stack.columns))
+    usual[place] = 1.0
+    if _COULOMB in stack.columns:
+        usual[stack.columns.index(_COULOMB)] = LINE_COULOMB
+    chance = LINE_CHANCE * sd[place] ** 2 * math.sqrt(pairs) + 1e-12
+    own = friction.index(place)
+    common[own] = max(common[own], 0.0)
+    if common[own] + chance < LEAST_LASTING * sd[place] ** 2 * pairs:
         return line
-    scale = typical[friction]
-    _, directions = np.linalg.eigh(common / np.outer(scale, scale))
-    found = directions[:, -1] * scale
-    found = found * np.sign(found[friction.index(place)] or 1.0)
-    line[friction] = -found * (0.7 * math.sqrt(covariance[place, place]) / max(abs(found[friction.index(place)]), 1e-9))
-    return line
+    line[friction] = (common + chance * usual[friction]) / (common[own] + chance)
+    return np.asarray(-0.7 * sd[place] * line)
 
 
 def _directions(stack: Stack) -> Floats:
@@ -392,9 +388,9 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
         usual = _usual_weights(stack, prior, every, covariance)
         for drives in np.array_split(every, -(-every.size // DRIVES_AT_ONCE)):
             runs = np.concatenate([np.arange(stack.bounds[d], stack.bounds[d + 1]) for d in drives])
-            y[runs], variance[runs], along_line = _projected(stack, prior, drives, runs, covariance, usual)
+            y[runs], variance[runs], along = _projected(stack, prior, drives, runs, covariance, usual)
             if not logged:
-                steps[runs] = np.clip(along_line, -LARGEST_STEPS, LARGEST_STEPS)
+                steps[runs] = along
         if not logged:
             unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
             y[np.ix_(np.flatnonzero(~by_run), unwatched)] = np.nan
@@ -411,13 +407,18 @@ def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
 
 
 def _weights(information: Floats, prior: FleetPrior, covariance: Floats) -> tuple[Floats, Floats, Floats]:
-    """What each law's estimate takes of each column (n, law, column), its variance (n, law), and P (n, p, p)."""
+    """What each law's estimate takes of each column (n, law, column), its variance (n, law), and P (n, p, p).
+
+    The last law is that of temperature: its line.
+    """
+    directions = np.vstack([prior.directions, prior.line])
     inverse = inverse_total(information, covariance)
-    along = prior.directions @ inverse
-    diagonal = np.einsum("nij,ij->ni", along, prior.directions)
+    along = directions @ inverse
+    diagonal = np.einsum("nij,ij->ni", along, directions)
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
         variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
+    weights[:, -1] = np.nan_to_num(weights[:, -1])  # runs that say nothing of temperature are at the usual one
     return weights, variance, inverse
 
 
@@ -437,9 +438,9 @@ def _projected(
 ) -> tuple[Floats, Floats, Floats]:
     """Estimates (n, p) of a change along each law, their variances, and steps (n,) along the line of temperature.
 
-    The population's slope is taken out. Of some drives and their runs.
+    The population's slope is taken out. Of some drives and their runs. The steps are counted from the drive's first
+    level: were it from the latest, all laws that go with them would jump where that is taken anew.
     """
-    size = len(stack.columns)
     theta, steps = stack.theta[runs], np.nan_to_num(stack.temperature[runs])
     weights, variance, inverse = _weights(stack.information[runs], prior, covariance)
     lengths = np.diff(stack.bounds)[drives]
@@ -450,10 +451,10 @@ def _projected(
     which = np.maximum(place // REFERENCE_EVERY - 1, 0)
     reference = level[which, own] + steps[:, None] * slope[which, own]
     constant = reference - steps[:, None] * prior.slope
-    y = np.einsum("nij,nj->ni", weights, theta - reference) + constant @ usual.T
-    of_line = inverse @ prior.line
-    squared = np.maximum(of_line @ prior.line, 1e-12)
-    return y.reshape(-1, size), variance, np.einsum("ni,ni->n", of_line, theta - reference) / squared
+    found = np.einsum("nij,nj->ni", weights, theta - reference)
+    line = np.clip(found[:, -1], -LARGEST_STEPS, LARGEST_STEPS)
+    line += (reference - level[0, own]) @ usual[-1]
+    return found[:, :-1] + constant @ usual[:-1].T, variance[:, :-1], line
 
 
 def _references(
@@ -495,106 +496,3 @@ def _references(
         if slopes:
             found[number] = solution[:, size:]
     return levels, found
-
-
-def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
-    """Slopes, variance, its spread over drives, and memory of each channel, as this fleet has them."""
-    count = len(channels.laws)
-    size = len(stack.columns)
-    typical = np.array([*(COLUMNS[name][2] for name in stack.columns)])
-    slope_sd = np.vstack([
-        np.column_stack([SLOPE_SDS * typical, CHANNEL_SLOPE_SD + 0.5 * typical]),
-        np.full((count - size, 2), EXTRA_SLOPE_SD),
-    ])  # fmt: skip
-    mean, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    variance, shape, memory = np.ones(count), np.full(count, LEAST_SHAPE), np.zeros(count)
-    for c in range(count):
-        tried = [_drive_fit(channels, stack.of(d), c, slope_sd[c]) for d in range(len(stack.drives))]
-        fits = [one for one in tried if one is not None]
-        number = len(fits)
-        share = number / (number + PRIOR_DRIVES)
-        usual = np.nanmedian(channels.variance[:, c])
-        between = slope_sd[c] ** 2
-        if number:
-            slopes = np.array([one.slopes for one in fits])
-            centre = np.median(slopes, axis=0)
-            own = np.median([one.slope_variance for one in fits], axis=0)
-            spread = (NORMAL_MAD * np.median(np.abs(slopes - centre), axis=0)) ** 2
-            mean[c, 1:] = share * centre
-            between = share * np.maximum(spread - own, 0.1 * spread) + (1.0 - share) * slope_sd[c] ** 2 + 1e-12
-            lag = sum(one.lag for one in fits) / max(sum(one.energy for one in fits), 1e-300)
-            runs = float(np.mean([one.dof for one in fits]))
-            memory[c] = min(max(share * (lag + MEAN_FITTED / runs), 0.0), LARGEST_MEMORY)
-            logs = np.log([one.variance for one in fits])
-            dof = float(np.median([one.dof for one in fits]))
-            variance[c] = np.exp(share * np.median(logs))
-            beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - SCALE_WASTE * 2.0 / dof
-            wide = 1.0 / max(float(beyond), 1e-3)  # the variance of the logarithm is about 1 / shape
-            shape[c] = np.clip(share * wide, LEAST_SHAPE, LARGEST_SHAPE)
-        covariance[c] = np.diag([LEVEL_RUNS * usual, *(between / variance[c])])
-    return ChannelPrior(mean, covariance, variance, shape, memory)
-
-
-class _DriveFit(NamedTuple):
-    slopes: Floats  # (2,)
-    slope_variance: Floats  # (2,)
-    variance: float  # of what is left of a run, over what its record says
-    dof: float
-    lag: float  # sum of products of neighbours, outliers pulled in
-    energy: float  # ... of squares
-
-
-def _drive_fit(channels: Channels, runs: slice, c: int, slope_sd: Floats) -> _DriveFit | None:
-    """Level and slopes of one channel of a drive, by reweighted least squares; None for a few runs."""
-    y = channels.y[runs, c]
-    known = np.flatnonzero(np.isfinite(y))
-    if known.size < BURN_IN + 3:
-        return None
-    white = 1.0 / np.sqrt(channels.variance[runs, c][known])
-    design = np.column_stack([np.ones(known.size), channels.covariates[runs][known]]) * white[:, None]
-    target = y[known] * white
-    scale = 1.0
-    weight: Floats = np.ones(known.size)
-    for _ in range(4):
-        own = design * weight[:, None]
-        normal = own.T @ design / scale**2 + np.diag(np.concatenate([[0.0], slope_sd**-2.0]))
-        solution = np.linalg.solve(normal, own.T @ target / scale**2)
-        residual = target - design @ solution
-        scale = max(_scale(residual), 1e-9)
-        weight = np.minimum(1.0, CLIP * scale / np.maximum(np.abs(residual), 1e-300))
-    spread: Floats = np.diag(np.linalg.inv(normal))[1:]
-    clipped = np.clip(residual, -CLIP * scale, CLIP * scale)
-    lag, energy = float(clipped[1:] @ clipped[:-1]), float(clipped @ clipped)
-    return _DriveFit(np.asarray(solution[1:], dtype=np.float64), spread, scale**2, known.size - 3.0, lag, energy)
-
-
-def _scale(residual: Floats) -> float:
-    """Standard deviation of what is left beside a level and two slopes, by the middle of it (Huber's proposal 2)."""
-    scale = NORMAL_MAD * float(np.median(np.abs(residual)))
-    few = residual.size / (residual.size - 3.0)
-    for _ in range(8):
-        if scale <= 0.0:
-            break
-        pulled = np.minimum((residual / scale) ** 2, SCALE_CLIP_SQUARED)
-        scale *= math.sqrt(few * float(np.mean(pulled)) / SCALE_MEAN)
-    return scale
-
-
-def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
-    """What the fleet is like, from runs in which nothing changes: twice, for what changes has to be seen first."""
-    drives = np.unique(np.linspace(0, len(stack.drives) - 1, LEARNED_DRIVES).astype(np.int64))
-    ends = np.minimum(stack.bounds[drives + 1], stack.bounds[drives] + LEARNED_RUNS)
-    part = stack.part(drives, ends)
-    prior = learn(part)
-    channels = channels_of(part, prior)
-    own = channel_prior(part, channels)
-    found = detect(part.bounds, part.time_s, *channels[1:], own, LEARNING_RATE)
-    kept = np.diff(part.bounds)
-    for drive, first in zip(found.drive[::-1], found.first[::-1], strict=True):
-        kept[drive] = first - part.bounds[drive]
-    enough = np.flatnonzero(kept >= LEAST_TEACHING)
-    if not found.drive.size or not enough.size:
-        return prior, own
-    quiet = part.part(enough, part.bounds[enough] + kept[enough])
-    prior = learn(quiet)
-    return prior, channel_prior(quiet, channels_of(quiet, prior))

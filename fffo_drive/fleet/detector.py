@@ -136,7 +136,7 @@ def _restart(state: Floats, level_covariance: float) -> None:
 
 
 @njit
-def _median(values: Floats, count: int) -> float:
+def median_of(values: Floats, count: int) -> float:
     """Of the first `count` values, which it sorts."""
     for i in range(1, count):
         value = values[i]
@@ -161,11 +161,11 @@ def _settle(
             count += 1
     if count == 0:
         return
-    centre = _median(scratch, count)
+    centre = median_of(scratch, count)
     state[_B] = centre
     for k in range(count):
         scratch[k] = abs(scratch[k] - centre)
-    spread = NORMAL_MAD * _median(scratch, count)
+    spread = NORMAL_MAD * median_of(scratch, count)
     shape = state[_SHAPE]
     scale = math.sqrt((state[_SUM] + 0.5 * count * spread * spread) / (shape + 0.5 * count))
     for n in range(begin, end):

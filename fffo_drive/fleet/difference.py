@@ -32,11 +32,11 @@ from .channels import (
     Stack,
     channels_of,
     inverse_total,
-    learned,
     stacked,
 )
 from .detector import CLIP, ChannelPrior
 from .history import RunHistory
+from .learning import learned
 
 Floats = npt.NDArray[np.float64]
 

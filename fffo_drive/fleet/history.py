@@ -6,7 +6,7 @@ import functools
 import itertools
 import operator
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,8 @@ Floats = npt.NDArray[np.float64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
+ROWS_AT_ONCE = 50_000  # that are solved: what is in between takes some 100 MB
+IN_TIME = [("start", "ascending"), ("run", "ascending")]
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
@@ -45,6 +47,9 @@ class RunHistory(NamedTuple):
     run: npt.NDArray[np.str_]  # (n,) content hash of each run, hex
     gap_rev: Floats  # (n,) backlash at the motor shaft; nan where the run shows none
     gap_log_sd: Floats  # (n,) standard deviation of its logarithm
+
+
+BY_RUN = tuple(name for name in RunHistory._fields if name not in ("names", "orders"))
 
 
 def history(store: FleetStore, drive: str, model: str | None = None) -> RunHistory:
@@ -77,21 +82,32 @@ def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None
     return _by_drive(store.records(("drive", *HISTORY_COLUMNS), where))
 
 
-def histories_by_model(store: FleetStore) -> dict[str, dict[str, RunHistory]]:
-    """Histories of all drives of each model."""
-    table = store.records(("model", "drive", *HISTORY_COLUMNS))
-    models = sorted(set(table.column("model").to_pylist()))
-    return {model: _by_drive(table.filter(pc.field("model") == model)) for model in models}
+def models_of(store: FleetStore) -> list[str]:
+    """Models that have records."""
+    return sorted(pc.unique(store.records(("model",)).column("model")).to_pylist())
 
 
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
+    """Solved many rows at once, and cut by drive."""
     if not table.num_rows:
         return {}
-    table = table.sort_by("drive")
+    table = table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
+    parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]
+    whole = parts[0] if len(parts) == 1 else _joined(parts)
     drive = table.column("drive").combine_chunks()
     edges = [0, *(np.flatnonzero(pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)) + 1), len(drive)]
-    parts = {str(drive[int(a)]): table.slice(int(a), int(b - a)) for a, b in itertools.pairwise(edges)}
-    return {name: history_of(part, name) for name, part in parts.items()}
+    return {str(drive[int(a)]): _cut(whole, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)}
+
+
+def _joined(parts: Sequence[RunHistory]) -> RunHistory:
+    """Parts that follow each other."""
+    by_run: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in BY_RUN}
+    return parts[0]._replace(**by_run)
+
+
+def _cut(history: RunHistory, runs: slice) -> RunHistory:
+    by_run: dict[str, Any] = {name: getattr(history, name)[runs] for name in BY_RUN}
+    return history._replace(**by_run)
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
@@ -105,7 +121,11 @@ def history_of(table: pa.Table, drive: str) -> RunHistory:
     """As `history`, of records (`schema.RECORD_SCHEMA`, at least HISTORY_COLUMNS) of one drive."""
     if not table.num_rows:
         raise DocumentError(f"no record of drive {drive!r}: `fffo-drive fleet status STORE` lists the drives")
-    table = table.sort_by([("start", "ascending"), ("run", "ascending")])
+    return _history_of_rows(table.sort_by(IN_TIME))
+
+
+def _history_of_rows(table: pa.Table) -> RunHistory:
+    """Rows in the order in which they are."""
     solved = estimates_of(table)
     return RunHistory(
         time_s=table.column("start").cast(pa.int64()).to_numpy() / US_PER_S,

@@ -19,8 +19,9 @@ import numpy.typing as npt
 from scipy import stats
 
 from .. import formats
-from .channels import MEAN_DEGC, STEP_K, Stack, inverse_total, learned, marginal, stacked
+from .channels import MEAN_DEGC, STEP_K, Stack, inverse_total, marginal, stacked
 from .history import RunHistory
+from .learning import learned
 
 Floats = npt.NDArray[np.float64]
 

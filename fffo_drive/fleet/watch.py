@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from ..documents import counted
 from ..units import NORMAL_95
-from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, learned, stacked
+from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory
+from .learning import learned
 
 Floats = npt.NDArray[np.float64]
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy import stats
 
 from fffo_drive.fleet.channels import inverse_total, marginal
 from fffo_drive.fleet.detector import CLIP, SECOND_MOMENT, SLOPES, ChannelPrior, Detections, detect, log_norms
@@ -131,6 +132,43 @@ def test_a_schedule_of_many_runs_a_day_has_no_more_alarms_a_year() -> None:
     noise = np.random.default_rng(6).standard_normal((100, 200, 2))
     dense = watched(noise, 5.0)
     assert dense.evidence.max() < watched(noise, 50.0).evidence.max()
+
+
+def short_runs(number: int, logged: bool, worn: float = 0.0) -> RunHistory:
+    """A drive as `drawn`, at one temperature all year: what each run says of friction is correlated, as in real fits.
+
+    Every parameter scatters by 2 % from run to run. `worn`: rise of Coulomb friction and stiction from run 25 on.
+    """
+    rng = np.random.default_rng([14, number])
+    speed = np.concatenate([sign * np.linspace(0.05, 3.0, 60) for sign in (1.0, -1.0)]) * rng.uniform(0.8, 1.25)
+    direction = np.sign(speed)
+    columns = np.column_stack([
+        20.0 * np.sin(17.0 * np.arange(speed.size)), speed, direction, direction * np.exp(-np.abs(speed)),
+        np.ones(speed.size), np.abs(speed),
+    ])  # fmt: skip
+    information = np.zeros((50, 8, 8))
+    information[:, :6, :6] = columns.T @ columns / 1e-2**2 * np.exp(0.2 * rng.standard_normal((50, 1, 1)))
+    theta = LEVEL * np.exp(0.05 * rng.standard_normal(8)) * np.exp(0.02 * rng.standard_normal((50, 8)))
+    theta[25:, [COULOMB, STRIBECK]] *= 1.0 + worn
+    degc = 25.0 + 2.0 * rng.standard_normal(50) if logged else np.full(50, math.nan)
+    return drawn(number)._replace(theta=theta, information=information, temperature_degc=degc)
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_a_fleet_that_shows_no_temperature_keeps_the_rate(logged: bool) -> None:
+    rate = 0.1
+    found = watch({str(number): short_runs(number, logged) for number in range(100)}, rate).found
+    assert len(found.alarms) <= stats.poisson.ppf(0.99, rate * found.drive_years)
+
+
+def test_in_such_a_fleet_wear_of_some_drives_is_not_taken_for_temperature() -> None:
+    rate = 0.05
+    fleet = {str(number): short_runs(number, False, 0.1 if number % 4 == 0 else 0.0) for number in range(100)}
+    found = watch(fleet, rate).found
+    worn = {alarm.drive for alarm in found.alarms if int(alarm.drive) % 4 == 0}
+    false = [alarm for alarm in found.alarms if int(alarm.drive) % 4]
+    assert len(worn) >= 20
+    assert len(false) <= stats.poisson.ppf(0.99, rate * found.drive_years)
 
 
 def test_a_rate_of_nothing_is_refused() -> None:

@@ -305,6 +305,7 @@ def test_what_was_started_ends_with_the_workbench(number, tmp_path, monkeypatch)
     closed = []
     monkeypatch.setattr(Workbench, "close", lambda self: closed.append(self))
     monkeypatch.setattr(WorkbenchServer, "wait", lambda _: signal.raise_signal(number))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background has it ignored
     try:
         assert main(["workbench", "--no-browser", "--out", str(tmp_path)]) == 0
     finally:
