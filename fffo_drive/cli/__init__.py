@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
 from .. import __version__
+from ..workflows.progress import LINES_ENVIRONMENT
 from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
 
 # subcommand -> (module, one line for --help)
@@ -84,6 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     parser = build_parser()
     command = next((word for word in words if not word.startswith("-")), None)
+    if os.environ.get(LINES_ENVIRONMENT):  # a job: it is interrupted even if who began it had that signal ignored
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if command in COMMANDS:
         os.environ.setdefault(
             "OPENBLAS_NUM_THREADS", "1"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -97,7 +98,17 @@ def test_a_question_that_nobody_answers_has_no_answer(asking):
 
 
 @pytest.mark.slow
-def test_one_job_runs_at_a_time_and_an_interrupt_ends_it(tmp_path):
+@pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])  # ignored: begun by a script, with &
+def test_one_job_runs_at_a_time_and_an_interrupt_ends_it(handler, tmp_path, monkeypatch):
+    monkeypatch.setattr("fffo_drive.workbench.jobs.GRACE_S", 1e6)
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        jobs_one_at_a_time(tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def jobs_one_at_a_time(tmp_path):
     jobs = Jobs()
     ended = threading.Event()
     job = jobs.start("serve", "a workbench", ("workbench", "--no-browser", "--out", str(tmp_path)), None,
