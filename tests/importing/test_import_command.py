@@ -45,6 +45,7 @@ def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
     said = capsys.readouterr().out
     assert "'Actual position' [rev]: unit rev" in said
     assert "next: fffo-drive identify" in said
+    assert "assumed:" not in said  # the file gives every unit
     facts = read_facts(tmp_path / "out" / "facts.yaml")
     assert facts.torque_constant_nm_per_a == 0.13
     record = load_record(tmp_path / "out" / "log.mcap", facts)
@@ -82,6 +83,10 @@ def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     assert "--yes" in streams.err
     assert not (tmp_path / "out").exists()
     assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        "assumed: position_rev is 'Actual position' in rad; velocity_rps is 'Actual velocity' in rad/s; "
+        "current_a is 'Actual current' in A"
+    )
     # what was recognised is a map for the next log
     said = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
     said["units"]["Actual position"] = "deg"
@@ -90,6 +95,33 @@ def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "other.yaml") == 0
     record = load_record(tmp_path / "again" / "log.mcap", read_facts(tmp_path / "again" / "facts.yaml"))
     np.testing.assert_allclose(record.position_rev * 360.0, truth().position_rev * 2.0 * np.pi, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("heading", "unknown", "known"),
+    [
+        ("Actual position [rev]", "foo", "there is %, A, N, Nm, V"),
+        ("Actual current [A]", "mNmm", "did you mean 'mNm'"),
+        ("Time [s]", "sss", "there is %"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_refused_and_can_be_said(tmp_path, capsys, heading, unknown, known):
+    name, _, unit = heading.rstrip("]").partition(" [")
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace(heading, f"{name} [{unknown}]"))
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == EXIT_BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"column '{name} [{unknown}]': unknown unit '{unknown}'" in said
+    assert known in said
+    assert not (tmp_path / "out").exists()
+    assert run_import(path, "--out", tmp_path / "out", "--unit", f"{name} [{unknown}]={unit}") == 0
+
+
+@pytest.mark.parametrize("heading", ["Actual position[0]", "Actual position [-]", "Actual position (motor)"])
+def test_an_index_or_a_remark_in_brackets_is_no_unit(tmp_path, heading):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace("Actual position [rev]", heading))
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
 
 
 @pytest.fixture
