@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     hints, declared = _told(options)
-    logs = recognised_logs(options.logs, hints)
+    logs = recognised_logs(options.logs, hints, Path(options.map) if options.map else None)
     if not options.json:
         _print_tables(logs)
     if assumptions(logs) and not options.yes and not options.map:

@@ -102,10 +102,7 @@ class _Recogniser:
         self.remarks: list[str] = []
         unknown = [name for name in (*hints.roles.values(), *hints.units) if name and name not in source.columns]
         if unknown:
-            raise RecordingError(
-                f"{source.path}: no column {unknown[0]!r}; there are "
-                + ", ".join(repr(name) for name in source.columns)
-            )
+            raise RecordingError(f"{source.path}: no column {unknown[0]!r}: {did_you_mean(unknown[0], source.columns)}")
         self.columns = {}
         for name, values in source.columns.items():
             unit = hints.units.get(name, source.units.get(name))

@@ -190,18 +190,38 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
     found = json.loads(capsys.readouterr().out)["logs"][0]["signals"]
     assert found["current_command_a"]["column"] == "Actual current"
     assert "current_a" not in found
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("linear: false\nroles:\n  time_s: Time\n  position_rev: Actual positon\n")
     for words, text in (
-        (["--position", "Actual positon"], "no column 'Actual positon'"),
+        (["--position", "Actual positon"], "no column 'Actual positon': did you mean 'Actual position'"),
         (["--unit", "Actual position=turnz"], "unit 'turnz'"),
         (["--unit", "Actual position"], "COLUMN=UNIT"),
         (["--rate", "-1"], "--rate -1"),
         (["--gear-ratio", "-3"], "gear_ratio"),
         (["--map", str(log)], "not a map of columns"),
+        (["--map", wrong], f"wrong.yaml:4: roles.position_rev: {log} has no column 'Actual positon': did you mean"),
+        (["--map", wrong, "--position", "Actual"], f"{log}: no column 'Actual'"),
     ):
         assert run_import(log, "--out", tmp_path / "other", *words) == EXIT_BAD_INPUT
         assert text in capsys.readouterr().err
     assert run_import(log, "--out", tmp_path / "out") == EXIT_BAD_INPUT
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "said"),
+    [
+        ([20], "note: 1 cell is not a number and counts as missing, the first is 'x' in line 21"),
+        ([20, 30], "note: 2 cells are not numbers and count as missing, the first is 'x' in line 21"),
+    ],
+)
+def test_cells_that_are_not_numbers_are_counted(tmp_path, capsys, spoiled, said):
+    lines = as_text(truth(), Dialect()).splitlines()
+    for line in spoiled:
+        lines[line] = lines[line].rpartition(",")[0] + ",x"
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
+    assert said in capsys.readouterr().out
 
 
 def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
