@@ -115,7 +115,7 @@ def _walk(node: yaml.Node, path: Location, lines: dict[Location, int], errors: l
             if node.flow_style and value_node.value == "" and _COMMA.fullmatch(f"{number},{key}"):
                 place = ".".join(map(str, (*path, earlier)))
                 errors.append((line, f"{place}: write {number}.{key}, with a decimal point (got {number},{key})"))
-            earlier, number = key, str(value_node.value)
+            earlier, number = key, value_node.value if isinstance(value_node, yaml.ScalarNode) else ""
             if key in seen:
                 errors.append((line, f"{'.'.join(map(str, (*path, key)))}: given twice, first in line {seen[key]}"))
             seen[key] = line
