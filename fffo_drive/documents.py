@@ -29,6 +29,7 @@ LONGEST_SHOWN = 80  # characters of a value in a message
 DEEPEST = 32  # of mappings and lists in each other
 
 _INTEGER = re.compile(r"^[-+]?\d[\d_]*$|^[-+]?0x[\da-fA-F_]+$")
+_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")  # a number with a decimal comma
 _FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
 
 
@@ -107,9 +108,14 @@ def _walk(node: yaml.Node, path: Location, lines: dict[Location, int], errors: l
     lines.setdefault(path, node.start_mark.line + 1)
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
+        earlier, number = "", ""
         for key_node, value_node in node.value:
             key = str(key_node.value)
             line = key_node.start_mark.line + 1
+            if node.flow_style and value_node.value == "" and _COMMA.fullmatch(f"{number},{key}"):
+                place = ".".join(map(str, (*path, earlier)))
+                errors.append((line, f"{place}: write {number}.{key}, with a decimal point (got {number},{key})"))
+            earlier, number = key, value_node.value if isinstance(value_node, yaml.ScalarNode) else ""
             if key in seen:
                 errors.append((line, f"{'.'.join(map(str, (*path, key)))}: given twice, first in line {seen[key]}"))
             seen[key] = line
@@ -267,6 +273,8 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
         text = f"a {'whole ' if kind in WHOLE else ''}number{_range(limits)} is needed"
         if kind in WHOLE and isinstance(value, float) and value.is_integer():
             return f"{text}: write {value:.0f} (got {_shown(value)})"
+        if isinstance(value, str) and _COMMA.fullmatch(value):
+            return f"{text}: write {value.replace(',', '.')}, with a decimal point (got {_shown(value)})"
     else:
         text = NEEDED.get(kind, "a value of another kind is needed").format(**context)
     told = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)

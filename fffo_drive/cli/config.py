@@ -55,6 +55,9 @@ def execute(options: argparse.Namespace) -> int:
     if options.action == "check":
         plans = [make_plan(path) for path in options.config]
         for plan in plans:
+            if not isinstance(plan.axis.drive, CanopenDriveSection):
+                open_drive(plan)  # an error in the file of a simulated drive comes before any "ok"
+        for plan in plans:
             _check(plan)
         for text in shared_buses([(str(plan.path), plan.axis) for plan in plans]):
             print(f"warning: {text}")
@@ -111,8 +114,6 @@ def _check(plan: Plan) -> None:
                 f"  warning: the worst case is {-chain.slack_s * 1e6:.0f} us beyond the period: a command that "
                 "arrives after the next SYNC acts one period later (the drive counts an old set-point)"
             )
-    else:
-        open_drive(plan)
     for text in coarse_words(axis, model):
         print(f"  warning: {text}")
     for key in ("scope", "foxglove"):

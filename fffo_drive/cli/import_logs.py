@@ -30,6 +30,7 @@ from ..importing.recognise import (
     SETPOINT_REV,
     TIME_S,
     VELOCITY_RPS,
+    Guess,
     Hints,
     Recognition,
 )
@@ -98,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     hints, declared = _told(options)
-    logs = recognised_logs(options.logs, hints)
+    logs = recognised_logs(options.logs, hints, Path(options.map) if options.map else None)
     if not options.json:
         _print_tables(logs)
     if assumptions(logs) and not options.yes and not options.map:
@@ -114,7 +115,14 @@ def execute(options: argparse.Namespace) -> int:
         print(json.dumps(_as_json(logs, done), indent=2))
     else:
         _print(logs[0].found, done, "torque_constant_nm_per_a" in declared, Path(options.out))
+        if assumptions(logs):
+            print(f"assumed: {'; '.join(_as_assumed(guess, logs[0].found) for guess in assumptions(logs))}")
     return 0
+
+
+def _as_assumed(guess: Guess, found: Recognition) -> str:
+    name = name_on(guess.signal, unit_in(guess.signal), found.linear)
+    return f"{name} is {guess.column!r} in {found.torque_unit if guess.unit == '-' else guess.unit}"
 
 
 def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) -> None:

@@ -125,12 +125,13 @@ def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
     unknown = [key for key, _, sd in told if sd is None]
     if len(unknown) == len(told):
         return Gate(name, False, "no standard deviation: the strengths were not fitted, or are at a bound")
-    known = [(value, sd) for _, value, sd in told if sd is not None]
-    distance = math.sqrt(sum((value / sd) ** 2 for value, sd in known if sd > 0.0))
+    known = [(key, value, sd) for key, value, sd in told if sd is not None]
+    distance = math.sqrt(sum((value / sd) ** 2 for _, value, sd in known if sd > 0.0))
     needed = NORMAL_95 * math.sqrt(len(known))
-    first, value, sd = told[0]
-    text = f"{first} = {value:.3g}" + (f" +- {sd:.2g}" if sd is not None else "")
-    return Gate(name, distance > needed, f"{text}; {distance:.1f} standard deviations from zero, {needed:.1f} needed")
+    first, value, sd = known[0]
+    together = f"all {len(known)} strengths together: " if len(known) > 1 else ""
+    text = f"{first} = {value:.3g} +- {sd:.2g}; {together}{distance:.1f} standard deviations from zero"
+    return Gate(name, distance > needed, f"{text}, {needed:.1f} needed")
 
 
 def bounds_gate(model: ModelFile, effect: EffectModel) -> Gate:

@@ -36,6 +36,7 @@ from ..identification.excitation import (
 )
 from ..model.friction import FrictionConfig, least_sliding_nm
 from ..model.parameters import ModelFile, content_hash, model_text, read_model
+from ..recording.errors import did_you_mean
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
 from ..runtime.records import ModelNote
@@ -367,4 +368,10 @@ def deciding_section(axis: AxisFile, effect: str) -> DecideProfile:
 
 def model_of(path: str | Path, axis: AxisFile) -> ModelFile:
     """The model file that an axis file names. Raises DocumentError."""
-    return read_model(beside(path, axis.model))
+    model = beside(path, axis.model)
+    if not model.exists():
+        word = formats.MODEL.word.encode()
+        files = [file for file in model.parent.glob("*.yaml") if file.is_file() and word in file.read_bytes()]
+        near = f": {did_you_mean(model.name, (file.name for file in files))}" if files else ""
+        refuse(path, [("model", f"{model}: cannot be read: No such file or directory{near}")])
+    return read_model(model)

@@ -53,6 +53,8 @@ def runs_below(place: str, tables: bool) -> list[str]:
     except FileNotFoundError:
         paths = []
     found = sorted(path for path in paths if path.lower().endswith(suffixes))
+    if not found and not filesystem.exists(root):
+        raise DocumentError(f"--from {place}: there is no such directory: check the path")
     if not found:
         raise DocumentError(f"--from {place}: no run there ({', '.join(suffixes)})")
     return [filesystem.unstrip_protocol(path) if is_url(place) else path for path in found]

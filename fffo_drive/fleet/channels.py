@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from .detector import BURN_IN, CLIP, NORMAL_MAD
 from .history import RunHistory
+from .words import WORDS
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -40,8 +41,8 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {
     _STRIBECK: ("stiction", _COULOMB, 0.20),
     "offset_nm": ("constant torque", _COULOMB, 0.05),
     "viscous_excess_nm_per_rps": ("friction that differs by direction", _VISCOUS, 0.08),
-    "gravity_cos_nm": ("gravity", _COULOMB, 0.05),
-    "gravity_sin_nm": ("gravity", _COULOMB, 0.05),
+    "gravity_cos_nm": (WORDS["gravity_cos_nm"], _COULOMB, 0.05),
+    "gravity_sin_nm": (WORDS["gravity_sin_nm"], _COULOMB, 0.05),
 }
 WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
 UNMODELLED = "what no column explains (elasticity)"

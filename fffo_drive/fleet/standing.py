@@ -82,10 +82,12 @@ def population_at(source: str, who: Who) -> Population:
     least = LEAST_DRIVES if found is None else len(found.names) + 2  # or no drive shows a direction of the covariance
     if found is None or found.drives < least:
         beside = f" beside {who.drive}" if who.drive else ""
+        # fewer than three drives show no parameters: at most all there are
+        needed = f"at most {len(PARAMETERS) + 2}" if found is None else f"here {least}, so {least - found.drives} more"
         raise DocumentError(
             f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two "
-            f"more drives than parameters (at most {len(PARAMETERS) + 2}): add runs of more drives with "
-            "`fffo-drive fleet add`, or run without --prior"
+            f"more drives than parameters ({needed}): add runs of more drives with `fffo-drive fleet add`, or run "
+            "without --prior"
         )
     return found
 

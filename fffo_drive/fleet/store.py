@@ -103,7 +103,7 @@ class FleetStore:
             told = json.loads(self.place.read(STORE_FILE))
         except FileNotFoundError:
             raise DocumentError(
-                f"{address}: no store here: `fffo-drive fleet add {address} RUN...` makes one"
+                f"{address}: no store here: check the path; `fffo-drive fleet add {address} RUN...` makes a new one"
             ) from None
         except ValueError as error:
             raise DocumentError(f"{address}: {STORE_FILE} cannot be read: {error}") from None

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..recording.errors import RecordingError
+from ..recording.errors import RecordingError, did_you_mean
 from ..signals import REFERENCE_POSITION
 from .evidence import (
     driven_by,
@@ -27,7 +27,7 @@ from .evidence import (
 )
 from .names import ENABLE, INPUTS, POSITION, VELOCITY, Meaning, meaning_of
 from .source import Floats, Source
-from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE
+from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE, unknown_unit
 
 TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
@@ -102,10 +102,7 @@ class _Recogniser:
         self.remarks: list[str] = []
         unknown = [name for name in (*hints.roles.values(), *hints.units) if name and name not in source.columns]
         if unknown:
-            raise RecordingError(
-                f"{source.path}: no column {unknown[0]!r}; there are "
-                + ", ".join(repr(name) for name in source.columns)
-            )
+            raise RecordingError(f"{source.path}: no column {unknown[0]!r}: {did_you_mean(unknown[0], source.columns)}")
         self.columns = {}
         for name, values in source.columns.items():
             unit = hints.units.get(name, source.units.get(name))
@@ -133,6 +130,7 @@ class _Recogniser:
         self._reference_encoder()
         self._references()
         torque_unit = self._inputs()
+        self._refuse_unknown_units()
         used = {guess.column for guess in self.guesses.values()} | {enable}
         left = tuple(name for name in self.source.columns if name not in used)
         return Recognition(
@@ -148,6 +146,16 @@ class _Recogniser:
     def _refuse(self, what: str, how: str) -> None:
         listed = ", ".join(repr(name) for name in self.source.columns)
         raise RecordingError(f"{self.source.path}: {what} can be seen among the columns {listed}: say it with {how}")
+
+    def _refuse_unknown_units(self) -> None:
+        """A unit that the file writes and that is not known is no reason to assume another one."""
+        for name in dict.fromkeys(guess.column for guess in self.guesses.values()):
+            text = None if self.columns[name].unit else unknown_unit(name)
+            if text is not None:
+                raise RecordingError(
+                    f"{self.source.path}: column {name!r}: unknown unit {text!r} (say it with --unit "
+                    f"'{name}=UNIT'): {did_you_mean(text, UNITS)}"
+                )
 
     def _told(self, signal: str) -> _Column | None:
         name = self.hints.roles.get(signal)

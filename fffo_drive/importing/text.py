@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..documents import counted
 from ..recording.errors import RecordingError
 from ..recording.unpack import gunzipped
 from .source import Floats, Source
@@ -250,7 +251,10 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
             f"{layout.cells} cells"
         )
     remarks = (
-        [f"{short} lines without {layout.cells} cells are left out, the first is line {_first_short(body, layout) + 1}"]
+        [
+            f"left out: {counted(short, 'line')} without {layout.cells} cells, the first is line "
+            f"{_first_short(body, layout) + 1}"
+        ]
         if short
         else []
     )
@@ -267,9 +271,8 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
                 raise RecordingError(
                     f"{path}, {place}: {cell!r} is not a number, and {unreadable.size - 1} more like it"
                 )
-            remarks.append(
-                f"{unreadable.size} cells are no numbers and count as missing, the first is {cell!r} in {place}"
-            )
+            what = "is not a number and counts" if unreadable.size == 1 else "are not numbers and count"
+            remarks.append(f"{counted(unreadable.size, 'cell')} {what} as missing, the first is {cell!r} in {place}")
         if np.isnan(values).all():
             continue
         found[name] = values

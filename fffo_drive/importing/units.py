@@ -69,6 +69,7 @@ _ALIASES = {
     **{word: name for name, words in _SPELLINGS.items() for word in words.split()},
 }
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
+_NO_UNIT = re.compile(r"[\d\s.,:-]*")  # in brackets: an index, or nothing
 _CURRENT = re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE)
 _SLASHED = re.compile(r"^(?P<name>[^/]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
 _SUFFIX = re.compile(r"^(?P<name>.*[a-zA-Z0-9])_(?P<unit>rad_s|deg_s|rad_per_s|deg_per_s|[a-zA-Z]+)$")
@@ -104,6 +105,18 @@ def split_name(text: str) -> tuple[str, str | None]:
         if unit:
             return plain, unit
     return plain, None
+
+
+def unknown_unit(heading: str) -> str | None:
+    """What stands in square brackets at the end of a heading and is no unit that is known; None where nothing does.
+
+    Round brackets hold remarks as well: "velocity (filtered)".
+    """
+    found = _BRACKETS.match(heading)
+    if not found or not heading.rstrip().endswith("]"):
+        return None
+    text = found["unit"].strip()
+    return None if _NO_UNIT.fullmatch(text) or unit_of(text) else text
 
 
 def time_scale(unit: str | None) -> float | None:

@@ -101,6 +101,11 @@ def read_table(
     return LogTable(Path(path), columns, {TIME: "s"} | units, source.scalars, (*source.warnings, *warnings), gaps)
 
 
+def column_names(path: Path) -> list[str]:
+    """Names of the columns of a CSV or MAT file. Raises RecordingError; OSError when it cannot be opened."""
+    return list(_open(path).names)
+
+
 def _open(path: Path) -> _TableFile:
     name = path.name.lower()
     if name.endswith(".mat"):

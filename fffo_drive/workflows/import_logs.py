@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from ..documents import DocumentError, read_text
+from ..documents import DocumentError, read_text, refuse
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import DataError, distinct_names, load_record, one_rate
@@ -53,9 +53,30 @@ def recognised(source: Source, hints: Hints) -> RecognisedLog:
     return RecognisedLog(source, found, usable(str(source.path), converted(source, found), found))
 
 
-def recognised_logs(paths: Sequence[str | Path], hints: Hints) -> list[RecognisedLog]:
-    """Logs of one axis, read and recognised. Raises RecordingError that names the file and the option to give."""
-    return [recognised(source, hints) for source in [read_source(Path(path)) for path in paths]]
+def recognised_logs(
+    paths: Sequence[str | Path], hints: Hints, map_file: Path | None = None
+) -> list[RecognisedLog]:  # fmt: skip
+    """Logs of one axis, read and recognised. `map_file`: that `hints` are of.
+
+    Raises RecordingError that names the file and the option to give, DocumentError for columns of the map that a log
+    does not have.
+    """
+    sources = [read_source(Path(path)) for path in paths]
+    if map_file is not None:
+        refuse(map_file, [problem for source in sources for problem in _not_in(source, hints, read_map(map_file))])
+    return [recognised(source, hints) for source in sources]
+
+
+def _not_in(source: Source, hints: Hints, told: dict[str, Any]) -> list[tuple[str, str]]:
+    """(key, what is wrong) of the columns that a map names and a log does not have, where nobody said otherwise."""
+    roles = {key: name for key, name in (told.get("roles") or {}).items() if name and hints.roles.get(key) == name}
+    named = [(f"roles.{key}", name) for key, name in roles.items()]
+    named += [(f"units.{name}", name) for name in told.get("units") or {} if name not in roles.values()]
+    return [
+        (key, f"{source.path} has no column {name!r}: {did_you_mean(name, source.columns)}")
+        for key, name in named
+        if name not in source.columns
+    ]
 
 
 def assumptions(logs: Sequence[RecognisedLog]) -> list[Guess]:

@@ -9,12 +9,14 @@ from typing import Any
 from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_section import CanopenDriveSection, SimulatedDriveSection
-from ..documents import DocumentError, check, parse
+from ..documents import DocumentError, check, parse, refuse
 from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts, read_facts
 from ..importing.convert import FACTS_NAME
 from ..model.parameters import ModelFile
+from ..recording.errors import RecordingError, did_you_mean
 from ..recording.reader import Run, read_run
+from ..recording.table import column_names
 from .replay import recorded_files
 
 SIMULATED_RESOLVER_BITS = 15
@@ -23,10 +25,13 @@ SIMULATED_RESOLVER_BITS = 15
 def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     """The facts in `file`, else those in the recordings.
 
-    Raises DocumentError for a log without facts, and for recordings of different axes.
+    Raises DocumentError for a log without facts, for recordings of different axes, and for `columns` that a log does
+    not have.
     """
     if file is not None:
-        return read_facts(file)
+        given = read_facts(file)
+        refuse(file, [problem for log in logs for problem in _columns_not_in(log, given)])
+        return given
     found: DriveFacts | None = None
     for log in logs:
         if not str(log).endswith(RECORDINGS):
@@ -40,6 +45,22 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
         found = own
     assert found is not None
     return found
+
+
+def _columns_not_in(log: str | Path, facts: DriveFacts) -> list[tuple[str, str]]:
+    """(key, what is wrong) of `columns` that name none of a table. What cannot be read is told by who reads it all."""
+    mapping = facts.column_map()
+    if mapping is None or str(log).endswith(RECORDINGS):
+        return []
+    try:
+        names = column_names(Path(log))
+    except (RecordingError, OSError):
+        return []
+    return [
+        (f"columns.{one.signal}", f"{log} has no column {one.column!r}: {did_you_mean(one.column, names)}")
+        for one in mapping.columns
+        if one.column not in names
+    ]
 
 
 def facts_in(run: Run) -> DriveFacts:

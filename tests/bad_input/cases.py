@@ -256,6 +256,21 @@ CASES = (
         changed(AXIS, "current_limit_a: 12", "current_limit_a: true"),
     ),
     Case(
+        "a decimal comma", (*CHECK, AXIS), 78,
+        (rf"{AXIS}:\d+: controller\.current_limit_a: .* write 12\.5, with a decimal point",),
+        changed(AXIS, "current_limit_a: 12", "current_limit_a: 12,5"),
+    ),
+    Case(
+        "a decimal comma inside braces", RUN, 78,
+        (rf"{MODEL}:\d+: delay_s\.value: write 0\.00275, with a decimal point \(got 0,00275\)",),
+        changed(MODEL, "delay_s: {value: 0.00275", "delay_s: {value: 0,00275"),
+    ),
+    Case(
+        "a mistake in the file of the simulated drive, when the axis is checked", (*CHECK, AXIS), 78,
+        (f"{DRIVE}: cannot be read: No such file",),
+        without(DRIVE),
+    ),
+    Case(
         "a fraction or an exponent in place of a whole number", (*CHECK, BUS_AXIS), 78,
         (rf"{BUS_AXIS}:\d+: drive\.bitrate_hz: a whole number from 10000 to 1000000 is needed: write 500000",),
         drive_key("bitrate_hz: 5e5"),
@@ -278,7 +293,16 @@ CASES = (
     ),
     Case("text that is no YAML", RUN, 78, (rf"{AXIS}:\d+: not valid YAML",), added(AXIS, "recording: [\n")),
     Case("missing axis file", RUN, 78, (f"{AXIS}: cannot be read: No such file",), without(AXIS)),
-    Case("missing model file", RUN, 78, (f"{MODEL}: cannot be read: No such file",), without(MODEL)),
+    Case(
+        "missing model file", RUN, 78,
+        (rf"{AXIS}:\d+: model: {MODEL}: cannot be read: No such file or directory$",),
+        without(MODEL),
+    ),
+    Case(
+        "mistyped model file", RUN, 78,
+        (rf"{AXIS}:\d+: model: modle\.yaml: cannot be read: .*: did you mean '{MODEL}'",),
+        changed(AXIS, "model: model.yaml", "model: modle.yaml"),
+    ),
     Case("missing file of the simulated drive", RUN, 78, (f"{DRIVE}: cannot be read: No such file",), without(DRIVE)),
     Case(
         "unknown effect of the simulated drive", RUN, 78,

@@ -130,6 +130,12 @@ def test_what_is_not_explained_is_shown_and_does_not_refuse():
 
 def test_a_strength_has_to_be_told_from_zero():
     assert interval_gate(effect()).passed
+    assert interval_gate(effect()).text == (  # 0.004 and 0.003 over 2e-4
+        "cos_nm = 0.004 +- 0.0002; all 2 strengths together: 25.0 standard deviations from zero, 2.8 needed"
+    )
+    assert interval_gate(effect(cos_nm=0.004, sin_nm=0.0)).text == (
+        "cos_nm = 0.004 +- 0.0002; 20.0 standard deviations from zero, 2.0 needed"
+    )
     assert not interval_gate(effect(sd=5e-3)).passed
     assert not interval_gate(effect(sd=None)).passed
 

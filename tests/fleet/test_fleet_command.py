@@ -105,7 +105,10 @@ def test_two_files_are_compared_without_a_store(fleet, facts_file, tmp_path, cap
     sides = [str(fleet.parent / f"drive{k}" / "run0.csv") for k in (0, OUTSIDE)]
     words = ["--drive", str(facts_file), "--out", str(tmp_path / "page")]
     assert main(["fleet", "compare", *sides, *words]) == 0
-    assert "1 run against 1" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "1 run against 1" in said
+    for component in ("cosine", "sine"):
+        assert said.count(f"\ngravity, {component} of the angle: ") == 1
     assert main(["fleet", "report", str(fleet), "--out", str(tmp_path / "page")]) == 78  # another kind of page is there
     assert "fleet-compare" in capsys.readouterr().err
 
@@ -113,7 +116,8 @@ def test_two_files_are_compared_without_a_store(fleet, facts_file, tmp_path, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["status", "NOWHERE"], "no store here"),
+        (["status", "NOWHERE"], "no store here: check the path; `fffo-drive fleet add"),
+        (["add", "NEW", "--from", "NOWHERE"], "NOWHERE: there is no such directory: check the path"),
         (["add", "NEW", "--from", "EMPTY"], "no run there"),
         (["add", "NEW"], "no run: name recordings"),
         (["work", "STORE", "--shard", "4/3"], "K from 1 to N"),

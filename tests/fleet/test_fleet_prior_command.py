@@ -131,7 +131,9 @@ def test_too_few_drives_make_no_prior_and_a_drive_is_not_its_own(store, short, f
         words = ["--drive", str(facts_file), "--serial", f"SN{number}", "--model", "M1"]
         assert main(["fleet", "add", str(few), run, *words, "--work", "--workers", "1"]) == 0
     assert identified(short, facts_file, tmp_path / "out", "--prior", str(few), "--prior-model", "M1") == 78
-    assert f"{len(runs)} drives of model M1" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"{len(runs)} drives of model M1" in said
+    assert "two more drives than parameters (here 10, so 1 more)" in said
     with pytest.raises(DocumentError, match="give one of them"):
         fd.diagnose(fd.read_run(short, facts=facts_file), model=read_any_model(), prior=store)
 

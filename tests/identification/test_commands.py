@@ -58,6 +58,19 @@ def test_identify_refuses_what_cannot_be_fitted(tmp_path, drive, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_column_of_the_facts_that_a_log_lacks_is_named_with_its_place(tmp_path, capsys):
+    log = write_csv(tmp_path / "run.csv", {"t": np.arange(4), "Torque_demand": np.arange(4), "Angle": np.arange(4)})
+    facts = tmp_path / "facts.yaml"
+    facts.write_text(
+        "torque_constant_nm_per_a: 0.1\ncolumns:\n  time_s: t\n  position_rev: {column: Angel}\n"
+        "  current_command_a: Torque demand\n"
+    )
+    assert main(["identify", str(log), "--drive", str(facts), "--out", str(tmp_path / "out")]) == 78
+    said = capsys.readouterr().err
+    assert f"{facts}:4: columns.position_rev: {log} has no column 'Angel': did you mean 'Angle'?" in said
+    assert f"{facts}:5: columns.current_command_a: {log} has no column 'Torque demand': did you mean" in said
+
+
 def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     axis = TABLE_1.parents[1] / "axis_simulated.yaml"
     assert main(["tune", str(TABLE_1), "--out", str(tmp_path), "--axis", str(axis), "--json"]) == 0

@@ -45,6 +45,7 @@ def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
     said = capsys.readouterr().out
     assert "'Actual position' [rev]: unit rev" in said
     assert "next: fffo-drive identify" in said
+    assert "assumed:" not in said  # the file gives every unit
     facts = read_facts(tmp_path / "out" / "facts.yaml")
     assert facts.torque_constant_nm_per_a == 0.13
     record = load_record(tmp_path / "out" / "log.mcap", facts)
@@ -82,6 +83,10 @@ def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     assert "--yes" in streams.err
     assert not (tmp_path / "out").exists()
     assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        "assumed: position_rev is 'Actual position' in rad; velocity_rps is 'Actual velocity' in rad/s; "
+        "current_a is 'Actual current' in A"
+    )
     # what was recognised is a map for the next log
     said = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
     said["units"]["Actual position"] = "deg"
@@ -90,6 +95,33 @@ def test_an_assumption_is_not_taken_without_a_word(tmp_path, capsys):
     assert run_import(path, "--out", tmp_path / "again", "--map", tmp_path / "other.yaml") == 0
     record = load_record(tmp_path / "again" / "log.mcap", read_facts(tmp_path / "again" / "facts.yaml"))
     np.testing.assert_allclose(record.position_rev * 360.0, truth().position_rev * 2.0 * np.pi, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("heading", "unknown", "known"),
+    [
+        ("Actual position [rev]", "foo", "there is %, A, N, Nm, V"),
+        ("Actual current [A]", "mNmm", "did you mean 'mNm'"),
+        ("Time [s]", "sss", "there is %"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_refused_and_can_be_said(tmp_path, capsys, heading, unknown, known):
+    name, _, unit = heading.rstrip("]").partition(" [")
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace(heading, f"{name} [{unknown}]"))
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == EXIT_BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"column '{name} [{unknown}]': unknown unit '{unknown}'" in said
+    assert known in said
+    assert not (tmp_path / "out").exists()
+    assert run_import(path, "--out", tmp_path / "out", "--unit", f"{name} [{unknown}]={unit}") == 0
+
+
+@pytest.mark.parametrize("heading", ["Actual position[0]", "Actual position [-]", "Actual position (motor)"])
+def test_an_index_or_a_remark_in_brackets_is_no_unit(tmp_path, heading):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace("Actual position [rev]", heading))
+    assert run_import(path, "--out", tmp_path / "out", "--yes") == 0
 
 
 @pytest.fixture
@@ -158,18 +190,38 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
     found = json.loads(capsys.readouterr().out)["logs"][0]["signals"]
     assert found["current_command_a"]["column"] == "Actual current"
     assert "current_a" not in found
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("linear: false\nroles:\n  time_s: Time\n  position_rev: Actual positon\n")
     for words, text in (
-        (["--position", "Actual positon"], "no column 'Actual positon'"),
+        (["--position", "Actual positon"], "no column 'Actual positon': did you mean 'Actual position'"),
         (["--unit", "Actual position=turnz"], "unit 'turnz'"),
         (["--unit", "Actual position"], "COLUMN=UNIT"),
         (["--rate", "-1"], "--rate -1"),
         (["--gear-ratio", "-3"], "gear_ratio"),
         (["--map", str(log)], "not a map of columns"),
+        (["--map", wrong], f"wrong.yaml:4: roles.position_rev: {log} has no column 'Actual positon': did you mean"),
+        (["--map", wrong, "--position", "Actual"], f"{log}: no column 'Actual'"),
     ):
         assert run_import(log, "--out", tmp_path / "other", *words) == EXIT_BAD_INPUT
         assert text in capsys.readouterr().err
     assert run_import(log, "--out", tmp_path / "out") == EXIT_BAD_INPUT
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "said"),
+    [
+        ([20], "note: 1 cell is not a number and counts as missing, the first is 'x' in line 21"),
+        ([20, 30], "note: 2 cells are not numbers and count as missing, the first is 'x' in line 21"),
+    ],
+)
+def test_cells_that_are_not_numbers_are_counted(tmp_path, capsys, spoiled, said):
+    lines = as_text(truth(), Dialect()).splitlines()
+    for line in spoiled:
+        lines[line] = lines[line].rpartition(",")[0] + ",x"
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
+    assert said in capsys.readouterr().out
 
 
 def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
