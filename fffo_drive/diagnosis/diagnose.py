@@ -47,6 +47,7 @@ Progress = Callable[[float, str], None]
 # mechanisms that an ablation can switch off
 MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")
 LEAST_BESIDE = 0.5  # a finding that explains less than this share of the explainable rest may be part of another effect
+RIVAL_SHARE = 0.01  # of a finding's gain: what explains less in its place is no rival
 ACTING_SHARE = 0.5  # an effect acts where its torque is above this share of its maximum
 LEAST_ACTING_S = 2.0  # held-out motion in an effect's regime that error figures of its own need
 DELAY_TOLERANCE_S = 0.0015  # a fitted delay further than this from the declared one is reported
@@ -313,7 +314,7 @@ def _finding(
         compensable=is_compensable(effect.name, effect.values(0)) and not effect.per_run,
         strength_percent=100.0 * float(np.sqrt(np.mean(torque**2) / max(np.mean(friction**2), 1e-300))),
         torque_rms_nm=float(np.sqrt(np.mean(torque**2))),
-        rivals=tuple(_rival(note, *one) for one in note.rivals),
+        rivals=tuple(_rival(note, *one) for one in note.rivals if one[1] > RIVAL_SHARE * note.gain.value),
         picture=picture(data, selected.fitted, number),
         law_picture=law_picture(data, selected.fitted, number),
         gain=(note.gain.value, note.gain.sd),
