@@ -241,7 +241,7 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
         return "it explains little compared with the unexplained rest, and may be part of that"
     # a free curve claims only its axis, and a level has none
     if finding.axis in rest.axes and not finding.name.startswith(UNKNOWN) and law.rung > WAVE_RUNG:
-        return f"the unexplained rest depends on the {finding.axis.replace('_', ' ')} as well: the law is another one"
+        return f"the unexplained rest depends on the {finding.axis.replace('_', ' ')} as well: another law may be true"
     return ""
 
 
