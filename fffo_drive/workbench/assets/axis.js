@@ -26,8 +26,9 @@
     $("unserve").hidden = !served;
     $("unserve").disabled = !state.may_cancel;
     const simulates = drive && drive.state === "running";
-    const answers = axis.status && axis.status.state !== "offline"; // one that was started elsewhere
-    $("simulated").hidden = !state.axis || !state.axis.simulated || (!simulates && Boolean(daemon && answers));
+    // with a daemon, only where it is known that no drive answers: one may have been started elsewhere
+    const silent = !daemon || (axis.status !== null && axis.status.state === "offline");
+    $("simulated").hidden = !state.axis || !state.axis.simulated || !(simulates || silent);
     $("simulate").hidden = simulates;
     $("simulate").disabled = !state.may.includes("simulate");
     $("unsimulate").hidden = !simulates;
