@@ -23,6 +23,9 @@ const PICTURES = [
     { name: "busy_ns", label: "work", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
 ];
 
+// of a line that moves, in pixels: a canvas without graphics hardware draws wider ones several times more slowly
+const MOVING_WIDTH = 1;
+
 class Picture extends Chart {
   constructor(spec, parent, view) { super({ ...spec, x: { unit: "s", inverse: "Hz" } }, parent, view); }
 
@@ -41,7 +44,9 @@ class Picture extends Chart {
   }
   columnOf(i) { return this.places[i]; }
 
-  draw(store, from, to, constant, tell) {
+  // `moving`: again at once, with other data
+  draw(store, from, to, constant, tell, moving) {
+    this.spec.series.forEach((s, i) => { this.plot.series[this.places[i]].width = moving ? MOVING_WIDTH : s.width; });
     const [begin, end] = store.between(from, to);
     const data = [store.time.slice(begin, end)];
     this.spec.series.forEach((s, i) => {
@@ -84,7 +89,9 @@ class FrictionMap extends OwnAxisChart {
   }
   points() { return { show: false }; }
 
+  // a circle for each point costs more than all lines: while it turns, as often as the numbers
   draw(store, from, to, constant, tell) {
+    if (!tell) return;
     const [begin, end] = store.between(from, to);
     const speed = store.column("velocity_rps", 2, begin, end, 1);
     const motor = store.column("current_a", 2, begin, end, constant || NaN);
@@ -94,7 +101,7 @@ class FrictionMap extends OwnAxisChart {
     const left = (i) => (motor[i] == null ? null : motor[i] - (inertia[i] || 0));
     this.data = [order.map((i) => speed[i]), order.map(left), order.map((i) => estimate[i])];
     this.plot.setData(this.data);
-    if (tell) this.tellCursors();
+    this.tellCursors();
   }
 
   valueAt(i, x) {

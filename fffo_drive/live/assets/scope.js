@@ -414,8 +414,8 @@
     scope.pictures = (scope.pictures || 0) + 1;
     const [store, from, to] = looked();
     // faster changes cannot be read, and each change costs a page layout
-    const tell = Boolean(scope.view || scope.held) || ms - toldMs > TELL_MS;
-    for (const picture of pictures) picture.draw(store, from, to, scope.constant, tell);
+    const still = Boolean(scope.view || scope.held), tell = still || ms - toldMs > TELL_MS;
+    for (const picture of pictures) picture.draw(store, from, to, scope.constant, tell, !still);
     if (tell) {
       toldMs = ms;
       histogram.draw();
