@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from .detector import BURN_IN, CLIP, NORMAL_MAD
 from .history import RunHistory
+from .matrices import inverse_total
 from .words import WORDS
 
 Floats = npt.NDArray[np.float64]
@@ -68,7 +69,7 @@ LEARNING_ROUNDS = 12
 MOST_ORDERS = 6
 LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
 ORDER_SHARE = 0.5  # of the runs that have to resolve an order
-DRIVES_AT_ONCE = 500  # for memory
+DRIVES_AT_ONCE = 40  # of some 50 runs: what is in between fits a processor's cache
 LARGEST_NOISE = 25.0  # of a channel's usual variance: beyond it a run says nothing
 
 
@@ -254,12 +255,6 @@ def _extras(
     variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(own_sd), own_sd, 0.0) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         return tuple(orders), np.where(values > 0.0, np.log(values), np.nan), variance
-
-
-def inverse_total(information: Floats, covariance: Floats) -> Floats:
-    """(I^-1 + S)^-1 of many runs (n, p, p), also where I is singular."""
-    inner = np.linalg.solve(information + np.linalg.inv(covariance), information)
-    return np.asarray(information - information @ inner)
 
 
 def typical_covariance(columns: Sequence[str]) -> Floats:

@@ -31,12 +31,12 @@ from .channels import (
     FleetPrior,
     Stack,
     channels_of,
-    inverse_total,
     stacked,
 )
 from .detector import CLIP, ChannelPrior
 from .history import RunHistory
 from .learning import learned
+from .matrices import inverse_total
 
 Floats = npt.NDArray[np.float64]
 

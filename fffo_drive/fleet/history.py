@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
-ROWS_AT_ONCE = 50_000  # that are solved: what is in between takes some 100 MB
+ROWS_AT_ONCE = 4_000  # that are solved: what is in between fits a processor's cache
 IN_TIME = [("start", "ascending"), ("run", "ascending")]
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (

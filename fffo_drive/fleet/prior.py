@@ -19,9 +19,10 @@ import numpy.typing as npt
 from scipy import stats
 
 from .. import formats
-from .channels import MEAN_DEGC, STEP_K, Stack, inverse_total, marginal, stacked
+from .channels import MEAN_DEGC, STEP_K, Stack, marginal, stacked
 from .history import RunHistory
 from .learning import learned
+from .matrices import inverse_total
 
 Floats = npt.NDArray[np.float64]
 

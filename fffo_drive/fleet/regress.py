@@ -10,6 +10,7 @@ on all of its rows. The last two columns are there where the angle has the same 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
+from .matrices import inverses
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -97,7 +99,8 @@ def block_starts(kept: Integers, count: int, period_s: float) -> Integers:
 
 def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     """Rows over how much larger variances are than those of independent rows, by blocks' scores (b, p)."""
-    scale, curvature, directions = _scaled(balance.normal)
+    scale, scaled = _scaled(balance.normal)
+    curvature, directions = np.linalg.eigh(scaled)
     known = curvature > SINGULAR
     rank = int(known.sum())
     if rms_nm == 0.0 or rank == 0 or sums.shape[0] <= rank:
@@ -108,12 +111,11 @@ def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     return float(balance.rows / max(1.0, ratio))
 
 
-def _scaled(normal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Lengths of the columns (..., p), and eigenvalues and vectors of the normal matrix of columns of length one."""
+def _scaled(normal: Floats) -> tuple[Floats, Floats]:
+    """Lengths of the columns (..., p), and the normal matrix (..., p, p) of columns of length one."""
     length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
     scale = np.where(length > 0.0, length, 1.0)
-    curvature, directions = np.linalg.eigh(normal / (scale[..., :, None] * scale[..., None, :]))
-    return scale, curvature, directions
+    return scale, normal / (scale[..., :, None] * scale[..., None, :])
 
 
 def solve(balance: Balance) -> Estimates:
@@ -125,24 +127,28 @@ def solve(balance: Balance) -> Estimates:
 
 def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats, effective_rows: Floats) -> Estimates:
     """`solve` of n balances: (n, p, p), (n, p) and (n,) each."""
-    scale, curvature, directions = _scaled(normal)
-    known = curvature > SINGULAR
-    rank = known.sum(axis=-1)
-    over = np.where(known, 1.0 / np.where(known, curvature, 1.0), 0.0)
-    inverse = np.einsum("nij,nj,nkj->nik", directions, over, directions)
+    scale, scaled = _scaled(normal)
+    there = np.diagonal(scaled, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
+    rank, within = there.sum(axis=-1), np.ones(there.shape, dtype=bool)
+    inverse, determinant = inverses(scaled)
+    # with ones on the diagonal the smallest eigenvalue is at least the determinant over e, by the means of the others
+    for n in np.flatnonzero(determinant < math.e * SINGULAR):
+        curvature, directions = np.linalg.eigh(scaled[n])
+        known = curvature > SINGULAR
+        rank[n] = known.sum()
+        inverse[n] = directions[:, known] / curvature[known] @ directions[:, known].T
+        scaled[n] = directions[:, known] * curvature[known] @ directions[:, known].T
+        # a parameter that has a part in a direction that is not determined is not determined either
+        within[n] = np.abs(directions[:, known] ** 2 @ np.ones(known.sum()) - 1.0) < SINGULAR**0.5
     theta = np.einsum("nij,nj->ni", inverse, moment / scale) / scale
     left = np.maximum(energy_nm2 - np.einsum("ni,ni->n", moment, theta), 0.0)
     variance_nm2 = left / np.maximum(rows - rank, 1.0)
     noisy = variance_nm2 > 0.0
     share = np.where(noisy, effective_rows / np.maximum(rows, 1.0), 0.0)
     precision = np.where(noisy, share / np.where(noisy, variance_nm2, 1.0), 0.0)
-    kept = np.einsum("nij,nj,nkj->nik", directions, np.where(known, curvature, 0.0), directions)
-    there = np.diagonal(normal, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
     size = scale * there
-    information = kept * (size[:, :, None] * size[:, None, :]) * precision[:, None, None]
+    information = scaled * (size[:, :, None] * size[:, None, :]) * precision[:, None, None]
     inflation = np.diagonal(inverse, axis1=-2, axis2=-1)
-    # a parameter that has a part in a direction that is not determined is not determined either
-    within = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
     sure = within & there & (inflation < LARGEST_INFLATION) & (precision > 0.0)[:, None]
     variance = inflation / np.where(precision > 0.0, precision, 1.0)[:, None]
     sd = np.where(sure, np.sqrt(np.maximum(variance, 0.0)) / scale, np.nan)

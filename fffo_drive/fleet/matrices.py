@@ -1,0 +1,103 @@
+"""Symmetric matrices of a few columns, very many of them: numpy takes longer to begin with one than to invert it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ..jit import njit
+
+Floats = npt.NDArray[np.float64]
+
+
+@njit
+def _factor(matrix: Floats, lower: Floats) -> float:
+    """Cholesky factor of (p, p), and its determinant; 0 where it is not positive. A zero row and column is left out."""
+    size = matrix.shape[0]
+    determinant = 1.0
+    for j in range(size):
+        pivot = matrix[j, j]
+        absent = pivot == 0.0
+        for k in range(j):
+            pivot -= lower[j, k] * lower[j, k]
+        if not absent and not pivot > 0.0:
+            return 0.0
+        determinant *= 1.0 if absent else pivot
+        lower[j, j] = 1.0 if absent else math.sqrt(pivot)
+        for i in range(j + 1, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= lower[i, k] * lower[j, k]
+            lower[i, j] = value / lower[j, j]
+    return determinant
+
+
+@njit
+def _solve(lower: Floats, column: Floats) -> None:
+    """Of the system that has this factor, in place."""
+    size = column.size
+    for i in range(size):
+        for k in range(i):
+            column[i] -= lower[i, k] * column[k]
+        column[i] /= lower[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            column[i] -= lower[k, i] * column[k]
+        column[i] /= lower[i, i]
+
+
+@njit
+def _invert_each(matrices: Floats, lower: Floats, inverse: Floats, determinant: Floats) -> None:
+    size = matrices.shape[1]
+    for n in range(matrices.shape[0]):
+        determinant[n] = _factor(matrices[n], lower)
+        if determinant[n] == 0.0:
+            continue
+        for j in range(size):
+            inverse[n, j, j] = 1.0
+            _solve(lower, inverse[n, j])
+            if matrices[n, j, j] == 0.0:
+                inverse[n, j, j] = 0.0
+
+
+def inverses(matrices: Floats) -> tuple[Floats, Floats]:
+    """Inverses (n, p, p) of positive matrices whose zero rows and columns stay zero, and their determinants (n,).
+
+    Determinant 0: it is not positive, and its inverse is of no use.
+    """
+    inverse, determinant = np.zeros_like(matrices), np.empty(matrices.shape[0])
+    _invert_each(np.ascontiguousarray(matrices), np.zeros(matrices.shape[1:]), inverse, determinant)
+    return inverse, determinant
+
+
+@njit
+def _add_in_parallel(information: Floats, precision: Floats, both: Floats, lower: Floats, total: Floats) -> None:
+    size = precision.shape[0]
+    for n in range(information.shape[0]):
+        for i in range(size):
+            for j in range(size):
+                both[i, j] = information[n, i, j] + precision[i, j]
+        _factor(both, lower)
+        for j in range(size):  # row j of `both`: column j of (I + S^-1)^-1 I
+            for i in range(size):
+                both[j, i] = information[n, i, j]
+            _solve(lower, both[j])
+        for i in range(size):
+            for j in range(i + 1):
+                one, other = 0.0, 0.0
+                for k in range(size):
+                    one += precision[i, k] * both[j, k]
+                    other += precision[j, k] * both[i, k]
+                total[n, i, j] = total[n, j, i] = 0.5 * (one + other)
+
+
+def inverse_total(information: Floats, covariance: Floats) -> Floats:
+    """(I^-1 + S)^-1 of one run or many (..., p, p), also where I is singular."""
+    precision = np.linalg.inv(covariance)
+    own = np.ascontiguousarray(information).reshape(-1, *covariance.shape)
+    total = np.empty_like(own)
+    scratch = np.empty(covariance.shape), np.zeros(covariance.shape)
+    _add_in_parallel(own, 0.5 * (precision + precision.T), *scratch, total)
+    return total.reshape(information.shape)
