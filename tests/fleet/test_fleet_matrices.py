@@ -30,7 +30,7 @@ def test_an_inverse_is_numpy_s_and_an_absent_column_stays_absent(information):
 
 
 def test_the_determinant_bounds_the_smallest_eigenvalue():
-    """Ones on the diagonal: the mean of the eigenvalues is one, and those beside the smallest multiply to less than e."""
+    """Ones on the diagonal: eigenvalues have a mean of one, so those beside the smallest multiply to less than e."""
     draw = np.random.default_rng(5)
     vectors = draw.standard_normal((500, 8, 8)) + 3.0 * draw.standard_normal((500, 8, 1))
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
