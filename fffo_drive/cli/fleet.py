@@ -266,12 +266,12 @@ def _report(options: argparse.Namespace) -> int:
 
 def _watched(store: FleetStore, rate: float) -> dict[str, Watched]:
     """By model."""
-    from ..fleet.history import histories, models_of
-    from ..fleet.watch import watch
+    from ..fleet.history import models_of
+    from ..fleet.watch import watch_model
 
     if not rate > 0.0:
         raise DocumentError(f"--alarms-per-drive-year {rate:g}: more than 0")
-    return {model: watch(histories(store, model), rate).found for model in models_of(store)}
+    return {model: watch_model(store, model, rate) for model in models_of(store)}
 
 
 def _watch(options: argparse.Namespace) -> int:

@@ -130,8 +130,13 @@ class Channels(NamedTuple):
     covariates: Floats  # (n, 2) temperature and logarithm of speed from its median
 
 
-def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None = None) -> Stack:
-    """Histories of drives of one model. Raises ValueError where there are none, or their columns differ."""
+def stacked(
+    histories: Mapping[str, RunHistory], orders: Sequence[float] | None = None, columns: Sequence[str] | None = None
+) -> Stack:
+    """Histories of drives of one model. `columns`: of theta; None: those that a run determines.
+
+    Raises ValueError where there are none, or their columns differ.
+    """
     if not histories:
         raise ValueError("no drive has records")
     drives = tuple(histories)
@@ -139,13 +144,14 @@ def stacked(histories: Mapping[str, RunHistory], orders: Sequence[float] | None 
     for name, one in histories.items():
         if one.names != first.names:
             raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {drives[0]}")
-    columns = tuple(name for name in first.names if name in COLUMNS)
     bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in histories.values()])]).astype(np.int64)
     information = np.concatenate([one.information for one in histories.values()])
-    seen = [name for name in columns if np.any(np.diagonal(information, 0, 1, 2)[:, first.names.index(name)] > 0.0)]
-    if not seen:
+    if columns is None:
+        known = np.any(np.diagonal(information, 0, 1, 2) > 0.0, axis=0)
+        columns = [name for name, seen in zip(first.names, known, strict=True) if seen and name in COLUMNS]
+    if not columns:
         raise ValueError("no run determines a parameter")
-    columns, kept = tuple(seen), [first.names.index(name) for name in seen]
+    columns, kept = tuple(columns), [first.names.index(name) for name in columns]
     theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
     information = _of_known(information if len(kept) == len(first.names) else marginal(information, kept), theta)
     theta = np.where(np.isfinite(theta), theta, 0.0)

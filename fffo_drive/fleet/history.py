@@ -87,6 +87,11 @@ def models_of(store: FleetStore) -> list[str]:
     return sorted(pc.unique(store.records(("model",)).column("model")).to_pylist())
 
 
+def drives_of(store: FleetStore, model: str) -> list[str]:
+    """Drives of a model that have records."""
+    return sorted(pc.unique(store.records(("drive",), pc.field("model") == model).column("drive")).to_pylist())
+
+
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
     """Solved many rows at once, and cut by drive."""
     if not table.num_rows:
@@ -111,9 +116,12 @@ def _cut(history: RunHistory, runs: slice) -> RunHistory:
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
-    """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set."""
-    if not 0 < len(drives) <= FEW_DRIVES:
-        return pc.field("drive").isin(list(drives))
+    """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set, and its ends."""
+    own = pc.field("drive")
+    if len(drives) > FEW_DRIVES:
+        return (own >= min(drives)) & (own <= max(drives)) & own.isin(list(drives))
+    if not drives:
+        return own.isin([])
     return functools.reduce(operator.or_, (pc.field("drive") == drive for drive in drives))
 
 

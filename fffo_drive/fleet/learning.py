@@ -185,9 +185,14 @@ def _fit_drives(
         found[d, 7] = energy
 
 
+def evenly(drives: int) -> Integers:
+    """Places of at most LEARNED_DRIVES, spread over all."""
+    return np.unique(np.linspace(0, drives - 1, LEARNED_DRIVES).astype(np.int64))
+
+
 def learned(stack: Stack) -> tuple[FleetPrior, ChannelPrior]:
     """What the fleet is like, from runs in which nothing changes: twice, for what changes has to be seen first."""
-    drives = np.unique(np.linspace(0, len(stack.drives) - 1, LEARNED_DRIVES).astype(np.int64))
+    drives = evenly(len(stack.drives))
     ends = np.minimum(stack.bounds[drives + 1], stack.bounds[drives] + LEARNED_RUNS)
     part = stack.part(drives, ends)
     prior = learn(part)

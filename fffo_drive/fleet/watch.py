@@ -18,8 +18,9 @@ from ..documents import counted
 from ..units import NORMAL_95
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
-from .history import RunHistory
-from .learning import learned
+from .history import RunHistory, drives_of, histories
+from .learning import evenly, learned
+from .store import FleetStore
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,6 +32,7 @@ RAMP_GAIN = 6.0  # fall of the squared misfit, in variances, that makes a step a
 AS_GOOD = 0.85  # of the largest statistic: a law that may be meant as well
 LOOK_AT = 2  # runs to open on either side of a change
 RECENT = 8  # runs
+DRIVES_A_PIECE = 1_000  # of some 50 runs: some 300 MB
 OUTSIDE_SDS = 3.0  # standard deviations of friction with temperature
 OUTSIDE_K = 3.0  # beyond the temperatures that were seen
 VISCOUS = "viscous_nm_per_rps"
@@ -117,14 +119,19 @@ class FleetWatch(NamedTuple):
 
 def watch(
     histories: Mapping[str, RunHistory], alarms_per_drive_year: float = DEFAULT_ALARMS_PER_DRIVE_YEAR,
-    orders: Sequence[float] | None = None,
+    orders: Sequence[float] | None = None, known: tuple[FleetPrior, ChannelPrior] | None = None,
 ) -> FleetWatch:  # fmt: skip
     """Watch drives of one model. `orders`: of ripple, to be watched; None: those that stand out in the fleet.
 
-    Raises ValueError for a rate that is not above 0, and for drives whose records have other columns.
+    `known`: what their fleet is like; None: what these drives show. Raises ValueError for a rate that is not above 0,
+    and for drives whose records have other columns.
     """
-    stack = stacked(histories, orders)
-    fleet, prior = learned(stack)
+    if known is None:
+        stack = stacked(histories, orders)
+        fleet, prior = learned(stack)
+    else:
+        fleet, prior = known
+        stack = stacked(histories, fleet.orders, fleet.columns)
     channels = channels_of(stack, fleet)
     detections = detect(
         stack.bounds, stack.time_s, channels.y, channels.variance, channels.covariates, prior, alarms_per_drive_year
@@ -139,6 +146,22 @@ def watch(
         alarms_per_drive_year, tuple(dict.fromkeys(watched)),
     )  # fmt: skip
     return FleetWatch(found, stack, channels, prior, detections)
+
+
+def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> Watched:
+    """`watch` over all drives of a model: of very many, piece by piece, with what some of all show of the fleet."""
+    drives = drives_of(store, model)
+    if len(drives) <= DRIVES_A_PIECE:
+        return watch(histories(store, model), alarms_per_drive_year).found
+    some = [drives[k] for k in evenly(len(drives))]
+    known = learned(stacked(histories(store, model, some)))
+    pieces = [drives[k : k + DRIVES_A_PIECE] for k in range(0, len(drives), DRIVES_A_PIECE)]
+    found = [watch(histories(store, model, piece), alarms_per_drive_year, known=known).found for piece in pieces]
+    return Watched(
+        tuple(alarm for one in found for alarm in one.alarms), tuple(doubt for one in found for doubt in one.doubts),
+        sum(one.drives for one in found), sum(one.runs for one in found), sum(one.drive_years for one in found),
+        alarms_per_drive_year, tuple(dict.fromkeys(law for one in found for law in one.laws)),
+    )  # fmt: skip
 
 
 class _Change(NamedTuple):
@@ -231,13 +254,11 @@ def _described(
         str(stack.run[first]), float(stack.time_s[first]),
         (str(stack.run[begin + min(possible)]), str(stack.run[begin + max(possible)])),
         str(stack.run[raised]), float(stack.time_s[raised]),
-        _to_look_at(stack, channels, drive, c, first, first + max(ramp, 1), change.size > 0.0),
+        _to_look_at(stack, channels, drive, c, first, first + max(ramp, 1)),
     )  # fmt: skip
 
 
-def _to_look_at(
-    stack: Stack, channels: Channels, drive: int, c: int, first: int, whole: int, rises: bool
-) -> tuple[str, ...]:
+def _to_look_at(stack: Stack, channels: Channels, drive: int, c: int, first: int, whole: int) -> tuple[str, ...]:
     """Runs near the change: the surest of the last before it and of the first after it."""
     begin, end = int(stack.bounds[drive]), int(stack.bounds[drive + 1])
     chosen: list[int] = []

@@ -10,11 +10,13 @@ import numpy.typing as npt
 import pytest
 from scipy import stats
 
-from fffo_drive.fleet.channels import inverse_total, marginal
+from fffo_drive.fleet import watch as watch_module
+from fffo_drive.fleet.channels import marginal
 from fffo_drive.fleet.detector import CLIP, SECOND_MOMENT, SLOPES, ChannelPrior, Detections, detect, log_norms
 from fffo_drive.fleet.history import RunHistory
+from fffo_drive.fleet.matrices import inverse_total
 from fffo_drive.fleet.regress import COULOMB, OFFSET, PARAMETERS, STRIBECK, VISCOUS
-from fffo_drive.fleet.watch import FleetWatch, watch, watch_lines
+from fffo_drive.fleet.watch import FleetWatch, watch, watch_lines, watch_model
 
 Floats = npt.NDArray[np.float64]
 
@@ -220,6 +222,24 @@ def test_what_is_printed_and_what_is_json_say_the_same(worn: FleetWatch) -> None
     assert worn.trace("0").evidence.max() >= 1.0
     with pytest.raises(KeyError, match="nobody"):
         worn.trace("nobody")
+
+
+@pytest.mark.parametrize("drives_a_piece", [100, 10])
+def test_a_fleet_watched_piece_by_piece_says_what_it_says_as_a_whole(
+    worn: FleetWatch, drives_a_piece: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = fleet(change={COULOMB: 0.10, STRIBECK: 0.10})
+    monkeypatch.setattr(watch_module, "DRIVES_A_PIECE", drives_a_piece)
+    monkeypatch.setattr(watch_module, "drives_of", lambda store, model: list(stored))
+    monkeypatch.setattr(
+        watch_module, "histories",
+        lambda store, model, drives=None: {name: stored[name] for name in drives or stored},
+    )  # fmt: skip
+    found = watch_model(None, "M", 1e-3)  # type: ignore[arg-type]  # no store is asked
+    key = [(alarm.drive, alarm.law, alarm.first_run, alarm.raised_run) for alarm in found.alarms]
+    assert key == [(alarm.drive, alarm.law, alarm.first_run, alarm.raised_run) for alarm in worn.found.alarms]
+    assert found.drive_years == pytest.approx(worn.found.drive_years)
+    assert found._replace(alarms=(), drive_years=0.0) == worn.found._replace(alarms=(), drive_years=0.0)
 
 
 def test_a_doubled_ripple_is_named_by_its_order() -> None:
