@@ -476,7 +476,7 @@ def test_drive_and_daemon_are_started_and_stopped_from_the_page_and_commissionin
         assert "commissioning" in shown.page.text_content("#axis-obstacles")
         assert shown.page.is_disabled("#enable")
         assert shown.page.is_disabled("#commission")
-        assert shown.page.get_attribute("#scope-link", "href").startswith("http://127.0.0.1:")
+        shown.until("document.querySelector('#scope-link').href.startsWith('http://127.0.0.1:')", COMPILING_S)
         shown.page.click("#unserve")
         shown.until("!fffoWorkbench.state.daemon")
         shown.until("fffoWorkbench.state.services.serve.state === 'cancelled'")
