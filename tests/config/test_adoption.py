@@ -128,7 +128,7 @@ def test_what_is_not_explained_is_shown_and_does_not_refuse():
     assert "unexplained rest" not in {gate.name for gate in none}
 
 
-def test_a_strength_has_to_be_told_from_zero():
+def test_a_strength_has_to_differ_from_zero():
     assert interval_gate(effect()).passed
     assert interval_gate(effect()).text == (  # 0.004 and 0.003 over 2e-4
         "cos_nm = 0.004 +- 0.0002; all 2 strengths together: 25.0 standard deviations from zero, 2.8 needed"
@@ -259,7 +259,7 @@ def model_in(path, model):
     return path
 
 
-def told(capsys, words, code):
+def stderr_of(capsys, words, code):
     """The command ends with this code and one message, which is given back."""
     assert main(words) == code
     lines = capsys.readouterr().err.strip().splitlines()
@@ -274,7 +274,7 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
     model_path, axis = found / "model.yaml", ["--axis", str(axis_path)]
 
     def fails(model, code, *said, axis=axis):
-        message = told(capsys, ["adopt", str(model), *axis], code)
+        message = stderr_of(capsys, ["adopt", str(model), *axis], code)
         for part in said:
             assert part in message
         assert axis_path.read_text() == before
@@ -321,7 +321,7 @@ def test_where_a_diagnosis_wrote_no_model_adopt_says_why(axis_path, capsys):
     model_path.unlink()
     report = report_of() | {"verdict": "nothing_carries_over", "headline": "No finding carries over."}
     (model_path.parent / "report.json").write_text(json.dumps(report | {"kind": "diagnose"}))
-    said = told(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
+    said = stderr_of(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
     assert "the diagnosis wrote no model: No finding carries over." in said
 
 
