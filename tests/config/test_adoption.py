@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from fffo_drive.cli import main
+from fffo_drive.cli.run import next_step
 from fffo_drive.config.adoption import (
     compensation_gate,
     gates,
@@ -34,10 +35,12 @@ from fffo_drive.config.effects import (
     services,
 )
 from fffo_drive.control.compensation import COUNT
+from fffo_drive.control.reference import MODE_CURRENT
 from fffo_drive.daemon.places import WATCH
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.table import Term
-from fffo_drive.model.parameters import EffectModel, Quantity, read_model, write_model
+from fffo_drive.model.parameters import EffectModel, Provenance, Quantity, read_model, write_model
+from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = read_axis(CONFIGS / "axis_simulated.yaml")
@@ -240,6 +243,20 @@ def test_the_command_shows_its_gates_and_refuses_or_adopts(axis_path, capsys):
     assert main(["adopt", "--rollback", "--axis", str(axis_path)]) == 0
     assert read_axis(axis_path).model == "table1.yaml"
     assert main(["adopt", "--axis", str(axis_path)]) == 78
+
+
+def test_after_an_adoption_a_run_names_the_comparison_and_not_the_diagnosis_again(axis_path):
+    files = [Path("after.mcap")]
+    assert next_step(make_plan(axis_path), files).startswith("fffo-drive identify after.mcap --out DIR, or ")
+    put_in_service(axis_path, axis_path.parent / "found" / "model.yaml", [])
+    plan = make_plan(axis_path)
+    assert next_step(plan, files).startswith("fffo-drive evaluate --runs RUN_BEFORE_ADOPTION after.mcap ")
+    open_loop = plan._replace(profile=plan.profile._replace(mode=MODE_CURRENT))
+    assert "fffo-drive diagnose --fit after.mcap" in next_step(open_loop, files)
+    history_path(axis_path).write_text("{")  # damaged
+    assert "fffo-drive diagnose --fit after.mcap" in next_step(plan, files)
+    fitted = plan.model.model_copy(update={"provenance": Provenance(runs=["5c1f"])})
+    assert next_step(plan._replace(model=fitted), files).startswith("fffo-drive diagnose --fit after.mcap")
 
 
 def test_what_is_wrong_with_a_report_is_said(axis_path, capsys):
